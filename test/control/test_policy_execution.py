@@ -8,9 +8,9 @@ from wam_power_ros import rotations
 from wam_power_ros.control import safety
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller_settings import ControllerSettings
+from wam_power_ros.control.joint_control import TrackingLost
 from wam_power_ros.control.policy_execution import Execution
 from wam_power_ros.control.prepared_policy import prepare
-from wam_power_ros.control.tracking_error import TrackingLost
 from wam_power_ros.learning.policy import Basis, Policy
 from wam_power_ros.params.resources import share
 from wam_power_ros.regions import Region

@@ -9,8 +9,8 @@ from rigid_arm import HOME, LIMITS, MODEL, PERIOD_NS, POLICY
 
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.modes import ControllerError, Refusal
+from wam_power_ros.control.policy_execution import Rollouts
 from wam_power_ros.control.prepared_policy import prepare
-from wam_power_ros.control.rollouts import Rollouts
 from wam_power_ros.control.state_checks import JointState
 from wam_power_ros.learning.policy import with_id
 from wam_power_ros.regions import Region

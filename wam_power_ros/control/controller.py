@@ -20,7 +20,7 @@ from wam_power_ros.control import safety
 from wam_power_ros.control.arm import Arm, Motion, Speeds
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.fault_hold import BrakeWithoutModel, FaultHold
-from wam_power_ros.control.joint_control import JointControl
+from wam_power_ros.control.joint_control import JointControl, TrackingError, TrackingLost
 from wam_power_ros.control.joint_references import Sampled
 from wam_power_ros.control.modes import (
     PASSIVE_MODES,
@@ -31,12 +31,11 @@ from wam_power_ros.control.modes import (
     Refusal,
     check_transition,
 )
+from wam_power_ros.control.policy_execution import Rollouts
 from wam_power_ros.control.prepared_policy import PreparedPolicy, prepare
-from wam_power_ros.control.rollouts import Rollouts
 from wam_power_ros.control.state_checks import STATE_LOSS_TIMEOUT, JointState, StateChecks
 from wam_power_ros.control.supervision import REST_NS, Supervision
 from wam_power_ros.control.torque_output import TorqueOutput
-from wam_power_ros.control.tracking_error import TrackingError, TrackingLost
 from wam_power_ros.control.unexplained_torque import UnexplainedTorque
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.policy import Policy
