@@ -79,8 +79,8 @@ setup(
             f"cma_es = {NAME}.learning.cma_es:CmaEs",
             f"reinforce = {NAME}.learning.policy_gradient:Reinforce",
             f"enac = {NAME}.learning.policy_gradient:Enac",
-            f"random = {NAME}.learning.random_search:RandomSearch",
-            f"corrections_only = {NAME}.learning.corrections_only:CorrectionsOnly",
+            f"random = {NAME}.learning.baselines:RandomSearch",
+            f"corrections_only = {NAME}.learning.baselines:CorrectionsOnly",
         ],
     },
 )

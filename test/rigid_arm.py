@@ -103,8 +103,12 @@ class Plant:
         self.stamp += PERIOD_NS
 
 
-def make(policy: Policy | None = POLICY, **choices: object) -> Controller:
-    controller = Controller(Arm(URDF, NAMES), ControllerSettings(**choices))
+def make(
+    policy: Policy | None = POLICY, contact_share: float = 0.05, **choices: object
+) -> Controller:
+    """A controller with a policy; a contact share above 0.5, which no user may set, is no check."""
+    settings = ControllerSettings(**choices).model_copy(update={"contact_share": contact_share})
+    controller = Controller(Arm(URDF, NAMES), settings)
     if policy is not None:
         controller.load(policy)
     return controller

@@ -29,9 +29,9 @@ from reproduction.studies.reaching_runs import (
     scales,
     synthetic,
 )
+from wam_power_ros.learning.baselines import RandomSearch
 from wam_power_ros.learning.learner import Learner, Model
 from wam_power_ros.learning.parametrization import parametrization_of
-from wam_power_ros.learning.random_search import RandomSearch
 from wam_power_ros.tasks.reach.obstacle_model import ReachModel
 
 HELD_OUT = range(481, 493)  # seeds not used for tuning

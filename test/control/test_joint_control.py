@@ -6,9 +6,8 @@ import pytest
 
 from wam_power_ros.control import safety
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.control.joint_control import JointControl
+from wam_power_ros.control.joint_control import JointControl, TrackingLost
 from wam_power_ros.control.joint_references import interpolated
-from wam_power_ros.control.tracking_error import TrackingLost
 from wam_power_ros.params.resources import share
 
 ARM = Arm(share("urdf/wam7.urdf").read_text(), [f"wam_j{i}" for i in range(1, 8)])

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """One rollout: its end, its path, the guarded region."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -10,9 +8,9 @@ from wam_power_ros import rotations
 from wam_power_ros.control import safety
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller_settings import ControllerSettings
+from wam_power_ros.control.joint_control import TrackingLost
 from wam_power_ros.control.policy_execution import Execution
 from wam_power_ros.control.prepared_policy import prepare
-from wam_power_ros.control.tracking_error import TrackingLost
 from wam_power_ros.learning.policy import Basis, Policy
 from wam_power_ros.params.resources import share
 from wam_power_ros.regions import Region
@@ -81,7 +79,7 @@ def test_stamps_with_jitter_count_as_the_nearest_tick_and_no_sample_comes_twice(
 
 def test_the_tool_in_the_region_ends_the_rollout_with_a_sample_of_that_state() -> None:
     outside = HOME + np.array([0.2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    rollout = execution(settings=replace(SETTINGS, region=REGION))
+    rollout = execution(settings=SETTINGS.model_copy(update={"region": REGION}))
     for tick in range(7):
         assert answer(rollout, tick, outside) is not None
     assert answer(rollout, 7) is None
@@ -93,11 +91,11 @@ def test_the_tool_in_the_region_ends_the_rollout_with_a_sample_of_that_state() -
 
 def test_a_region_entered_in_a_sampled_tick_leaves_a_valid_path() -> None:
     outside = HOME + np.array([0.2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    rollout = execution(settings=replace(SETTINGS, region=REGION))
+    rollout = execution(settings=SETTINGS.model_copy(update={"region": REGION}))
     answer(rollout, 0, outside)
     assert answer(rollout, 0.4) is None  # still tick 0
     assert rollout.path(HOME, STILL).t.tolist() == [0.0]
-    later = execution(settings=replace(SETTINGS, region=REGION))
+    later = execution(settings=SETTINGS.model_copy(update={"region": REGION}))
     for tick in (0, 5, 10):
         answer(later, tick, outside)
     assert answer(later, 10.4) is None
@@ -120,7 +118,7 @@ def test_a_tool_that_is_rotated_too_far_loses_tracking() -> None:
 
 
 def test_a_loop_slower_than_the_path_samples_every_tick() -> None:
-    rollout = execution(settings=replace(SETTINGS, period=0.02))
+    rollout = execution(settings=SETTINGS.model_copy(update={"period": 0.02}))
     for tick in range(0, 250, 10):
         answer(rollout, tick)
     np.testing.assert_allclose(rollout.path(HOME, STILL).t, np.arange(25) * 0.02)

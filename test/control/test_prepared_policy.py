@@ -62,7 +62,7 @@ def test_one_joint_beyond_a_limit_or_one_stiff_matrix_is_enough_to_be_refused(jo
 
 
 def test_the_digest_of_a_policy_ignores_its_id_and_exists_only_with_hold_to_run() -> None:
-    held = replace(SETTINGS, hold_to_run=True)
+    held = SETTINGS.model_copy(update={"hold_to_run": True})
     first, second = (
         prepare(policy, MODEL.n, LIMITS, held) for policy in (POLICY, with_id(POLICY, "again"))
     )
@@ -75,7 +75,7 @@ def test_the_digest_of_a_policy_ignores_its_id_and_exists_only_with_hold_to_run(
 def test_a_policy_of_another_arm_is_refused_and_both_are_named() -> None:
     ours = MODEL.identity()
     theirs = ours._replace(name="cobot7", kinematics="c" * 64)
-    settings = replace(SETTINGS, arm=ours)
+    settings = SETTINGS.model_copy(update={"arm": ours})
     why = f"policy trial-0001 belongs to another arm: {theirs}; this arm is {ours}"
     with pytest.raises(ControllerError, match=re.escape(why)):
         prepare(replace(POLICY, arm=theirs), MODEL.n, LIMITS, settings)

@@ -9,8 +9,8 @@ from rigid_arm import HOME, LIMITS, MODEL, PERIOD_NS, POLICY
 
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.modes import ControllerError, Refusal
+from wam_power_ros.control.policy_execution import Rollouts
 from wam_power_ros.control.prepared_policy import prepare
-from wam_power_ros.control.rollouts import Rollouts
 from wam_power_ros.control.state_checks import JointState
 from wam_power_ros.learning.policy import with_id
 from wam_power_ros.regions import Region
@@ -78,7 +78,7 @@ def test_a_policy_counts_as_completed_only_after_a_whole_rollout_whatever_its_id
 
 def test_a_rollout_that_ends_in_a_region_does_not_count_as_completed() -> None:
     region = Region("box", tuple(MOTION.position), 0.01)
-    them = rollouts(dataclasses.replace(SETTINGS, region=region))
+    them = rollouts(SETTINGS.model_copy(update={"region": region}))
     assert run(them, 1000) == 0 and them.stopped_in == ""
     them.end(state(0))
     assert not them.completed_before and them.stopped_in == "box"

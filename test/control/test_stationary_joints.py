@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from rigid_arm import HOME, MODEL, PERIOD_NS, Plant, begin, make
 
+from wam_power_ros.control.joint_control import StationaryJoints, TrackingLost
 from wam_power_ros.control.modes import Mode
-from wam_power_ros.control.stationary_joints import StationaryJoints
-from wam_power_ros.control.tracking_error import TrackingLost
 
 DT = PERIOD_NS * 1e-9
 J6 = 5

@@ -7,7 +7,7 @@ import pytest
 
 from wam_power_ros.control import torque_law
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.control.controller_settings import LAWS, ControllerSettings
+from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.params.resources import share
 
 NAMES = [f"wam_j{i}" for i in range(1, 8)]
@@ -48,7 +48,7 @@ def test_the_tool_has_the_commanded_acceleration_in_operational_space(arm: Arm) 
     assert np.allclose(reached[3:], WANTED[3:], rtol=0.25)
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", ["operational_space", "virtual_mass"])
 def test_the_null_space_is_not_controlled(arm: Arm, law: str) -> None:
     null = np.linalg.svd(arm.jacobian(Q))[2][-1]  # joint motion that does not move the tool
     assert abs(null @ (torque(law, arm) - arm.dynamics(Q, QD).bias)) < 1e-9
@@ -66,7 +66,7 @@ def test_damping_keeps_the_torque_small_where_the_arm_is_singular(
 
 
 def test_an_unknown_law_is_refused_by_name() -> None:
-    with pytest.raises(ValueError, match="'magic' must be one of"):
+    with pytest.raises(ValueError, match="law\n  Input should be"):
         ControllerSettings(law="magic")
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.control.tracking_error import TOOL_STRIDE, TrackingError
+from wam_power_ros.control.joint_control import TOOL_STRIDE, TrackingError
 from wam_power_ros.params.resources import share
 
 NAMES = [f"wam_j{number}" for number in range(1, 8)]

@@ -9,6 +9,7 @@ import pytest
 from hill_task import SIZE, TOP, CrudeModel, climb, hill, rng
 
 from wam_power_ros.learning.adaptive_power import AdaptivePower
+from wam_power_ros.learning.baselines import RandomSearch
 from wam_power_ros.learning.cma_es import CmaEs
 from wam_power_ros.learning.learner import (
     Learner,
@@ -21,7 +22,6 @@ from wam_power_ros.learning.learner import (
 from wam_power_ros.learning.pi2 import Pi2
 from wam_power_ros.learning.policy_gradient import Enac, Reinforce
 from wam_power_ros.learning.power import Power
-from wam_power_ros.learning.random_search import RandomSearch
 from wam_power_ros.learning.screened_power import ScreenedPower
 from wam_power_ros.learning.shaped_power import ShapedPower
 

@@ -143,10 +143,7 @@ def test_a_model_that_raises_ends_a_move_at_rest_and_the_node_goes_on(
     assert np.linalg.norm(tool(plant) - stopped) < 0.02
     report = arm.diagnosis(lambda d: d["mode"] == "fault", "the fault is reported")
     assert report["fault kind"] == FaultKind.COMPUTATION.value
-    assert (
-        "Singular matrix" in report["last refusal"]
-        and "guarded_controller.py" in report["last refusal"]
-    )
+    assert "Singular matrix" in report["last refusal"] and "controller.py" in report["last refusal"]
     answer = probe.call(Trigger, interface.RESET)
     assert not answer.success and "no torque could be computed" in answer.message
     assert processes.output(arm.process).count("Singular matrix") < 20  # not one a state

@@ -6,7 +6,7 @@ import pytest
 
 from reproduction.studies import equal_knowledge
 from reproduction.studies.equal_knowledge import InformedLearner, Planner, runs
-from wam_power_ros.learning.random_search import RandomSearch
+from wam_power_ros.learning.baselines import RandomSearch
 
 
 def searching(seed: int = 0) -> RandomSearch:

@@ -14,11 +14,11 @@ from reproduction.studies.reaching_runs import (
     study,
     synthetic,
 )
+from wam_power_ros.learning.baselines import RandomSearch
 from wam_power_ros.learning.learner import Learner
 from wam_power_ros.learning.parametrization import parametrization_of
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.power import Power
-from wam_power_ros.learning.random_search import RandomSearch
 from wam_power_ros.learning.screened_power import ScreenedPower
 from wam_power_ros.tasks.reach.obstacle_model import ReachModel
 

@@ -3,7 +3,7 @@
 
 import pytest
 
-from wam_power_ros.tracking.clock_offset import ClockOffset
+from wam_power_ros.tracking.tracker import ClockOffset
 
 START = 1_700_000_000_000_000_000
 

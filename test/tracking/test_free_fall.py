@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from wam_power_ros.learning.rollout import BodyPath
-from wam_power_ros.tracking.free_fall import free_fall_acceleration
+from wam_power_ros.tracking.tracker import free_fall_acceleration
 
 PAN = np.array([0.8, 0.0, 0.6])
 LEVEL = np.array([0.0, 0.0, 0.0, 1.0])

@@ -19,7 +19,6 @@ from wam_power_ros import rotations
 from wam_power_ros.conformance.topic_checks import FAIL, OK, PAIR_NS, UNCHECKED, WARN, Row
 from wam_power_ros.learning.rollout import BodyPath
 from wam_power_ros.tracking import marker_fit
-from wam_power_ros.tracking.free_fall import free_fall_acceleration
 from wam_power_ros.tracking.tracker import (
     FROZEN_COUNT,
     FROZEN_TIME,
@@ -28,6 +27,7 @@ from wam_power_ros.tracking.tracker import (
     FrameFault,
     Tracker,
     TrackerSettings,
+    free_fall_acceleration,
 )
 
 USABLE_SHARE = 0.9  # share of frames that the tracker must accept

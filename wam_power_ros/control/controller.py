@@ -5,6 +5,9 @@ It reads no clock: time comes from the stamps of the states. It uses no random n
 depend only on the sequence of states and calls. While an arm at rest repeats its state, the torque
 converges to a fixed point bit for bit, so a rollout that begins there does not depend on what
 happened before.
+
+Whatever raises (a singular matrix, a mistake in the code, no memory), the driver is not left with
+the last torque: the exception latches a fault, and `BrakeWithoutModel` stops and holds the arm.
 """
 
 import math
@@ -16,8 +19,8 @@ import numpy as np
 from wam_power_ros.control import safety
 from wam_power_ros.control.arm import Arm, Motion, Speeds
 from wam_power_ros.control.controller_settings import ControllerSettings
-from wam_power_ros.control.fault_hold import FaultHold
-from wam_power_ros.control.joint_control import JointControl
+from wam_power_ros.control.fault_hold import BrakeWithoutModel, FaultHold
+from wam_power_ros.control.joint_control import JointControl, TrackingError, TrackingLost
 from wam_power_ros.control.joint_references import Sampled
 from wam_power_ros.control.modes import (
     PASSIVE_MODES,
@@ -28,12 +31,11 @@ from wam_power_ros.control.modes import (
     Refusal,
     check_transition,
 )
+from wam_power_ros.control.policy_execution import Rollouts
 from wam_power_ros.control.prepared_policy import PreparedPolicy, prepare
-from wam_power_ros.control.rollouts import Rollouts
 from wam_power_ros.control.state_checks import STATE_LOSS_TIMEOUT, JointState, StateChecks
 from wam_power_ros.control.supervision import REST_NS, Supervision
 from wam_power_ros.control.torque_output import TorqueOutput
-from wam_power_ros.control.tracking_error import TrackingError, TrackingLost
 from wam_power_ros.control.unexplained_torque import UnexplainedTorque
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.policy import Policy
@@ -43,6 +45,7 @@ Law = Callable[[JointState, Motion | Speeds], np.ndarray]
 
 FAULT_BRAKING = 0.25  # [s] after a fault until the arm is held where it is: e^-5 of its speed
 OBSERVED_STATES = 5  # states from one measurement of the unexplained torque to the next
+STANDSTILL = 0.05  # [rad/s] largest joint speed of an arm at rest, where no tool speed is known
 
 
 class Controller:
@@ -50,7 +53,7 @@ class Controller:
 
     Attributes:
         arm: Model of the arm.
-        settings: Settings of the controller.
+        settings: Settings of the controller, with limits.
         limits: Limits of the arm.
         counters: Number of states `accepted`, `repeated`, `older`, `rejected`; of `gaps`, `jumps`;
             of torques `limited` and `stale`; of `faults`.
@@ -59,6 +62,7 @@ class Controller:
         unexplained: Torque beyond the model that held the arm at rest.
         enabled: Whether a person holds the enabling switch that `hold_to_run` requires; the caller
             sets it before every state.
+        error: Last exception of a computation, until `take_error`; None without one.
 
     Args:
         arm: Model of the arm, used by this controller alone.
@@ -75,13 +79,15 @@ class Controller:
         settings: ControllerSettings | None = None,
         latched: Fault | None = None,
     ) -> None:
-        self.settings = settings = settings or ControllerSettings()
+        settings = settings or ControllerSettings()
         self.arm = arm
         self.limits = settings.limits or safety.limits_of(arm)
+        self.settings = settings.model_copy(update={"limits": self.limits})
         if (n := self.limits.torque.size) != arm.n:
             raise ValueError(f"limits are for {n} joints, the arm has {arm.n}")
         self.latched = latched
         self.enabled = self.fresh = False
+        self.error: Exception | None = None
 
         self._states = StateChecks(arm.n, settings.period, settings.velocity_cutoff)
         self.counters: Counter[str] = self._states.counters
@@ -92,6 +98,8 @@ class Controller:
         self._rollouts = Rollouts(arm, settings)
         self.unexplained = UnexplainedTorque(arm)
         self._hold = FaultHold(arm)
+        self._brake = BrakeWithoutModel(arm, compensated)
+        self._failed = False  # no torque could be computed for the last state
         self._springs = safety.LimitSprings(self.limits)
         self._unanswered = 0.0  # time since the last state that stale torques have used [s]
         self._braking = 0.0  # time since the fault in which states were trusted [s]
@@ -145,7 +153,11 @@ class Controller:
     @property
     def at_rest(self) -> bool:
         """Whether the arm was at rest in the last state."""
-        return not self._rest_violation()
+        try:
+            return not self._rest_violation()
+        except Exception as error:
+            self.error, last = error, self._states.last
+            return last is not None and float(np.abs(last.qd).max()) < STANDSTILL
 
     @property
     def ready(self) -> bool:
@@ -164,6 +176,11 @@ class Controller:
     def take_finished(self) -> EndEffectorPath | None:
         """Return the path of the last finished or aborted rollout, once; then None."""
         return self._rollouts.take_path()
+
+    def take_error(self) -> Exception | None:
+        """Return the last exception, once; then None."""
+        error, self.error = self.error, None
+        return error
 
     # Requests
 
@@ -189,15 +206,23 @@ class Controller:
         """Abort any motion, brake and hold the posture.
 
         Raises:
-            ControllerError: A fault is latched, or no joint state has been received.
+            ControllerError: A fault is latched, no joint state has been received, or no torque
+                could be computed for the last one.
         """
+        self._require_computed("hold")
         if self._mode is not Mode.HOLD:
             self._enter(Mode.HOLD)
 
     def stop(self) -> None:
         """Abort any motion and hold; no effect when inactive or in a fault."""
-        if self._mode not in PASSIVE_MODES:
+        if self._mode in PASSIVE_MODES:
+            return
+        try:
             self.hold()
+        except ControllerError:
+            raise
+        except Exception as error:  # the motion cannot be ended as usual
+            self._fault_of(error)
 
     def release(self) -> None:
         """While holding, only compensate gravity and damp motion, until the mode changes."""
@@ -267,15 +292,20 @@ class Controller:
         self._supervision.faulted()
         self._hold.release()
         self._braking = 0.0
-        self._enter(Mode.FAULT)
+        try:
+            self._enter(Mode.FAULT)
+        except Exception as error:  # the path of the rollout is lost
+            self.error = error
+            self._set(Mode.FAULT)
 
     def reset(self) -> None:
         """Clear the latched fault and hold.
 
         Raises:
-            ControllerError: No fault is latched, the arm moves, or the joint states are not valid
-                or not plausible.
+            ControllerError: No fault is latched, the arm moves, the joint states are not valid or
+                not plausible, or no torque could be computed for the last one.
         """
+        self._require_computed("reset")
         if self._mode is not Mode.FAULT:
             text = f"reset refused: no fault, mode is {self._mode.value}"
             raise ControllerError(Refusal.NOTHING, text)
@@ -332,6 +362,11 @@ class Controller:
         if self._lacks_switch(mode):
             text = f"{mode.value} refused: the enabling switch is not held"
             raise ControllerError(Refusal.SWITCH, text)
+
+    def _require_computed(self, request: str) -> None:
+        if self._failed and self._mode in PASSIVE_MODES:
+            text = f"{request} refused: no torque could be computed for the last joint state"
+            raise ControllerError(Refusal.REFUSED, text)
 
     def _require_explained(self) -> None:
         """Refuse to hand the arm to a person when the model does not carry it."""
@@ -398,6 +433,32 @@ class Controller:
         Returns:
             [N m], read-only. Shape (n,).
         """
+        before = self._output.sent
+        try:
+            tau = _finite(self._answer(stamp_ns, q, qd, elapsed, since_sent))
+            if self.fresh and (last := self._states.last) is not None:
+                self._brake.observe(self.arm, last.q, self.unexplained.compensation)
+        except Exception as error:
+            self.fresh = True  # it is answered
+            state = self._states.last
+            if state is not None and state.stamp_ns != stamp_ns:
+                state = None
+            since = elapsed if since_sent is None else since_sent
+            return self._answer_without_model(error, before, state, since)
+        if self.fresh and self._failed:
+            self._failed = False
+            self._brake.end()
+        return tau
+
+    def _answer(
+        self,
+        stamp_ns: int,
+        q: np.ndarray,
+        qd: np.ndarray | None,
+        elapsed: float | None,
+        since_sent: float | None,
+    ) -> np.ndarray:
+        """Check a state and compute its torque, see `step`; may raise anything."""
         states = self._states
         state = states.take(stamp_ns, q, qd, self._mode in PASSIVE_MODES, elapsed)
         if (fault := states.fault) is not None:
@@ -421,8 +482,8 @@ class Controller:
     def stale_torque(self, elapsed: float | None = None) -> np.ndarray:
         """Compute the torque to send while joint states are missing: it brakes and carries the arm.
 
-        The model predicts the arm's state from earlier states and torques. Before the first state
-        the torque is zero.
+        The model predicts the arm's state from earlier states and torques; if it cannot, gravity of
+        an earlier posture is carried. Before the first state the torque is zero.
 
         Args:
             elapsed: Time since the last state or the last torque, whichever is later [s]; None for
@@ -436,11 +497,49 @@ class Controller:
             return self._output.sent
         dt = self.settings.period if elapsed is None else min(elapsed, STATE_LOSS_TIMEOUT)
         self._unanswered += dt
-        state = self._supervision.predict(last, dt)
-        self._hold.release()
-        dt = min(dt, 2.0 * self.settings.period)
-        tau = self._with_springs(self._braking_torque(state), state.q, dt)
-        return self._send(tau, state.q, dt)
+        before = self._output.sent
+        try:
+            state = self._supervision.predict(last, dt)
+            self._hold.release()
+            dt = min(dt, 2.0 * self.settings.period)
+            tau = self._with_springs(self._braking_torque(state), state.q, dt)
+            return _finite(self._send(tau, state.q, dt))
+        except Exception as error:
+            return self._answer_without_model(error, before, None, elapsed)
+
+    def _answer_without_model(
+        self,
+        error: Exception,
+        before: np.ndarray,
+        state: JointState | None,
+        elapsed: float | None,
+    ) -> np.ndarray:
+        """Latch a fault; returns the torque to send instead [N m], within the limits. Shape (n,).
+
+        Args:
+            error: Why no torque could be computed.
+            before: Last torque sent [N m]. Shape (n,).
+            state: Measured state, if there is one.
+            elapsed: Time since the last torque [s]; None for one period.
+        """
+        self._failed = True
+        self._fault_of(error)
+        self._supervision.begin()  # it does not see what happens meanwhile
+        self._supervision.end_estimate()
+        dt = self.settings.period if elapsed is None else min(elapsed, self.settings.period)
+        tau = self._brake.torque(state, dt)
+        if tau is None or self._mode is Mode.INACTIVE:
+            tau = before
+        elif state is not None:
+            tau = self._with_springs(tau, state.q, dt)
+        sent = safety.limit_torque(tau, before, dt, self.limits)
+        sent.setflags(write=False)
+        self._output.sent, self._label = sent, self._mode_label
+        return sent
+
+    def _fault_of(self, error: Exception) -> None:
+        self.error = error
+        self.fault(Fault(FaultKind.COMPUTATION, f"no torque could be computed: {error!r}"))
 
     def _send(self, tau: np.ndarray, q: np.ndarray, dt: float) -> np.ndarray:
         return self._output.send(tau, q, None if self._mode is Mode.INACTIVE else dt)
@@ -544,3 +643,10 @@ class Controller:
             return tau
         self._enter(Mode.HOLD)
         return self._joint_torque(state, motion)
+
+
+def _finite(tau: np.ndarray) -> np.ndarray:
+    """Return a torque (n,) [N m]; ArithmeticError unless every number is finite."""
+    if not math.isfinite(sum(tau.tolist())):
+        raise ArithmeticError(f"torque {tau.tolist()} is not finite")
+    return tau

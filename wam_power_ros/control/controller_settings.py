@@ -1,27 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """Settings of the torque controller."""
 
-import math
-from dataclasses import dataclass
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field, InstanceOf
 
 from wam_power_ros.arm_identity import ArmIdentity
 from wam_power_ros.control.safety import Limits
 from wam_power_ros.regions import Region
 
-LAWS = ("operational_space", "virtual_mass")  # functions of `torque_law`
 
-
-@dataclass(frozen=True)
-class ControllerSettings:
-    """Settings of the controller; the defaults suit the Barrett WAM with a pan.
+class MotionSettings(BaseModel):
+    """Settings that are parameters of the node; the defaults suit the Barrett WAM with a pan.
 
     Attributes:
         period: Sampling period of the joint states [s].
         driver_compensates_gravity: The driver adds g(q) itself; it is left out of what is sent.
         hold_to_run: Teaching, replay and the first run of a policy need `Controller.enabled`.
-        law: Name of the torque law, one of LAWS.
-        limits: Limits of the arm, None for those of its URDF with the defaults of `safety.Limits`.
-        region: Guarded region, which ends a rollout; None for none.
+        law: Name of the torque law, a function of `torque_law`.
         move_speed: Peak joint speed of a move to the start [rad/s].
         start_tolerance: Largest joint error at which a rollout may start [rad].
         settle_time: Time that a rollout continues after the end of its movement [s].
@@ -35,31 +33,81 @@ class ControllerSettings:
             joint's friction, as a share of the joint's torque limit; above it is a contact, and a
             fault.
         unexplained_share: The same bound in rollouts, where the arm is faster and makes contact.
-        arm: Identity of the arm that a policy must match, if it names one; None to accept any.
 
     Raises:
-        ValueError: A value is out of range.
+        ValueError: A value is out of range; the message names it.
     """
 
-    period: float = 0.002
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+    period: float = Field(
+        default=0.002,
+        ge=0.0005,
+        le=0.02,
+        description="in s: below, Python is too slow; above, control is unstable",
+    )
     driver_compensates_gravity: bool = False
     hold_to_run: bool = False
-    law: str = "operational_space"
-    limits: Limits | None = None
-    region: Region | None = None
-    move_speed: float = 0.3
-    start_tolerance: float = 0.05
-    settle_time: float = 1.0
-    velocity_cutoff: float = 180.0
-    stiffness_max: float = 2500.0
-    damping_max: float = 100.0
-    contact_share: float = 0.05
-    unexplained_share: float = 0.25
-    arm: ArmIdentity | None = None
+    law: Literal["operational_space", "virtual_mass"] = "operational_space"
+    move_speed: float = Field(
+        default=0.3,
+        ge=0.01,
+        le=1.0,
+        description="in rad/s: below, a move takes minutes; at 1 an outstretched tool has 1 m/s",
+    )
+    start_tolerance: float = Field(
+        default=0.05,
+        ge=0.001,
+        le=0.2,
+        description="in rad: above encoder noise; beyond 0.2, another posture",
+    )
+    settle_time: float = Field(
+        default=1.0,
+        gt=0.0,
+        le=10.0,
+        description="in s: an arm that is not at rest by then will not be",
+    )
+    velocity_cutoff: float = Field(
+        default=180.0,
+        ge=10.0,
+        le=1500.0,
+        description="in rad/s: below, damping lags too much; above, it is near half of 500 Hz",
+    )
+    stiffness_max: float = Field(
+        default=2500.0,
+        ge=10.0,
+        le=4800.0,
+        description="in 1/s^2: below, no policy is accepted; 4800 is stable with 4 ms of delay",
+    )
+    damping_max: float = Field(
+        default=100.0,
+        ge=1.0,
+        le=150.0,
+        description="in 1/s: from 196 on a loop with 8 ms of delay is unstable",
+    )
+    contact_share: float = Field(
+        default=0.05,
+        ge=0.02,
+        le=0.5,
+        description="of a torque limit: above encoder noise, below a harmful push",
+    )
+    unexplained_share: float = Field(
+        default=0.25,
+        ge=0.1,
+        le=0.5,
+        description="of a torque limit: above model errors, below a harmful push",
+    )
 
-    def __post_init__(self) -> None:
-        if self.law not in LAWS:
-            raise ValueError(f"torque law {self.law!r} must be one of {LAWS}")
-        for name, value in vars(self).items():
-            if isinstance(value, float) and not 0.0 < value < math.inf:
-                raise ValueError(f"{name} = {value} must be positive and finite")
+
+class ControllerSettings(MotionSettings):
+    """Settings of the controller of one arm.
+
+    Attributes:
+        limits: Limits of the arm, None for those of its URDF with the defaults of `safety.Limits`.
+        region: Guarded region, which ends a rollout; None for none.
+        arm: Identity of the arm that a policy must match, if it names one; None to accept any.
+    """
+
+    limits: InstanceOf[Limits] | None = None
+    region: InstanceOf[Region] | None = None
+    arm: InstanceOf[ArmIdentity] | None = None

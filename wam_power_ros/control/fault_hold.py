@@ -1,13 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hold of an arm that a fault has stopped, by bounded feedback."""
+"""Hold of an arm that a fault has stopped, with its model and without, by bounded feedback."""
+
+from __future__ import annotations
+
+import math
 
 import numpy as np
 
+from wam_power_ros.control import safety
 from wam_power_ros.control.arm import Arm
+from wam_power_ros.control.joint_control import BANDWIDTH, DAMPING_RATIO
+from wam_power_ros.control.state_checks import JointState
 
 FREQUENCY = 20.0  # [rad/s] with a damping of 20 1/s: half of the critical damping
 FRICTION_FACTOR = 2.0  # multiple of a joint's friction in the bound of the feedback
 TORQUE_SHARE = 0.05  # share of a joint's torque limit added to it: payload, tilt, weak motors
+REMEMBERED_STATES = 10  # states after which gravity and mass matrix are computed again: 20 ms
 
 
 def feedback_max(arm: Arm) -> np.ndarray:
@@ -20,9 +28,6 @@ class FaultHold:
 
     Without stiffness an arm that is not its model moves on after a fault: 0.5 kg at the tool carry
     the WAM 23 cm away within 10 s, and no reset is possible meanwhile.
-
-    Args:
-        arm: Model of the arm.
     """
 
     def __init__(self, arm: Arm) -> None:
@@ -40,3 +45,68 @@ class FaultHold:
             self._at = q
         feedback = FREQUENCY**2 * self._arm.mass_matrix(q).dot(self._at - q)
         return np.minimum(np.maximum(feedback, -self._bound), self._bound)
+
+
+class BrakeWithoutModel:
+    """Brakes and holds the arm by gravity and mass matrix of a posture at most 20 ms earlier.
+
+    tau = g + M (qdd_ref + 2 zeta w (qd_ref - qd)) + s, with the bounded spring s = M w^2 (q_ref -
+    q). It needs no model any more, only a measured state. The reference begins at the state in
+    which the computation failed, and its speed decays at `safety.FAULT_DAMPING`. Near the posture M
+    decouples the joints, as in `JointControl`; the spring replaces the change of gravity while
+    braking, which alone would let the arm creep away.
+
+    Args:
+        arm: Model of the arm, for its limits and its friction.
+        driver_compensates_gravity: Whether the driver adds g(q), which is then not sent.
+    """
+
+    def __init__(self, arm: Arm, driver_compensates_gravity: bool) -> None:
+        self._driver_adds_gravity = driver_compensates_gravity
+        self._qd_max, self._spring_max = arm.qd_max, feedback_max(arm)
+        self._gravity: np.ndarray | None = None  # torque that carries the arm [N m]
+        self._mass = np.zeros((arm.n, arm.n))
+        self._states = 0  # states observed since they were computed
+        self._reference: tuple[np.ndarray, np.ndarray] | None = None  # q_ref, qd_ref
+
+    def observe(self, arm: Arm, q: np.ndarray, beyond: np.ndarray) -> None:
+        """Compute anew, every `REMEMBERED_STATES` calls, what carries and brakes the arm.
+
+        Args:
+            arm: Model of the arm.
+            q: Joint positions [rad]. Shape (n,).
+            beyond: Torque that carries the arm beyond g(q) [N m]. Shape (n,).
+
+        Raises:
+            ArithmeticError: The model gives no finite gravity; what was kept remains.
+        """
+        if self._states % REMEMBERED_STATES == 0:
+            mass, gravity = arm.mass_matrix(q), arm.gravity(q)
+            if not math.isfinite(sum(gravity.tolist())):
+                raise ArithmeticError(f"gravity {gravity.tolist()} is not finite")
+            self._gravity = beyond if self._driver_adds_gravity else gravity + beyond
+            self._mass, self._states = mass, 0
+        self._states += 1
+
+    def end(self) -> None:
+        """Drop the reference: the next failure begins at its own state."""
+        self._reference = None
+
+    def torque(self, state: JointState | None, dt: float) -> np.ndarray | None:
+        """Torque [N m], shape (n,); None if no state has been observed.
+
+        Args:
+            state: Measured state; without one gravity alone is carried.
+            dt: Time since the last torque [s].
+        """
+        if self._gravity is None or state is None:
+            return self._gravity
+        limit = self._qd_max
+        q_ref, qd_ref = self._reference or (state.q, np.clip(state.qd, -limit, limit))
+        slower = qd_ref * math.exp(-safety.FAULT_DAMPING * dt)
+        q_ref = q_ref + (qd_ref - slower) / safety.FAULT_DAMPING
+        self._reference = q_ref, slower
+        braking = 2.0 * DAMPING_RATIO * BANDWIDTH * (slower - state.qd)
+        spring = self._mass.dot(BANDWIDTH**2 * (q_ref - state.q))
+        bounded = np.clip(spring, -self._spring_max, self._spring_max)
+        return self._gravity + self._mass.dot(braking - safety.FAULT_DAMPING * slower) + bounded

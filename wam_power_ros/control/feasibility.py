@@ -78,14 +78,9 @@ def simulate_policy(
     limits = settings.limits or limits_of(arm)
     speeds = ("qd_max", "elbow_speed", "tool_speed")
     tight = replace(limits, **{name: margin * getattr(limits, name) for name in speeds})
-    model_settings = replace(
-        settings,
-        limits=tight,
-        driver_compensates_gravity=False,
-        hold_to_run=False,
-        region=None,  # the whole movement must be feasible
-    )
-    controller = Controller(arm, model_settings)
+    model = {"limits": tight, "driver_compensates_gravity": False, "hold_to_run": False}
+    whole = {"region": None}  # the whole movement must be feasible
+    controller = Controller(arm, settings.model_copy(update=model | whole))
     period_ns = round(settings.period * 1e9)
     dt = settings.period / _SUBSTEPS
     q, qd, stamp_ns = policy.q_start.copy(), np.zeros(arm.n), period_ns

@@ -74,11 +74,7 @@ class Interval(NamedTuple):
 
 
 class VelocityCheck:
-    """Compares the change of every position with its velocity.
-
-    Args:
-        n: Number of joints.
-    """
+    """Compares the change of every position with its velocity."""
 
     def __init__(self, n: int) -> None:
         self._n = n
@@ -149,9 +145,6 @@ class TorqueCheck:
             Shape (n,).
         since_step: Number of states since a velocity last changed in one state by more than the
             full torque of its joint can change it.
-
-    Args:
-        arm: Model of the arm.
     """
 
     def __init__(self, arm: Arm) -> None:
@@ -222,9 +215,6 @@ class Plausibility:
         implausible_ns: Stamp of the last state that failed a check [ns], None before the first.
         contradictory: Whether the last state that failed a check contradicts itself or the one
             before it. Otherwise the motion may be true and the model wrong: a contact, a payload.
-
-    Args:
-        arm: Model of the arm.
     """
 
     def __init__(self, arm: Arm) -> None:

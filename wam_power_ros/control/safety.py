@@ -193,11 +193,7 @@ def limit_springs(q: np.ndarray, limits: Limits) -> np.ndarray | None:
 
 
 class LimitSprings:
-    """The soft springs over time: their torque never steps, however a joint came beyond its limit.
-
-    Args:
-        limits: Limits of the arm.
-    """
+    """The soft springs over time: their torque never steps, however a joint passed its limit."""
 
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
@@ -318,12 +314,7 @@ def plane_fault(points: Mapping[str, Sequence[float]], limits: Limits) -> Fault 
 
 
 class MotionCheck:
-    """Compares every state with the motion limits of its mode.
-
-    Args:
-        limits: Limits of the arm.
-        guarded: Names of the arm's guarded points.
-    """
+    """Compares every state with the motion limits of its mode."""
 
     def __init__(self, limits: Limits, guarded: Sequence[str]) -> None:
         self._limits, self._guarded = limits, guarded

@@ -30,9 +30,6 @@ class UnexplainedTorque:
         compensation: Torque to add to g(q) in any posture: `torque` at the joints where it exceeds
             the friction, so that the model is wrong for certain, else zero [N m]. Shape (n,).
         known: Whether the arm has been held at rest for `KNOWN_AFTER` since `begin`.
-
-    Args:
-        arm: Model of the arm.
     """
 
     def __init__(self, arm: Arm) -> None:

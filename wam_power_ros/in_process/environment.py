@@ -56,9 +56,9 @@ class Environment:
         if setup is None:
             region = {"guarded_region": world.settings.guarded_region}
             setup = overlay.setup().changed({"torque_controller": region})
-        configured = TorqueControllerParams.of_setup(setup).controller(urdf or world.urdf)
-        self.arm = configured.arm
-        self.controller = Controller(self.arm, configured.settings)
+        params = TorqueControllerParams.of_setup(setup)
+        self.controller = params.controller(urdf or world.urdf)
+        self.arm = self.controller.arm
         self._tracker_settings = PancakeTrackerParams.of_setup(setup)
         self.tracker = Tracker(self._tracker_settings)
         self._truth: Truth | None = None  # of the last rollout

@@ -29,9 +29,14 @@ from wam_power_ros.learning.rollout import BodyPath
 from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
 from wam_power_ros.ros import interface, node_runner, pose_messages
 from wam_power_ros.ros.diagnostics import component, diagnostics_message
-from wam_power_ros.tracking.clock_offset import ClockOffset
-from wam_power_ros.tracking.free_fall import free_fall_acceleration
-from wam_power_ros.tracking.tracker import FrameFault, TrackedState, Tracker, Validity
+from wam_power_ros.tracking.tracker import (
+    ClockOffset,
+    FrameFault,
+    TrackedState,
+    Tracker,
+    Validity,
+    free_fall_acceleration,
+)
 
 DISCOVERY_PERIOD = 0.1  # [s] between two looks for the publisher of the frames in lockstep
 REPAIR_TIME = 5.0  # [s of wall time] in lockstep: Fast DDS's own profile repairs in 3 s

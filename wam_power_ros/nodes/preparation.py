@@ -8,7 +8,6 @@ docs/architecture.md says why this is a process and not a thread.
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import signal
 import socket
@@ -236,18 +235,15 @@ TABLES = ("a", "b", "rotation_b")  # arrays of `dmp.Tables`
 
 def settings_values(settings: ControllerSettings) -> dict[str, Any]:
     """Settings, with limits, as JSON values, which keep floats bit for bit."""
-
-    def plain(of: ControllerSettings | Limits) -> dict[str, Any]:
-        values = {each.name: getattr(of, each.name) for each in dataclasses.fields(of) if each.init}
-        return {
-            name: value.tolist() if isinstance(value, np.ndarray) else value
-            for name, value in values.items()
-        }
-
     if settings.limits is None:
         raise ValueError("settings without limits")
+    limits = {
+        name: value.tolist() if isinstance(value, np.ndarray) else value
+        for name, value in vars(settings.limits).items()
+        if not name.startswith("_")
+    }
     region = settings.region and [*vars(settings.region).values()]
-    return {**plain(settings), "limits": plain(settings.limits), "region": region}
+    return {**vars(settings), "limits": limits, "region": region}
 
 
 def settings_of(values: Mapping[str, Any]) -> ControllerSettings:

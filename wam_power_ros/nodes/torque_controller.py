@@ -31,7 +31,6 @@ from std_srvs.srv import SetBool, Trigger
 
 from wam_power_ros.client.link import unanswered
 from wam_power_ros.control.controller import Controller
-from wam_power_ros.control.guarded_controller import GuardedController
 from wam_power_ros.control.modes import MOVING_MODES, ControllerError, Mode
 from wam_power_ros.control.watchdog import StampClock, Watchdog, overload
 from wam_power_ros.faults import Fault, FaultKind
@@ -66,7 +65,7 @@ class TorqueController(LifecycleNode):
         self._frame = interface.frame(self.get_namespace(), params.base_frame)
         self._autostart = params.autostart
         self._urdf = share(params.urdf).read_text() if params.urdf else ""
-        self._controller: GuardedController | None = None
+        self._controller: Controller | None = None
         self._active = False
         self._qd: np.ndarray | None = None  # from the velocity topic [rad/s]
         self._qd_ns = 0  # when it came, steady clock
@@ -136,8 +135,7 @@ class TorqueController(LifecycleNode):
         if self._descriptions is not None:  # a large message would block the loop
             self.destroy_subscription(self._descriptions)
             self._descriptions = None
-        settings = dataclasses.replace(self._controller.settings, limits=self._controller.limits)
-        self._preparation.configure(settings, self._params.joint_names)
+        self._preparation.configure(self._controller.settings, self._params.joint_names)
         self._granted = scheduling.request(self._params.realtime_priority)
         return SUCCESS
 

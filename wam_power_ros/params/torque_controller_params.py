@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
@@ -11,8 +10,8 @@ from pydantic import Field, model_validator
 from typing_extensions import Self
 
 from wam_power_ros.control.arm import Arm, guarded_points
-from wam_power_ros.control.controller_settings import ControllerSettings
-from wam_power_ros.control.guarded_controller import GuardedController
+from wam_power_ros.control.controller import Controller
+from wam_power_ros.control.controller_settings import ControllerSettings, MotionSettings
 from wam_power_ros.control.safety import limits_of
 from wam_power_ros.faults import Fault
 from wam_power_ros.params.node_params import Params
@@ -40,7 +39,7 @@ STIFFNESS_MAX = 2800.0  # [1/s^2] stable with 8 ms of delay and a damping of 32 
 TORQUE_RATE_MAX = 2000.0  # [N m/s] enough for any toss; see `safety.Limits`
 
 
-class TorqueControllerParams(Params):
+class TorqueControllerParams(Params, MotionSettings):
     """Parameters of config/torque_controller.yaml, whose comments explain them."""
 
     file = "torque_controller.yaml"
@@ -55,18 +54,11 @@ class TorqueControllerParams(Params):
     velocity_topic: str
     command_topic: str = Field(min_length=1)
     command_type: Literal["multiarray", "joint_state"]
-    driver_compensates_gravity: bool
-    hold_to_run: bool
     allow_no_realtime: bool
     idle_service: str
     urdf: str
     base_frame: str
     tool_frame: str
-    period: float = Field(
-        ge=0.0005,
-        le=0.02,
-        description="in s: below, Python is too slow; above, control is unstable",
-    )
     state_timeout: float = Field(
         ge=0.0, le=60.0, description="in s: a slow simulation sends a state within a minute"
     )
@@ -103,37 +95,6 @@ class TorqueControllerParams(Params):
         description="in m: a sphere within reach, with a radius up to 2"
     )
     guarded_region_name: str = Field(min_length=1)
-    law: Literal["operational_space", "virtual_mass"]
-    move_speed: float = Field(
-        ge=0.01,
-        le=1.0,
-        description="in rad/s: below, a move takes minutes; at 1 an outstretched tool has 1 m/s",
-    )
-    start_tolerance: float = Field(
-        ge=0.001, le=0.2, description="in rad: above encoder noise; beyond 0.2, another posture"
-    )
-    settle_time: float = Field(
-        gt=0.0, le=10.0, description="in s: an arm that is not at rest by then will not be"
-    )
-    stiffness_max: float = Field(
-        ge=10.0,
-        le=4800.0,
-        description="in 1/s^2: below, no policy is accepted; 4800 is stable with 4 ms of delay",
-    )
-    damping_max: float = Field(
-        ge=1.0, le=150.0, description="in 1/s: from 196 on a loop with 8 ms of delay is unstable"
-    )
-    contact_share: float = Field(
-        ge=0.02, le=0.5, description="of a torque limit: above encoder noise, below a harmful push"
-    )
-    unexplained_share: float = Field(
-        ge=0.1, le=0.5, description="of a torque limit: above model errors, below a harmful push"
-    )
-    velocity_cutoff: float = Field(
-        ge=10.0,
-        le=1500.0,
-        description="in rad/s: below, damping lags too much; above, it is near half of 500 Hz",
-    )
 
     @classmethod
     def of(cls, node: Node) -> Self:
@@ -183,7 +144,7 @@ class TorqueControllerParams(Params):
         """Guarded region, None for none."""
         return region_of(self.guarded_region_name, self.guarded_region)
 
-    def controller(self, urdf: str, latched: Fault | None = None) -> GuardedController:
+    def controller(self, urdf: str, latched: Fault | None = None) -> Controller:
         """Build the controller for the arm of a URDF, with a fault that is still latched.
 
         Raises:
@@ -203,6 +164,10 @@ class TorqueControllerParams(Params):
             workspace_max=self.workspace_max,
             plane=self.plane,
         )
-        own = {field.name for field in dataclasses.fields(ControllerSettings)} - {"limits", "arm"}
-        choices = {name: getattr(self, name) for name in own} | {"arm": arm.identity()}
-        return GuardedController(arm, ControllerSettings(limits=limits, **choices), latched)
+        settings = ControllerSettings(
+            **self.model_dump(include=set(MotionSettings.model_fields)),
+            limits=limits,
+            region=self.region,
+            arm=arm.identity(),
+        )
+        return Controller(arm, settings, latched)

@@ -32,6 +32,8 @@ REACQUIRE_COUNT = 5  # consecutive consistent frames after which a lost body is 
 SET_BACK_COUNT = 10  # consecutive older stamps that mean that the clock was set back
 COAST_TIME = SECOND // 10  # extrapolation of a hidden body at constant velocity [ns]
 VELOCITY_WINDOW = SECOND // 10  # window of the velocity estimate, at least two periods [ns]
+OFFSET_WINDOW = 5 * SECOND  # over which the offset of the clocks is estimated [ns]
+FALL_SPAN = 0.2  # time over which a parabola is fitted to a fall [s]
 UNIT_TOLERANCE = 1e-3  # largest deviation of a quaternion's length from 1 [1]
 IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])  # quaternion xyzw
 IDENTITY.flags.writeable = False
@@ -415,3 +417,53 @@ def _pose_fault(position: np.ndarray, quat_xyzw: np.ndarray) -> FrameFault | Non
     if abs(math.hypot(*turn) - 1.0) > UNIT_TOLERANCE:
         return FrameFault.NOT_UNIT
     return None
+
+
+class ClockOffset:
+    """Age of frames on receipt: latency plus the offset of the motion capture's clock from ours.
+
+    The window of 5 s does not depend on the frame rate: a tracker that was not scheduled receives
+    seconds of late frames at once, which must not count as an offset of the clocks.
+    """
+
+    def __init__(self) -> None:
+        self._frames: deque[tuple[int, int]] = deque()  # time of receipt, age [ns]
+
+    def add(self, stamp_ns: int, received_ns: int) -> None:
+        """Add a frame with its stamp and its time of receipt on the clock of this machine [ns]."""
+        frames = self._frames
+        frames.append((received_ns, received_ns - stamp_ns))
+        while not 0 <= received_ns - frames[0][0] <= OFFSET_WINDOW:
+            frames.popleft()
+
+    @property
+    def seconds(self) -> float:
+        """Smallest age on receipt in absolute value, which is insensitive to jitter [s]."""
+        return min((age for _, age in self._frames), key=abs, default=0) * 1e-9
+
+
+def free_fall_acceleration(path: BodyPath) -> np.ndarray | None:
+    """Acceleration of a body in the parts of its path that are clearly in free fall.
+
+    It must point along -z; otherwise `up_axis` or `world_to_base` is wrong.
+
+    Args:
+        path: Path of a rollout.
+
+    Returns:
+        Mean over all fitted parabolas with an acceleration within 1 m/s^2 of gravity and an rms
+        residual below 2 mm [m/s^2], shape (3,); None if there are fewer than two.
+    """
+    found = []
+    for start in path.t:
+        inside = (path.t >= start) & (path.t <= start + FALL_SPAN + 1e-6)
+        t = path.t[inside] - start
+        if len(t) < 5 or t[-1] < 0.8 * FALL_SPAN or np.diff(t).max() > 0.5 * FALL_SPAN:
+            continue
+        terms = np.stack([np.ones_like(t), t, 0.5 * t**2], axis=1)  # (m, 3)
+        solution, *_ = np.linalg.lstsq(terms, path.position[inside], rcond=None)
+        error = path.position[inside] - terms @ solution
+        rms = np.sqrt(np.mean(np.sum(error**2, axis=1)))
+        if rms < 2e-3 and abs(np.linalg.norm(solution[2]) - GRAVITY) < 1.0:
+            found.append(solution[2])
+    return np.mean(found, axis=0) if len(found) >= 2 else None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Random search, the baseline of all learners."""
+"""Baselines of all learners: random search, and the task's hindsight corrections alone."""
 
 from __future__ import annotations
 
@@ -17,3 +17,17 @@ class RandomSearch(GaussianLearner):
 
     def _update(self) -> None:
         self._mean = self._rollouts.z[int(np.argmax(self._rollouts.returns))]
+
+
+class CorrectionsOnly(GaussianLearner):
+    """The mean is the last rollout as corrected by the task; returns are not used.
+
+    Without corrections every rollout reproduces the demonstration.
+    """
+
+    def ask(self) -> np.ndarray:
+        """Return the mean, without exploration. Shape (size,)."""
+        return self.mean
+
+    def _update(self) -> None:
+        self._mean = self._rollouts.z[-1]

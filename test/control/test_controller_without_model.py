@@ -5,14 +5,13 @@ import math
 
 import numpy as np
 import pytest
-from rigid_arm import A_TEST, HOME, LIMITS, MODEL, NAMES, POLICY, URDF, Plant, check, tool
-from rigid_arm import begin as begin_plain
-from rigid_arm import run as run_plain
+from rigid_arm import A_TEST, HOME, MODEL, NAMES, POLICY, URDF, Plant, check, tool
 
 from wam_power_ros.control import safety
 from wam_power_ros.control.arm import Arm
+from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.controller_settings import ControllerSettings
-from wam_power_ros.control.guarded_controller import BrakeWithoutModel, GuardedController
+from wam_power_ros.control.fault_hold import BrakeWithoutModel
 from wam_power_ros.control.modes import ControllerError, Mode, Refusal
 from wam_power_ros.control.state_checks import JointState
 from wam_power_ros.faults import FaultKind
@@ -39,13 +38,13 @@ def speed(plant: Plant) -> float:
 
 
 class Bench:
-    """A guarded controller and a plant with delay, encoders and friction."""
+    """A controller and a plant with delay, encoders and friction."""
 
     def __init__(self, q: np.ndarray = HOME, **plant: object) -> None:
         self.arm = BreakingArm(URDF, NAMES)
         adds = bool(plant.get("adds_gravity"))
         settings = ControllerSettings(driver_compensates_gravity=adds)
-        self.controller = GuardedController(self.arm, settings)
+        self.controller = Controller(self.arm, settings)
         self.controller.load(POLICY)
         self.plant = Plant(q, **({"delay": 2, "sensing": True, "friction": 1.0} | plant))
         self.torques = [self.controller.step(*self.plant.state())]
@@ -202,9 +201,9 @@ def test_what_brakes_the_arm_is_of_a_posture_at_most_20_ms_before() -> None:
 @pytest.mark.requirement("S-112")
 @pytest.mark.parametrize("offset", [-1.0, -0.001, 0.001, 1.0])
 def test_the_spring_that_holds_the_braked_arm_is_bounded(offset: float) -> None:
-    brake = BrakeWithoutModel(MODEL)
+    brake = BrakeWithoutModel(MODEL, False)
     gravity, mass = MODEL.gravity(HOME), MODEL.mass_matrix(HOME)
-    brake.remember(gravity, mass)
+    brake.observe(MODEL, HOME, np.zeros(7))
     state = JointState(0, HOME, np.zeros(7), 0.002, 0.002)
     np.testing.assert_array_equal(brake.torque(state, 0.002), gravity)
     spring = brake.torque(state._replace(q=HOME + offset), 0.002) - gravity
@@ -215,8 +214,8 @@ def test_the_spring_that_holds_the_braked_arm_is_bounded(offset: float) -> None:
 
 @pytest.mark.requirement("S-112")
 def test_an_impossible_speed_is_not_braked_as_if_it_were_true() -> None:
-    brake = BrakeWithoutModel(MODEL)
-    brake.remember(MODEL.gravity(HOME), MODEL.mass_matrix(HOME))
+    brake = BrakeWithoutModel(MODEL, False)
+    brake.observe(MODEL, HOME, np.zeros(7))
     state = JointState(0, HOME, np.full(7, 400.0), 0.002, 0.002)
     brake.torque(state, 0.002)
     q_ref, qd_ref = brake._reference
@@ -226,7 +225,7 @@ def test_an_impossible_speed_is_not_braked_as_if_it_were_true() -> None:
 @pytest.mark.requirement("S-112")
 def test_without_a_computed_torque_an_arm_is_neither_activated_nor_reset() -> None:
     arm = BreakingArm(URDF, NAMES)
-    controller, plant = GuardedController(arm), Plant(HOME)
+    controller, plant = Controller(arm), Plant(HOME)
     arm.broken = ALL
     for _ in range(5):
         assert not controller.step(*plant.state()).any()
@@ -271,17 +270,6 @@ def test_the_arm_of_a_fault_that_cannot_be_entered_as_usual_is_stopped_all_the_s
     bench.arm.broken = ALL
     bench.controller.fault(A_TEST)
     assert bench.controller.mode is Mode.FAULT and bench.controller.latched is A_TEST
-
-
-def test_a_controller_in_order_sends_the_same_torques_guarded_or_not() -> None:
-    plain, plant = begin_plain(delay=2, sensing=True, friction=1.0)
-    plain.execute()
-    expected = run_plain(plain, plant, 0.4)
-    bench = Bench()
-    bench.controller.execute()
-    bench.run(0.4)
-    np.testing.assert_array_equal(np.array(bench.torques[-200:]), np.array(expected))
-    assert np.all(np.abs(bench.torques) <= LIMITS.torque)
 
 
 @pytest.mark.requirement("S-112")
