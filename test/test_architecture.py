@@ -77,7 +77,7 @@ BUDGET = {
     "learning": 2350,
     "control": 4050,
     "tracking": 610,
-    "tasks": 2760,
+    "tasks": 2670,
     "practice": 2120,
     "conformance": 1030,
     "bags": 2010,
@@ -90,10 +90,10 @@ BUDGET = {
     "reporting": 940,
     "in_process": 350,
     "cli": 2450,
-    "hardware_sim": 2900,
+    "hardware_sim": 2870,
     "launch": 260,
-    "examples": 320,
-    "reproduction": 3260,
+    "examples": 330,
+    "reproduction": 3350,
     "benchmark": 4480,
 }
 PURE = (

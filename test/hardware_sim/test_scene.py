@@ -11,6 +11,7 @@ import pytest
 from simulated import LEVEL, URDF, begin
 
 from hardware_sim import scene
+from hardware_sim.ground_truth import TOOL_SITE
 from hardware_sim.scenes.flip import Flip
 from hardware_sim.scenes.reach import Reach
 from hardware_sim.wam import JOINTS
@@ -85,7 +86,7 @@ def test_the_guarded_points_are_those_of_the_arm_model(arm: Arm, world: World) -
     begin(world)
     data = world.data
     mujoco.mj_forward(world.model, data)
-    names = ("elbow", "forearm", "pan")
+    names = ("elbow", "forearm", TOOL_SITE)
     before = {name: data.site(name).xpos.copy() for name in names}
     rng = np.random.default_rng(1)
     qd, small = rng.normal(size=7), 1e-6
