@@ -41,6 +41,7 @@ def in_one_process(
     seed: int, trials: int, demonstrations: int
 ) -> tuple[list[object], list[object]]:
     """Fitted policies and records of the session in one process."""
+    from hardware_sim.scenes import scene_type
     from hardware_sim.settings import WorldSettings
     from hardware_sim.world import World
     from reproduction.studies.flip_sessions import NOVICE, teach
@@ -49,7 +50,7 @@ def in_one_process(
     from wam_power_ros.practice.practice import Practice
     from wam_power_ros.practice.settings import preset
 
-    environment = Environment(World(WorldSettings(), seed))
+    environment = Environment(World(scene_type("flip"), WorldSettings(), seed))
     policies = teach(environment, seed, demonstrations, NOVICE)
     practice = Practice(preset("flip", budget=trials), {}, policies, seed, environment)
     kept = [json.loads(record.to_json()) for record in environment.practise(practice)]

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 
+from hardware_sim.scenes import scene_type
 from hardware_sim.settings import WorldSettings
 from hardware_sim.wam import N
 from hardware_sim.world import World
@@ -50,7 +51,7 @@ class HiddenArm:
             torque_scale_sd=0.0,
             friction_sd=0.0,
         )
-        world = World(settings, 0)
+        world = World(scene_type("flip"), settings, 0)
         model, pan = world.model, world.model.body("pan").id
         factors = np.ones(model.nbody)
         factors[[model.body(f"wam_link{i}").id for i in range(1, N + 1)]] = self.links

@@ -24,6 +24,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from hardware_sim.scenes import scene_type
 from hardware_sim.sensors import Encoders, Mocap
 from hardware_sim.world import World
 from reproduction.studies.flip_sessions import teach
@@ -240,7 +241,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=15)
     repeats = parser.parse_args().repeats
-    environment = Environment(World(None, seed=1))
+    environment = Environment(World(scene_type("flip"), seed=1))
     (policy,) = teach(environment, seed=1, count=1)
     recording = record(environment, policy)
     playback = Playback(environment.world, recording)

@@ -3,6 +3,7 @@
 
 import numpy as np
 
+from hardware_sim.scenes import scene_type
 from hardware_sim.wam import JOINTS
 from hardware_sim.world import World
 from wam_power_ros.bags import reader
@@ -13,7 +14,7 @@ from wam_power_ros.learning.parametrization import NoiseScales, parametrization_
 from wam_power_ros.params.resources import share
 from wam_power_ros.tasks.flip.task import Flip
 
-environment = Environment(World(seed=1))
+environment = Environment(World(scene_type("flip"), seed=1))
 bag = min(share("bags").glob("demo_*"))
 demonstration = from_joint_samples(environment.arm, *reader.read_demonstration(bag, JOINTS))
 taught = Flip.policy_of([demonstration], "taught")

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run a session in this process: reproduce, choose a demonstration, explore, re-test."""
 
+from hardware_sim.scenes import scene_type
 from hardware_sim.wam import JOINTS
 from hardware_sim.world import World
 from wam_power_ros.bags import reader
@@ -11,7 +12,7 @@ from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.flip.task import Flip
 
-environment = Environment(World(seed=4))
+environment = Environment(World(scene_type("flip"), seed=4))
 policies = []
 for number, bag in enumerate(sorted(share("bags").glob("demo_*")), start=1):
     taught = from_joint_samples(environment.arm, *reader.read_demonstration(bag, JOINTS))

@@ -4,6 +4,7 @@
 from itertools import islice
 from pathlib import Path
 
+from hardware_sim.scenes import scene_type
 from hardware_sim.wam import JOINTS
 from hardware_sim.world import World
 from wam_power_ros.bags import reader
@@ -16,7 +17,7 @@ from wam_power_ros.reporting import session_report
 from wam_power_ros.tasks.flip.task import Flip
 
 folder = Path("session")  # must be new
-environment = Environment(World(seed=5))
+environment = Environment(World(scene_type("flip"), seed=5))
 bag = min(share("bags").glob("demo_*"))
 demonstration = from_joint_samples(environment.arm, *reader.read_demonstration(bag, JOINTS))
 policy = Flip.policy_of([demonstration], "demonstration-1")

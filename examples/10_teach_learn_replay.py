@@ -14,7 +14,7 @@ from wam_power_ros.practice.settings import preset
 
 settings = preset("flip", "paper")
 task = settings.make_task({})
-with robot.simulated("arm", seed=6) as arm:  # bags and logs go to the folder
+with robot.simulated("arm", "flip", seed=6) as arm:  # bags and logs go to the folder
     bag = arm.teach()  # on an arm: arm.teach(lambda: input("Guide the arm, then press Enter "))
     print(f"taught {bag.name}")
     taught = from_joint_samples(arm.arm, *reader.read_demonstration(bag, arm.joint_names))

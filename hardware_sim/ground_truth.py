@@ -15,7 +15,7 @@ import numpy as np
 from hardware_sim.motors import DirectDrives, Motors
 from hardware_sim.wam import PERIOD
 
-TOOL_SITE = "pan"  # site of the model at the origin of the tool
+TOOL_SITE = "tool origin"  # site of the model at the origin of the tool
 LOG_TICKS = 5000  # length of the log: 10 s from the release on
 
 Truth = dict[str, Any]  # JSON data, as published and written to the session log

@@ -16,14 +16,15 @@ if __name__ == "__main__":  # before the other imports, which a signal may inter
 import copy
 import os
 import time
+from collections import deque
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import Executor
 
 from hardware_sim.driver_watch import DriverWatch
-from hardware_sim.network_link import Link
 from hardware_sim.optitrack_node import OptitrackSim
 from hardware_sim.scenes import scene_type
 from hardware_sim.wam import PERIOD_NS
@@ -36,6 +37,37 @@ from wam_power_ros.ros.loop_statistics import LoopStatistics
 
 REPEAT_PERIOD_NS = 50_000_000  # [ns] after which an unanswered state is published again
 LAG_MAX_NS = 100_000_000  # [ns] behind the clock; beyond, the time of the simulation is shifted
+
+
+class Link:
+    """Queue whose items arrive in order after random delays, except those that are lost.
+
+    Args:
+        latency: Mean delay [s].
+        jitter: Standard deviation of the delay, which is cut at 0 [s].
+        loss: Share of lost items.
+        rng: Generator of losses and delays.
+    """
+
+    def __init__(
+        self, latency: float, jitter: float, loss: float, rng: np.random.Generator
+    ) -> None:
+        self._latency, self._jitter, self._loss, self._rng = latency, jitter, loss, rng
+        self._in_transit: deque[tuple[int, Any]] = deque()
+
+    def put(self, now_ns: int, item: object) -> None:
+        """Send an item at `now_ns` [ns]."""
+        if self._rng.random() < self._loss:
+            return
+        delay = max(0.0, self._latency + self._jitter * self._rng.standard_normal())
+        self._in_transit.append((now_ns + round(delay * 1e9), item))
+
+    def take(self, now_ns: int) -> list[Any]:
+        """Remove and return the items that have arrived by `now_ns` [ns], in order."""
+        arrived = []
+        while self._in_transit and self._in_transit[0][0] <= now_ns:
+            arrived.append(self._in_transit.popleft()[1])
+        return arrived
 
 
 class Simulation:
@@ -62,7 +94,7 @@ class Simulation:
         cameras, on_frame = None, lambda *_: None
         if self.optitrack is not None:
             cameras, on_frame = self.optitrack.params, self.optitrack.publish
-        world = World.of_params(params, cameras)
+        world = World.of(params, cameras)
         self._watch.check()  # discovery went on while the world was built
         self.wam.attach(world, on_frame)
         rngs = [np.random.default_rng((params.seed, link)) for link in range(2)]

@@ -106,7 +106,7 @@ def body_contact(friction: float) -> dict[str, object]:
 def tool_contact(friction: float) -> dict[str, object]:
     """Geom arguments for the contact of the tool with a body.
 
-    Nearly inelastic: MuJoCo's softer default lets a thin disc fall through a pan.
+    Nearly inelastic: MuJoCo's softer default lets a thin disc fall through a tool.
     """
     return {
         "solref": [0.005, 0.6],
@@ -119,7 +119,7 @@ def tool_contact(friction: float) -> dict[str, object]:
 
 
 def _add_surroundings(spec: mujoco.MjSpec, friction: float) -> None:
-    """Ground for a body that missed the pan, and a light."""
+    """Ground for a body that missed the tool, and a light."""
     world = spec.worldbody
     world.add_geom(
         name="ground",

@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import zlib
 from typing import Annotated, ClassVar, Literal
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from typing_extensions import Self
 
@@ -16,7 +18,7 @@ from wam_power_ros.params.torque_controller_params import JOINTS_MAX, Joints
 from wam_power_ros.regions import Region, region_of
 from wam_power_ros.tracking.tracker import WorldToBase
 
-REACH_GOAL = (0.78, 0.25, 0.6)  # [m] half a metre to the left of the WAM's pan at its home
+REACH_GOAL = (0.78, 0.25, 0.6)  # [m] half a metre to the left of the WAM's tool at its home
 PITCH_RATE = 7.6  # [rad/s] of an expert: most reproductions turn by 90 degrees or more
 Length = Annotated[float, Field(ge=-5.0, le=5.0, description="in m: beyond the reach of the arm")]
 Radius = Annotated[float, Field(ge=0.0, le=2.0)]
@@ -28,7 +30,7 @@ Sent = Literal["filled", "empty", "nan"]
 
 
 class WorldSettings(BaseModel):
-    """Settings of the simulated world; the defaults describe the real WAM with a pan.
+    """Settings of the simulated world; the defaults describe the real WAM and its tool.
 
     Each scene uses some of the settings from `friction` on.
 
@@ -54,8 +56,8 @@ class WorldSettings(BaseModel):
         friction_share: Coulomb friction of the joints, relative to the URDF.
         torque_constants: Torque constant of each joint, relative to nominal; () for nominal ones.
         payload: Mass at the tool that is in no model of the arm [kg].
-        unknown: Replaces some settings by random ones, see `unknown_world.draw`: never (""), once
-            for all rollouts ("session"), or anew for each rollout ("rollout").
+        unknown: Replaces some settings by random ones, see `drawn`: never (""), once for all
+            rollouts ("session"), or anew for each rollout ("rollout").
         friction: Sliding friction between tool and body.
         body_offset_sd: Standard deviation of the body's initial position at the tool, per axis [m].
         body_mass: Mass of the body, relative to nominal.
@@ -64,7 +66,7 @@ class WorldSettings(BaseModel):
             frame [m], which a scene may show; radius 0 for none.
         goal: Where a demonstrated reach ends [m].
         pitch_rate: Intended pitch rate of a demonstrated toss at the release [rad/s].
-        level: True if a demonstrated toss begins with the pan level, the body in its middle.
+        level: True if a demonstrated toss begins with the tool level, the body in its middle.
 
     Raises:
         ValueError: A value is out of range, or does not fit the number of joints.
@@ -111,6 +113,28 @@ class WorldSettings(BaseModel):
         """Points whose speeds are logged: the tool if there are no others."""
         found = guarded_points(self.guarded_names, self.guarded_links, self.guarded_points)
         return found or (GuardedPoint("tool", self.tool_frame, (0.0, 0.0, 0.0)),)
+
+    def drawn(self, seed: int, rollout_id: str = "") -> WorldSettings:
+        """Draw what is unknown in a laboratory, for a session or for one rollout.
+
+        Uniform: body mass 70 to 130 % and radius 80 to 120 % of nominal, friction 0.1 to 0.5,
+        command delay 2 to 8 ms, torque constants 95 to 105 %, payload at the tool up to 0.12 kg.
+
+        Args:
+            seed: Seed of the world.
+            rollout_id: Id of the rollout; "" for the whole session.
+        """
+        n = len(self.model_joint_names)
+        rng = np.random.default_rng([seed, zlib.crc32(f"unknown world{rollout_id}".encode())])
+        drawn = {
+            "body_mass": float(rng.uniform(0.7, 1.3)),
+            "body_size": float(rng.uniform(0.8, 1.2)),
+            "friction": float(rng.uniform(0.1, 0.5)),
+            "command_delay_ticks": int(rng.integers(1, 5)),
+            "torque_constants": tuple(rng.uniform(0.95, 1.05, n).tolist()),
+            "payload": float(rng.uniform(0.0, 0.12)),
+        }
+        return self.model_copy(update=drawn)
 
     @model_validator(mode="after")
     def _fit_the_arm(self) -> Self:

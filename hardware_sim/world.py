@@ -16,18 +16,16 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from hardware_sim import scene, unknown_world
+from hardware_sim import scene
 from hardware_sim.demonstrator import Demonstrator
 from hardware_sim.ground_truth import LOG_TICKS, RolloutLog, Snapshot, Truth, rotation_of
 from hardware_sim.motors import DirectDrives, Motors
 from hardware_sim.scenes import Scene, scene_type
-from hardware_sim.scenes.flip import Flip
 from hardware_sim.sensors import Encoders, Mocap, MocapFrame, MocapSettings, quantize_geared
 from hardware_sim.settings import OptitrackSimParams, WamSimParams, WorldSettings
 from hardware_sim.wam import PERIOD, PERIOD_NS, WATCHDOG_TICKS
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.joint_references import MinJerk
-from wam_power_ros.params.overlay import Setup
 from wam_power_ros.params.resources import share
 from wam_power_ros.tracking.marker_fit import LAYOUT
 
@@ -69,17 +67,17 @@ class World:
             second; None records nothing.
 
     Args:
+        make_scene: Creates the scene.
         settings: Settings of the world; None for the defaults.
         seed: Seed of all noise.
-        make_scene: Creates the scene.
         mocap: Settings of the motion capture; None for the defaults.
     """
 
     def __init__(
         self,
+        make_scene: Callable[[WorldSettings], Scene],
         settings: WorldSettings | None = None,
         seed: int = 0,
-        make_scene: Callable[[WorldSettings], Scene] = Flip,
         mocap: MocapSettings | None = None,
     ) -> None:
         self._nominal_settings = settings = settings or WorldSettings()
@@ -100,7 +98,7 @@ class World:
         self._mocap = Mocap(layout, mocap)
         self._velocity = np.zeros(6)
         self._carrying: tuple[MinJerk, int] | None = None  # path and its beginning [ns]
-        self._build(unknown_world.draw(settings, seed) if settings.unknown else settings)
+        self._build(settings.drawn(seed) if settings.unknown else settings)
 
         self.time_ns = PERIOD_NS
         self.trace: list[np.ndarray] | None = None
@@ -108,16 +106,7 @@ class World:
         self.release()
 
     @classmethod
-    def of(cls, setup: Setup) -> World:
-        """World of a set-up: that of its stand-ins.
-
-        Raises:
-            ValueError: A parameter is not acceptable.
-        """
-        return cls.of_params(WamSimParams.of_setup(setup), OptitrackSimParams.of_setup(setup))
-
-    @classmethod
-    def of_params(cls, params: WamSimParams, cameras: OptitrackSimParams | None) -> World:
+    def of(cls, params: WamSimParams, cameras: OptitrackSimParams | None) -> World:
         """World of the stand-ins' parameters; `cameras` may be None in a scene without a body.
 
         Raises:
@@ -129,7 +118,7 @@ class World:
                 f"optitrack_sim is set to body {cameras.body!r}, but the tracked body of scene "
                 f"{params.scene!r} is {make_scene.body!r}"
             )
-        return cls(params, params.seed, make_scene, cameras)
+        return cls(make_scene, params, params.seed, cameras)
 
     def _build(self, settings: WorldSettings) -> None:
         """Compile scene and physics for these settings."""
@@ -181,7 +170,7 @@ class World:
 
     def _resetting(self, rollout_id: str, q_start: np.ndarray) -> Iterator[None]:
         if self._nominal_settings.unknown == "rollout":
-            self._build(unknown_world.draw(self._nominal_settings, self.seed, rollout_id))
+            self._build(self._nominal_settings.drawn(self.seed, rollout_id))
         key = [self.seed, zlib.crc32(rollout_id.encode())]
         rng = np.random.default_rng(key)
         self._mocap_rng = np.random.default_rng([*key, 1])

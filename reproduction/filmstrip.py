@@ -16,6 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
+from hardware_sim.scenes import scene_type
 from hardware_sim.world import TRACE_RATE, World
 from wam_power_ros.in_process.render import render
 from wam_power_ros.plotting import INK
@@ -87,7 +88,7 @@ def main() -> int:
     """Render poses (.npy on standard input) to images (.npy on standard output)."""
     poses = np.load(io.BytesIO(sys.stdin.buffer.read()))
     try:
-        images = render(World(seed=0), list(poses), SIZE)
+        images = render(World(scene_type("flip"), seed=0), list(poses), SIZE)
     except RuntimeError as error:
         sys.stderr.write(f"{error}\n")
         return 1

@@ -15,7 +15,7 @@ __all__ = ["Robot", "connect", "simulated"]
 
 
 @contextmanager
-def simulated(folder: Path | str, task: str = "flip", seed: int = 0) -> Iterator[Robot]:
+def simulated(folder: Path | str, task: str, seed: int = 0) -> Iterator[Robot]:
     """Start an arm's nodes and stand-ins, in a DDS domain of their own.
 
     Args:

@@ -13,13 +13,13 @@ from scipy.stats import mannwhitneyu
 
 from reproduction import figures, filmstrip
 from reproduction.chapter import Study
+from reproduction.flights import flights as draw_flights
 from reproduction.jobs import Results
 from reproduction.studies import flip_sessions
 from reproduction.studies.flip_sessions import ABLATION, DEFAULT, LEARNT, LONG, PAPER
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
 from wam_power_ros.reporting.figures import stiffness
 from wam_power_ros.reporting.terminal import counted
-from wam_power_ros.tasks.flip.figures import flights as draw_flights
 from wam_power_ros.tasks.flip.paper import FIG5, K33, STIFFNESS
 
 Row = Mapping[str, Any]  # a rollout in a result of the study

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from hardware_sim.scenes import scene_type
 from hardware_sim.world import World
 from reproduction.studies.flip_sessions import NOVICE, teach
 from reproduction.studies.reaching_runs import generator, learn_many, scales, synthetic
@@ -61,7 +62,7 @@ def pancake_run(
     Returns:
         "returns" of the rollouts, "repeats" of the final mean, number of "faults" of the rollouts.
     """
-    environment = Environment(World(seed=seed))
+    environment = Environment(World(scene_type("flip"), seed=seed))
     (demonstrated,) = teach(environment, seed, 1, pitch_rate=NOVICE)
     noise = {"stiffness": stiffness, "attractor": attractor}
     paper = preset("flip", "paper", variant=VARIANT, noise=noise).task_settings

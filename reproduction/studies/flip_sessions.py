@@ -15,6 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from hardware_sim.ground_truth import Truth
+from hardware_sim.scenes import scene_type
 from hardware_sim.scenes.flip import TossScript, wrist_flick
 from hardware_sim.settings import PITCH_RATE, WorldSettings
 from hardware_sim.world import World
@@ -68,7 +69,7 @@ def stand_in(
         believed_pan: Mass of the pan in the controller's model, as a fraction of its mass.
         **world: Fields of `WorldSettings`.
     """
-    world_ = World(WorldSettings(**world), seed)
+    world_ = World(scene_type("flip"), WorldSettings(**world), seed)
     return Environment(world_, urdf=_with_pan(world_.urdf, believed_pan))
 
 

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from hardware_sim.scenes import scene_type
 from hardware_sim.wam import JOINTS
 from hardware_sim.world import World
 from reproduction.jobs import Job
@@ -61,7 +62,8 @@ def executed_run(variant: str, seed: int, rollouts: int) -> dict[str, Any]:
     (run,) = study(variant, [seed], rollouts, scenario)
     parameters = parametrization_of(scenario.policy, variant, NOISE[variant])
     policy, _ = parameters.policy(run.mean, "reach-0001")
-    executed, fault = _executed(Environment(World(seed=NOISE_SEED)), policy, scenario)
+    environment = Environment(World(scene_type("flip"), seed=NOISE_SEED))
+    executed, fault = _executed(environment, policy, scenario)
     planned = scenario.free_paths(policy.stiffness[np.newaxis], policy.attractors[np.newaxis])[0]
     shown = np.linspace(0, scenario.steps - 1, reaching_runs.PATH_SAMPLES).round().astype(int)
     deviation = np.linalg.norm(executed - planned, axis=1)
@@ -92,7 +94,7 @@ def practised_run(variant: str, seed: int, rollouts: int) -> dict[str, Any]:
     scenario = taught_scenario()
     parameters = parametrization_of(scenario.policy, variant, NOISE[variant])
     learner = Power(parameters.size, POWER, reaching_runs.generator(seed))
-    environment = Environment(World(seed=seed))
+    environment = Environment(World(scene_type("flip"), seed=seed))
 
     def returned(z: np.ndarray, policy_id: str) -> tuple[np.ndarray, str, float]:
         path, fault = _executed(environment, parameters.policy(z, policy_id)[0], scenario)
@@ -136,7 +138,7 @@ def _executed(
 @cache
 def taught_scenario() -> Scenario:
     """Scenario of the tool paths of the shipped demonstrations."""
-    arm = Environment(World(seed=NOISE_SEED)).arm
+    arm = Environment(World(scene_type("flip"), seed=NOISE_SEED)).arm
     bags = sorted(share("bags").glob("reach_*"))
     demonstrations = [from_joint_samples(arm, *read_demonstration(bag, JOINTS)) for bag in bags]
     return scenario_of(demonstrations)

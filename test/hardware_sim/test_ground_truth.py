@@ -8,12 +8,13 @@ import pytest
 from simulated import CALM, begin, having, run
 
 from hardware_sim.ground_truth import LOG_TICKS
+from hardware_sim.scenes.flip import Flip
 from hardware_sim.world import World
 
 
 @pytest.fixture(scope="module")
 def calm() -> World:
-    return World(CALM, seed=3)
+    return World(Flip, CALM, seed=3)
 
 
 def test_a_torque_beyond_the_envelope_is_clipped_and_counted(calm: World) -> None:
@@ -48,7 +49,7 @@ def test_peaks_are_those_since_the_release_and_of_its_first_10_s(calm: World) ->
 def test_elbow_and_forearm_are_the_first_and_the_last_guarded_point() -> None:
     names, links, points = CALM.guarded_names, CALM.guarded_links, CALM.guarded_points
     settings = having(guarded_names=names[:1], guarded_links=links[:1], guarded_points=points[:3])
-    one, both = World(settings), World(CALM)
+    one, both = World(Flip, settings), World(Flip, CALM)
     for world in (one, both):
         begin(world)
         world.data.qvel[:4] = 0.5

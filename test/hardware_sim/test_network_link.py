@@ -7,7 +7,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hardware_sim.network_link import Link
+from hardware_sim.main import Link
 
 
 @given(st.integers(0, 2**32), st.lists(st.integers(0, 5_000_000), min_size=1, max_size=50))

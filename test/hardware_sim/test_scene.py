@@ -11,6 +11,8 @@ import pytest
 from simulated import LEVEL, URDF, begin
 
 from hardware_sim import scene
+from hardware_sim.ground_truth import TOOL_SITE
+from hardware_sim.scenes.flip import Flip
 from hardware_sim.scenes.reach import Reach
 from hardware_sim.wam import JOINTS
 from hardware_sim.world import World
@@ -24,7 +26,7 @@ def arm() -> Arm:
 
 @pytest.fixture(scope="module")
 def world() -> World:
-    return World(seed=3)
+    return World(Flip, seed=3)
 
 
 def test_mujoco_and_pinocchio_agree_on_the_arm_of_the_urdf(arm: Arm) -> None:
@@ -77,14 +79,14 @@ def test_a_tool_touches_nothing_but_what_its_scene_gives_it(world: World) -> Non
         return int((ours & (model.geom_contype > 0)).sum())
 
     assert touching(world.model) == 17  # floor and rim of the pan, for the pancake
-    assert touching(World(make_scene=Reach).model) == 0
+    assert touching(World(Reach).model) == 0
 
 
 def test_the_guarded_points_are_those_of_the_arm_model(arm: Arm, world: World) -> None:
     begin(world)
     data = world.data
     mujoco.mj_forward(world.model, data)
-    names = ("elbow", "forearm", "pan")
+    names = ("elbow", "forearm", TOOL_SITE)
     before = {name: data.site(name).xpos.copy() for name in names}
     rng = np.random.default_rng(1)
     qd, small = rng.normal(size=7), 1e-6

@@ -10,6 +10,7 @@ import pytest
 from simulated import CALM, LEVEL, begin, run
 
 from hardware_sim.motors import motor_motion
+from hardware_sim.scenes.flip import Flip
 from hardware_sim.sensors import Encoders, MocapFrame, MocapSettings
 from hardware_sim.wam import PERIOD, PERIOD_NS
 from hardware_sim.world import World
@@ -52,7 +53,7 @@ def filmed(world: World, seconds: float) -> list[tuple[int, MocapFrame]]:
 
 
 def test_frames_arrive_at_the_frame_rate_after_the_latency() -> None:
-    world = World(CALM, mocap=MocapSettings(rate=30.0, latency=0.04, dropout=0.0))
+    world = World(Flip, CALM, mocap=MocapSettings(rate=30.0, latency=0.04, dropout=0.0))
     frames = filmed(world, 2.0)
     stamps = np.array([frame.stamp_ns for _, frame in frames])
     late = np.array([now for now, _ in frames]) - stamps
@@ -62,7 +63,7 @@ def test_frames_arrive_at_the_frame_rate_after_the_latency() -> None:
 
 
 def test_frames_are_as_noisy_as_their_markers() -> None:
-    world = World(CALM, mocap=MocapSettings(rate=250.0, noise=0.0005, dropout=0.0))
+    world = World(Flip, CALM, mocap=MocapSettings(rate=250.0, noise=0.0005, dropout=0.0))
     world.reset("trial-0001", LEVEL)  # frozen
     run(world, None, 1000)
     frames = world.mocap_frames()
@@ -79,7 +80,7 @@ def test_frames_are_as_noisy_as_their_markers() -> None:
 
 def test_frames_and_markers_are_lost_at_the_configured_rates() -> None:
     mocap = MocapSettings(rate=250.0, dropout=0.2, occlusion=0.3)
-    frames = [frame for _, frame in filmed(World(CALM, mocap=mocap), 2.0)]
+    frames = [frame for _, frame in filmed(World(Flip, CALM, mocap=mocap), 2.0)]
     assert len(frames) == pytest.approx(0.8 * 490, rel=0.12)
     hidden = sum(len(frame.markers) == 3 for frame in frames)
     assert hidden / len(frames) == pytest.approx(0.3, abs=0.08)

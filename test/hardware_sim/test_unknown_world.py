@@ -9,21 +9,20 @@ import numpy as np
 import pytest
 from simulated import CALM, LEVEL, begin, having, holding_torque, run
 
-from hardware_sim.scenes.flip import MASS
+from hardware_sim.scenes.flip import MASS, Flip
 from hardware_sim.settings import WorldSettings
-from hardware_sim.unknown_world import draw
 from hardware_sim.world import World
 
 SEEDS = range(200)
 
 
 def test_the_seed_determines_the_unknown_world() -> None:
-    assert draw(WorldSettings(), 3) == draw(WorldSettings(), 3) != draw(WorldSettings(), 4)
+    assert WorldSettings().drawn(3) == WorldSettings().drawn(3) != WorldSettings().drawn(4)
 
 
 def test_unknown_settings_fill_their_ranges_and_the_others_stay() -> None:
     plain = WorldSettings(wind_sd=0.2, body_offset_sd=0.001)
-    worlds = [draw(plain, seed) for seed in SEEDS]
+    worlds = [plain.drawn(seed) for seed in SEEDS]
     for values, low, high in (
         ([w.body_mass for w in worlds], 0.7, 1.3),
         ([w.body_size for w in worlds], 0.8, 1.2),
@@ -38,8 +37,8 @@ def test_unknown_settings_fill_their_ranges_and_the_others_stay() -> None:
 
 
 def test_an_unknown_world_has_the_drawn_properties_but_its_urdf_has_not() -> None:
-    world, known = World(WorldSettings(unknown="session"), 5), World(seed=5)
-    hidden = draw(WorldSettings(), 5)
+    world, known = World(Flip, WorldSettings(unknown="session"), 5), World(Flip, seed=5)
+    hidden = WorldSettings().drawn(5)
     pan, pancake = (world.model.body(name) for name in ("pan", "pancake"))
     assert pan.mass - known.model.body("pan").mass == pytest.approx(hidden.payload)
     share = pancake.mass / known.model.body("pancake").mass
@@ -52,7 +51,7 @@ def test_an_unknown_world_has_the_drawn_properties_but_its_urdf_has_not() -> Non
 
 
 def test_a_payload_does_not_change_the_drag_model() -> None:
-    known, hidden = World(seed=5).model, World(WorldSettings(payload=0.1), 5).model
+    known, hidden = World(Flip, seed=5).model, World(Flip, WorldSettings(payload=0.1), 5).model
     assert (known.geom_fluid == hidden.geom_fluid).all()
     drag = known.geom_fluid[known.geom("pancake").id]
     assert drag[:4].all() and not drag[4:].any()  # no lift, no added mass
@@ -62,7 +61,7 @@ def test_a_payload_does_not_change_the_drag_model() -> None:
 def test_the_models_gravity_torque_does_not_hold_an_unknown_arm(change: dict[str, Any]) -> None:
     fallen = []
     for settings in (CALM, having(**change)):
-        world = World(settings)
+        world = World(Flip, settings)
         begin(world)
         before = world.tool_pose[0][2]
         run(world, holding_torque(world), 100)
@@ -73,7 +72,7 @@ def test_the_models_gravity_torque_does_not_hold_an_unknown_arm(change: dict[str
 def test_an_unknown_rollout_is_a_function_of_seed_and_id() -> None:
     ends = []
     for _ in range(2):
-        world = World(WorldSettings(unknown="session"), 7)
+        world = World(Flip, WorldSettings(unknown="session"), 7)
         begin(world)
         run(world, holding_torque(world), 100)
         ends.append(world.data.qpos.copy())
@@ -83,7 +82,7 @@ def test_an_unknown_rollout_is_a_function_of_seed_and_id() -> None:
 
 def test_a_session_has_one_world_or_each_rollout_its_own() -> None:
     for unknown, count in (("session", 1), ("rollout", 3)):
-        world = World(WorldSettings(unknown=unknown), 7)
+        world = World(Flip, WorldSettings(unknown=unknown), 7)
         seen = []
         for rollout_id in ("a", "b", "c", "a"):
             world.reset(rollout_id, world.scene.home)
@@ -97,7 +96,7 @@ def test_a_session_has_one_world_or_each_rollout_its_own() -> None:
 def test_a_rollout_in_a_world_of_its_own_does_not_depend_on_those_before_it() -> None:
     ends = []
     for before in ((), ("a", "b")):
-        world = World(WorldSettings(unknown="rollout"), 7)
+        world = World(Flip, WorldSettings(unknown="rollout"), 7)
         for rollout_id in before:
             begin(world, rollout_id)
             run(world, holding_torque(world), 20)

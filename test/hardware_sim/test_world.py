@@ -10,8 +10,8 @@ import pytest
 from simulated import CALM, LEVEL, URDF, begin, having, holding_torque, run
 
 from hardware_sim.barrett_services import PositionControl
+from hardware_sim.scenes.flip import Flip
 from hardware_sim.scenes.reach import Reach
-from hardware_sim.unknown_world import draw
 from hardware_sim.wam import JOINTS, PERIOD, PERIOD_NS
 from hardware_sim.world import QUIET, World
 from wam_power_ros.control.arm import Arm
@@ -19,12 +19,12 @@ from wam_power_ros.control.arm import Arm
 
 @pytest.fixture(scope="module")
 def world() -> World:
-    return World(seed=3)
+    return World(Flip, seed=3)
 
 
 @pytest.fixture(scope="module")
 def calm() -> World:
-    return World(CALM, seed=3)
+    return World(Flip, CALM, seed=3)
 
 
 @pytest.fixture(scope="module")
@@ -51,11 +51,11 @@ def test_an_arm_of_any_number_of_joints_is_simulated_by_its_urdf(joints: int) ->
         home=home,
         drives="direct",
     )
-    world = World(settings, 3, Reach)
+    world = World(Reach, settings, 3)
     arm = Arm(world.urdf, names, "cobot_pan", guarded=())
     assert (world.n, world.model.nq) == (joints, joints)
     np.testing.assert_array_equal(world.home, home)
-    assert draw(world.settings, 3).torque_constants != draw(world.settings, 4).torque_constants
+    assert world.settings.drawn(3).torque_constants != world.settings.drawn(4).torque_constants
     control = PositionControl(arm, "direct", False, PERIOD)
     control.move(np.array(home), goal := np.array(home) + 0.1)
     for _ in range(300):
@@ -103,7 +103,7 @@ def test_without_commands_the_arm_holds_the_last_one_for_10_ms_and_then_compensa
 def test_the_gravity_compensation_of_the_watchdog_is_damped() -> None:
     speeds = []
     for damping in (0.0, 5.0):
-        world = World(having(watchdog_damping=damping))
+        world = World(Flip, having(watchdog_damping=damping))
         begin(world)
         run(world, None, 10)
         world.data.qvel[3] = 2.0
@@ -156,7 +156,7 @@ def test_an_idle_arm_sinks_slowly_whatever_is_commanded(calm: World) -> None:
 
 
 def test_a_driver_that_compensates_gravity_holds_the_arm_at_zero_command() -> None:
-    world = World(having(driver_compensates_gravity=True))
+    world = World(Flip, having(driver_compensates_gravity=True))
     gravity = begin(world)
     run(world, np.zeros(7), 500)
     assert np.abs(world.data.qpos[:7] - LEVEL).max() < 1e-3
@@ -164,7 +164,7 @@ def test_a_driver_that_compensates_gravity_holds_the_arm_at_zero_command() -> No
 
 
 def test_a_driver_without_a_watchdog_holds_the_last_torque_for_ever() -> None:
-    world = World(having(watchdog=False))
+    world = World(Flip, having(watchdog=False))
     gravity = begin(world)
     run(world, gravity + 1.0, 20)
     run(world, None, 200)
@@ -173,7 +173,7 @@ def test_a_driver_without_a_watchdog_holds_the_last_torque_for_ever() -> None:
 
 @pytest.mark.parametrize("delay", [0, 1, 3])
 def test_a_command_reaches_the_motors_after_its_delay(delay: int) -> None:
-    world = World(having(command_delay_ticks=delay))
+    world = World(Flip, having(command_delay_ticks=delay))
     gravity = begin(world)
     ticks = 0
     while (world.joint_state().tau == gravity).all():
@@ -243,8 +243,8 @@ def test_a_rollout_is_bit_for_bit_a_function_of_seed_and_id(world: World) -> Non
     assert outcome(world, "trial-0008") != first
     assert outcome(world, "trial-0007", frozen_ticks=123) == first
     run(world, None, 50)
-    assert outcome(World(seed=3), "trial-0007") == first
-    assert outcome(World(seed=4), "trial-0007") != first
+    assert outcome(World(Flip, seed=3), "trial-0007") == first
+    assert outcome(World(Flip, seed=4), "trial-0007") != first
 
 
 def test_a_frozen_world_repeats_its_state_while_clock_and_cameras_go_on(world: World) -> None:

@@ -24,11 +24,11 @@ from wam_power_ros.params.resources import share
 @pytest.fixture(scope="module")
 def toss() -> Policy:
     """The policy of a demonstrated toss."""
-    return teach(Environment(World(seed=21)), 21, 1)[0]
+    return teach(Environment(World(scene_type("flip"), seed=21)), 21, 1)[0]
 
 
 def test_a_rollout_of_one_seed_and_id_repeats_bit_for_bit_whatever_was_before(toss: Policy) -> None:
-    fresh, used = (Environment(World(seed=21)) for _ in range(2))
+    fresh, used = (Environment(World(scene_type("flip"), seed=21)) for _ in range(2))
     used.run(with_id(toss, "another"))
     (one, one_truth), (other, other_truth) = (each.run(toss) for each in (fresh, used))
     assert one_truth == other_truth and one.fault is None
@@ -40,7 +40,7 @@ def test_a_rollout_of_one_seed_and_id_repeats_bit_for_bit_whatever_was_before(to
 
 def test_a_policy_that_is_too_fast_is_infeasible_and_ends_in_that_fault(toss: Policy) -> None:
     wild = dataclasses.replace(toss, attractors=toss.attractors + np.array([0.0, 0.0, 3.0]))
-    environment = Environment(World(seed=21))
+    environment = Environment(World(scene_type("flip"), seed=21))
     assert environment.infeasible(toss) is None
     foreseen, (rollout, _) = environment.infeasible(wild), environment.run(wild)
     assert foreseen is not None and rollout.fault is not None
@@ -49,12 +49,12 @@ def test_a_policy_that_is_too_fast_is_infeasible_and_ends_in_that_fault(toss: Po
 
 def test_a_scene_without_a_body_gives_no_path_of_one_and_its_region_ends_a_rollout() -> None:
     policy = taught_scenario().policy
-    free = Environment(World(WorldSettings(), 21, scene_type("reach")))
+    free = Environment(World(scene_type("reach"), WorldSettings(), 21))
     whole, _ = free.run(policy)
     assert whole.body is None
     x, y, z = whole.tool.position[len(whole.tool.t) // 3].tolist()
     settings = WorldSettings(guarded_region=(x, y, z, 0.05))
-    stopped, truth = Environment(World(settings, 21, scene_type("reach"))).run(policy)
+    stopped, truth = Environment(World(scene_type("reach"), settings, 21)).run(policy)
     assert (stopped.fault, stopped.stopped_in, whole.stopped_in) == (None, "region", "")
     assert abs(truth["clearance"]) < 0.002  # stopped where the encoders see the tool enter it
     assert stopped.tool.t[-1] < whole.tool.t[-1]
@@ -88,13 +88,13 @@ def calm(tool_mass: float, folder: Path) -> Environment:
     """The arm with a tool of this mass [kg], without a body, and the same in every rollout."""
     (file := folder / "arm.urdf").write_text(urdf_with_tool(tool_mass))
     settings = WorldSettings(torque_scale_sd=0.0, friction_sd=0.0, wind_sd=0.0, urdf=str(file))
-    return Environment(World(settings, 21, scene_type("reach")))
+    return Environment(World(scene_type("reach"), settings, 21))
 
 
 @pytest.fixture(scope="module")
 def policies(toss: Policy) -> dict[str, Policy]:
     """A demonstrated toss, a slower one, and a demonstrated reach."""
-    slow = teach(Environment(World(seed=3)), 3, 1, pitch_rate=4.0)[0]
+    slow = teach(Environment(World(scene_type("flip"), seed=3)), 3, 1, pitch_rate=4.0)[0]
     return {"toss": toss, "slow toss": slow, "reach": taught_scenario().policy}
 
 

@@ -12,6 +12,7 @@ from std_srvs.srv import SetBool, Trigger
 from test_session_over_dds import JOINTS, SEED, learnt, lines
 from toss_task import practice_of
 
+from hardware_sim.scenes import scene_type
 from hardware_sim.settings import WorldSettings
 from hardware_sim.world import World
 from wam_power_ros.bags import reader
@@ -118,7 +119,7 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
     assert lines(folder)[: len(kept)] == kept
 
     # The same in one process, undisturbed: what a person did, at the places the log has it.
-    bench = Environment(World(WorldSettings(), SEED))
+    bench = Environment(World(scene_type("flip"), WorldSettings(), SEED))
     practice = practice_of([candidate], SETTINGS, SEED, arm=bench)
     events = [line for line in read(folder).log if not isinstance(line, Record)]
     assert len(events) == 3

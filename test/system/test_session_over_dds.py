@@ -28,6 +28,7 @@ from nav_msgs.msg import Path as PathMessage
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
+from hardware_sim.scenes import scene_type
 from hardware_sim.settings import WorldSettings
 from hardware_sim.world import World
 from wam_power_ros.bags import layout, reader
@@ -145,7 +146,7 @@ def candidate(demonstration: Path) -> Policy:
 @pytest.fixture(scope="module")
 def expected(candidate: Policy) -> list[dict[str, Any]]:
     """What the same session learns in one process."""
-    bench = Environment(World(WorldSettings(), SEED))
+    bench = Environment(World(scene_type("flip"), WorldSettings(), SEED))
     practice = Practice(SETTINGS, {}, [candidate], SEED, bench)
     return learnt([record.to_json() for record in bench.practise(practice)])
 

@@ -20,6 +20,7 @@ from hardware_sim.scenes.flip import (
     HOME,
     TILT,
     WRIST_TO_PAN,
+    Flip,
     TossScript,
     wrist_flick,
 )
@@ -35,7 +36,7 @@ POSITION, ROTATION = np.array([0.8, 0.0, 0.6]), rotations.exp(np.array([0.0, 0.4
 
 @pytest.fixture(scope="module")
 def calm() -> World:
-    return World(CALM, seed=3)
+    return World(Flip, CALM, seed=3)
 
 
 def test_a_pancake_rests_in_a_level_pan(calm: World) -> None:
@@ -214,7 +215,7 @@ def demonstrate(world: World, arm: Arm, seed: int) -> tuple[Truth, np.ndarray]:
 
 @pytest.fixture(scope="module")
 def demonstrations() -> list[tuple[Truth, np.ndarray]]:
-    world = World(seed=1)
+    world = World(Flip, seed=1)
     arm = Arm(world.urdf, JOINTS)
     return [demonstrate(world, arm, seed) for seed in SEEDS]
 
@@ -232,7 +233,7 @@ def test_the_demonstrator_tosses_the_pancake(
 def test_the_motors_can_do_what_is_demonstrated_at_48_volts(
     demonstrations: list[tuple[Truth, np.ndarray]],
 ) -> None:
-    no_load = World().motors.no_load_speed
+    no_load = World(Flip).motors.no_load_speed
     for truth, _ in demonstrations:
         assert (np.array(truth["peak_qd"]) < 0.95 * no_load).all()
         assert not truth["beyond_no_load"]
@@ -243,7 +244,7 @@ def test_the_motors_can_do_what_is_demonstrated_at_48_volts(
 def test_a_demonstration_begins_and_ends_at_rest_within_the_joint_limits(
     demonstrations: list[tuple[Truth, np.ndarray]],
 ) -> None:
-    arm = Arm(World().urdf, JOINTS)
+    arm = Arm(World(Flip).urdf, JOINTS)
     for _, q in demonstrations:
         np.testing.assert_allclose(q[0], HOME, atol=1e-3)
         assert np.abs(q[50] - q[0]).max() < 0.01

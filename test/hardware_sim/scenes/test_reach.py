@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hardware_sim.demonstrator import PAUSE, Demonstrator
+from hardware_sim.scenes.flip import Flip
 from hardware_sim.scenes.reach import HOME, Reach, reach
 from hardware_sim.settings import REACH_GOAL, WorldSettings
 from hardware_sim.wam import JOINTS
@@ -40,7 +41,7 @@ def test_every_reach_goes_from_rest_to_rest_in_an_arc_with_constant_orientation(
 def world_with(*obstacle: float) -> World:
     """A world with an obstacle: x, y, z, radius [m]."""
     settings = WorldSettings(guarded_region=obstacle or (0.0,) * 4)
-    return World(settings, seed=1, make_scene=Reach)
+    return World(Reach, settings, seed=1)
 
 
 def guide(world: World, rollout_id: str = "demonstration-0") -> tuple[np.ndarray, np.ndarray]:
@@ -112,7 +113,7 @@ def test_a_rollout_is_a_function_of_seed_and_id() -> None:
 
 
 def test_the_arm_has_the_same_random_variation_in_every_scene() -> None:
-    worlds = World(seed=1), world_with()
+    worlds = World(Flip, seed=1), world_with()
     for world in worlds:
         world.reset("trial-0001", HOME)
     frictions = [world.model.dof_frictionloss[:7].tolist() for world in worlds]

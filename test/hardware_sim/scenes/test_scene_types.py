@@ -67,7 +67,7 @@ class Ball:
 
 @pytest.fixture(scope="module")
 def world() -> World:
-    return World(WorldSettings(body_offset_sd=0.0), make_scene=Ball)
+    return World(Ball, WorldSettings(body_offset_sd=0.0))
 
 
 def test_the_scenes_of_this_package_are_found_by_name() -> None:
@@ -131,4 +131,4 @@ def test_a_tracked_body_must_be_on_a_free_joint() -> None:
 
     for wrong in (Fixed, Hinged):
         with pytest.raises(ValueError, match="must be on a free joint"):
-            World(make_scene=wrong)
+            World(wrong)

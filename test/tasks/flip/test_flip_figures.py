@@ -33,19 +33,3 @@ def test_a_rollout_without_a_single_frame_is_drawn_all_the_same() -> None:
     pan, _ = a_toss()
     empty = BodyPath("toss", np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4)))
     assert len(figures.side_view(pan, empty).axes[0].lines) == 1
-
-
-def test_a_flipped_pancake_shows_its_other_side() -> None:
-    pan, pancake = a_toss()
-    axes = figures.flights({"flipped": (pan, pancake, 0.9)}).axes[0]
-    upper = [np.mean(line.get_ydata()) for line in axes.lines if line.get_color() == "#e3a72f"]
-    lower = [np.mean(line.get_ydata()) for line in axes.lines if line.get_color() == "#7a4a1c"]
-    lower = lower[1:]  # the first brown line is the path
-    assert upper[0] > lower[0] and upper[-1] < lower[-1]
-    mark = next(line for line in axes.lines if line.get_label() == "$t_f$")
-    assert mark.get_ydata()[0] == pytest.approx(np.interp(0.9, pancake.t, pancake.position[:, 2]))
-
-
-def test_a_figure_without_a_flight_is_refused() -> None:
-    with pytest.raises(ValueError, match="at least one"):
-        figures.flights({})

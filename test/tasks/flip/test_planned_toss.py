@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from toss_task import demonstrated_policy
 
+from hardware_sim.scenes import scene_type
 from hardware_sim.world import World
 from reproduction.studies.flip_sessions import teach
 from wam_power_ros.in_process.environment import Environment
@@ -131,7 +132,8 @@ def test_a_model_learns_what_the_plan_misses() -> None:
 
 def test_the_plan_tells_good_tosses_from_bad_ones() -> None:
     """Before any rollout, which is what screening needs."""
-    bench, settings = Environment(World(seed=21)), preset("flip", "paper").task_settings
+    bench = Environment(World(scene_type("flip"), seed=21))
+    settings = preset("flip", "paper").task_settings
     (policy,) = teach(bench, 21, 1)
     p = flip_parametrization(policy, "full", NOISE)
     start, _ = bench.arm.tool_pose(policy.q_start)

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -12,22 +11,9 @@ from matplotlib.figure import Figure
 
 from wam_power_ros import rotations
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
-from wam_power_ros.plotting import (
-    BLUE,
-    GREEN,
-    INK,
-    ORANGE,
-    STEEL,
-    dress,
-    legend,
-    shared_legend,
-    side_by_side,
-)
+from wam_power_ros.plotting import BLUE, GREEN, ORANGE, legend, side_by_side
 
 PAN, PANCAKE = BLUE, ORANGE
-YELLOW, BROWN = "#e3a72f", "#7a4a1c"
-PANCAKE_RADIUS, PAN_RADIUS = 0.09, 0.14  # as drawn [m]
-MARGIN = 0.03  # around the drawn paths [m]
 NORMAL_LENGTH = 0.06  # as drawn [m]
 
 
@@ -53,7 +39,7 @@ def side_view(pan: EndEffectorPath, pancake: BodyPath, t_f: float | None = None)
         x, _, z = pancake.position.T
         side.plot(x, z, "o--", lw=0.8, label="pancake", **dots)
         first = np.abs(pan.t - pancake.t[0]).argmin()
-        _arrows(side, pancake.position, _normals(pancake, pan_normals[first]), PANCAKE)
+        _arrows(side, pancake.position, body_normals(pancake, pan_normals[first]), PANCAKE)
         height.plot(pancake.t, z, "o", label="pancake (camera)", **dots)
     if t_f is not None:
         height.axvline(t_f, color=GREEN, lw=0.8, ls=":", label="$t_f$")
@@ -65,69 +51,10 @@ def side_view(pan: EndEffectorPath, pancake: BodyPath, t_f: float | None = None)
     return figure
 
 
-def flights(rollouts: Mapping[str, tuple[EndEffectorPath, BodyPath, float | None]]) -> Figure:
-    """Figs. 3 and 4 of the paper: pan and pancake seen from the side, with their normals.
-
-    The pancake is drawn edge-on at camera frames, its two sides in two colours; the side that
-    initially lies in the pan is brown. The pan is drawn at the same times.
-
-    Args:
-        rollouts: Title -> paths of pan and pancake, and t_f [s] or None.
-
-    Raises:
-        ValueError: There is no rollout.
-    """
-    if not rollouts:
-        raise ValueError("a figure of flights must have at least one rollout, got none")
-    pans = np.concatenate([pan.position[:, [0, 2]] for pan, _, _ in rollouts.values()])
-    pancakes = [pancake.position[:, [0, 2]] for _, pancake, _ in rollouts.values()]
-    drawn = np.concatenate([pans, *pancakes])
-    margin = MARGIN + 0.8 * PAN_RADIUS
-    low, high = drawn.min(axis=0) - margin, drawn.max(axis=0) + margin
-    lowest = pans[:, 1].min() - MARGIN - 2.0 * PAN_RADIUS
-    low[1] = max(low[1], lowest)  # a dropped pancake leaves the view
-    height = 4.2 * (high[1] - low[1]) / (high[0] - low[0])
-    figure = Figure(figsize=(4.2 * len(rollouts) + 0.6, height + 1.1), layout="compressed")
-    row = figure.subplots(1, len(rollouts), squeeze=False)[0]
-    for axes, (title, (pan, pancake, t_f)) in zip(row, rollouts.items(), strict=True):
-        dress(axes)
-        axes.set_title(title, fontsize=10, color=INK)
-        axes.plot(pan.position[:, 0], pan.position[:, 2], color=STEEL, lw=0.9, ls=":", label="pan")
-        pan_normals = rotations.matrix(pan.quat_xyzw)[:, :, 2]  # (T, 3)
-        times = pancake.t if len(pancake.t) else pan.t[:: max(1, len(pan.t) // 20)]
-        nearest = np.clip(np.searchsorted(pan.t, times), 0, len(pan.t) - 1)
-        for k in nearest[_apart(pan.position[nearest], 0.02)]:
-            _disc(axes, (pan.position[k], pan_normals[k]), PAN_RADIUS, (STEEL, STEEL), 0.45)
-        if len(pancake.t):
-            x, _, z = pancake.position.T
-            axes.plot(x, z, color=BROWN, lw=0.7, ls=":", label="pancake")
-            normals = _normals(pancake, pan_normals[nearest[0]])
-            for k in _apart(pancake.position, 0.025):
-                pose = (pancake.position[k], normals[k])
-                _disc(axes, pose, PANCAKE_RADIUS, (YELLOW, BROWN), 0.95)
-            if t_f is not None:
-                at = [np.interp(t_f, pancake.t, values) for values in (x, z)]
-                axes.plot(*at, "o", ms=9, mfc="none", mec=GREEN, mew=1.4, label="$t_f$")
-        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x, outward [m]")
-        axes.set_aspect("equal")
-    row[0].set_ylabel("z, up [m]")
-    shared_legend(figure, row, 3)
-    return figure
-
-
-def _normals(pancake: BodyPath, first: np.ndarray) -> np.ndarray:
+def body_normals(pancake: BodyPath, first: np.ndarray) -> np.ndarray:
     """Body-fixed direction of the pancake that is `first` (3,) in its first frame. Shape (M, 3)."""
     turns = rotations.matrix(pancake.quat_xyzw)  # (M, 3, 3)
     return turns @ (turns[0].T @ first)
-
-
-def _apart(positions: np.ndarray, distance: float) -> list[int]:
-    """Indices of positions (n, 3) farther than `distance` [m] from the previous selected one."""
-    selected = [0]
-    for k in range(len(positions)):
-        if np.linalg.norm(positions[k] - positions[selected[-1]]) > distance:
-            selected.append(k)
-    return selected
 
 
 def _arrows(axes: Axes, places: np.ndarray, normals: np.ndarray, color: str) -> None:
@@ -135,19 +62,3 @@ def _arrows(axes: Axes, places: np.ndarray, normals: np.ndarray, color: str) -> 
     (x, _, z), (u, _, w) = places.T, NORMAL_LENGTH * normals.T
     as_data: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0}
     axes.quiver(x, z, u, w, color=color, width=0.004, alpha=0.8, **as_data)
-
-
-def _disc(
-    axes: Axes, pose: tuple[np.ndarray, ...], radius: float, colors: tuple[str, str], alpha: float
-) -> None:
-    """Draw a disc (centre, normal) edge-on; the normal is on the side of the first colour."""
-    place, normal = pose
-    n = normal[[0, 2]]
-    along = np.array([n[1], -n[0]])
-    centre = place[[0, 2]]
-    for side, color in zip((0.002, -0.002), colors, strict=True):
-        ends = np.stack([centre + side * n - radius * along, centre + side * n + radius * along])
-        axes.plot(*ends.T, color=color, lw=1.5, alpha=alpha, solid_capstyle="butt")
-    tip = centre + 0.05 * n
-    axes.plot(*np.stack([centre, tip]).T, color=PAN, lw=0.8, alpha=alpha)
-    axes.plot(*tip, marker=".", ms=2.5, color=PAN, alpha=alpha)
