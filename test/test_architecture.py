@@ -87,7 +87,7 @@ BUDGET = {
     "nodes": 2940,
     "console": 670,
     "view": 1360,
-    "reporting": 940,
+    "reporting": 930,
     "in_process": 350,
     "cli": 2450,
     "hardware_sim": 2910,

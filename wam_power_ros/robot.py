@@ -32,6 +32,6 @@ def simulated(folder: Path | str, task: str, seed: int = 0) -> Iterator[Robot]:
     plan = plan_of(folder, parameters, stand_ins=True, also=[TRACKER])
     with (
         launcher.launch(plan),
-        connected(plan.parameters, launcher.session_environment(folder)) as arm,
+        connected(plan.parameters, launcher.session_domain(folder), on_loopback=True) as arm,
     ):
         yield arm

@@ -73,7 +73,7 @@ def test_feedback_without_a_learner_answers_at_once(
     settings, folder = preset("flip"), tmp_path / "s"
     with Session.begin(folder, settings, 5, [demonstrated_policy()]):
         assert learner_is_running(folder)
-    monkeypatch.delattr("wam_power_ros.cli.commands.session_environment")  # no DDS is reached
+    monkeypatch.delattr("wam_power_ros.cli.commands.session_domain")  # no DDS is reached
     assert main.main(["feedback", "reward", "--session", str(folder)]) == 2
     assert "no learner is running" in capsys.readouterr().err
 

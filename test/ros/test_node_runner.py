@@ -180,11 +180,10 @@ def test_a_node_in_another_domain_leaves_the_environment_of_its_process_as_it_wa
     domain_id: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", "7")
-    monkeypatch.delenv("ROS_STATIC_PEERS", raising=False)
+    monkeypatch.setenv("ROS_STATIC_PEERS", "192.0.2.1")
     before, context = dict(os.environ), Context()
     make = lambda: rclpy.create_node("guest", context=context)  # noqa: E731
-    given = {"ROS_DOMAIN_ID": str(domain_id), "ROS_STATIC_PEERS": ""}
-    with node_runner.participant(make, given, context):
+    with node_runner.participant(make, domain_id, context, on_loopback=True):
         assert context.get_domain_id() == domain_id
         assert dict(os.environ) == before
     assert not context.ok()

@@ -4,28 +4,22 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from wam_power_ros.cli.launcher import (
-    UsageError,
-    arm_of,
-    pasteable,
-    short_path,
-    task_setup,
-    task_stems,
-)
+from wam_power_ros.cli.launcher import UsageError, pasteable, short_path, task_setup, task_stems
 from wam_power_ros.cli.node_log import progress_messages
+from wam_power_ros.cli.parser import add_command, config_option
 from wam_power_ros.cli.session_options import DEFAULT_TASK
 from wam_power_ros.params import overlay
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from wam_power_ros.bags.quality import Grade, Remark
+    from wam_power_ros.bags.quality import Grade, Limits, Remark
     from wam_power_ros.bags.takes import Take
-    from wam_power_ros.control.arm import Arm
 
 NAME_WIDTH_MAX = 40  # columns of a name in the table
 COMPARED_SAMPLES = 101  # of each movement in a comparison
@@ -49,15 +43,8 @@ class InspectedTake(NamedTuple):
 
 def add_to(subparsers: argparse._SubParsersAction) -> None:
     """Add the command to the command line."""
-    text = "inspect and edit recordings"
-    group = subparsers.add_parser("bags", help=text, description=f"{text.capitalize()}.")
-    commands = group.add_subparsers(required=True, metavar="COMMAND")
-
-    def add(name: str, command: Callable, text: str) -> argparse.ArgumentParser:
-        added = commands.add_parser(name, help=text, description=f"{text.capitalize()}.")
-        added.set_defaults(command=command)
-        return added
-
+    group = add_command(subparsers, "bags", None, "inspect and edit recordings")
+    add = partial(add_command, group.add_subparsers(required=True, metavar="COMMAND"))
     listing = add("list", list_, "print a line for each take: task, duration, quality and reasons")
     listing.add_argument("folder", type=Path, nargs="*", help="of takes (default: the usual ones)")
     shown = add("show", show, "print topics, joints and quality of a take")
@@ -68,7 +55,7 @@ def add_to(subparsers: argparse._SubParsersAction) -> None:
     compared = add("compare", compare, "print how takes differ from the first one")
     compared.add_argument("bag", type=Path, nargs="+")
     for command in (listing, shown, plotted, compared):
-        _config_option(command)
+        config_option(command, "set-up of the arm")
     trimmed = add("trim", trim, "copy a part of a take")
     trimmed.add_argument("bag", type=Path)
     trimmed.add_argument("begin", type=float, help="time since the first joint state [s]")
@@ -87,15 +74,9 @@ def add_to(subparsers: argparse._SubParsersAction) -> None:
     imported.add_argument("--topic", default="", help="of the joint states (default: the only one)")
     help_task = f"of the demonstration (default: {DEFAULT_TASK})"
     imported.add_argument("--task", default=DEFAULT_TASK, help=help_task)
-    _config_option(imported)
+    config_option(imported, "set-up of the arm")
     for command, name in ((trimmed, "trimmed"), (merged, "merged"), (imported, "TASK_NAME")):
         command.add_argument("--output", type=Path, help=f"new bag (default: BAG_{name})")
-
-
-def _config_option(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--config", action="append", default=[], metavar="NAME", help="set-up of the arm"
-    )
 
 
 # Inspecting
@@ -109,8 +90,8 @@ def list_(folder: Sequence[Path], config: Sequence[str]) -> None:
     found = takes.find(folders)
     if not found:
         raise UsageError(f"no bags below {', '.join(map(str, folders))}")
-    outcomes, tasks = _outcomes(found), task_stems()
-    names, arm = arm_of(overlay.setup(config))
+    outcomes, tasks, setup = _outcomes(found), task_stems(), overlay.setup(config)
+    limits = _limits(setup)
     width = min(max(len(path.name) for path in found), NAME_WIDTH_MAX)
     print(f"{'take':{width}}  {'task':9}  {'time':>6}  {'quality':7}  reasons")
     shown = None
@@ -118,7 +99,7 @@ def list_(folder: Sequence[Path], config: Sequence[str]) -> None:
         if path.parent != shown:
             shown = path.parent
             print(f"{short_path(shown.resolve())}/")
-        kind, row, reasons = _row(path, names, arm)
+        kind, row, reasons = _row(path, setup.joint_names, limits)
         kind = "/".join(sorted(tasks.get(kind, {kind})))
         notes = "; ".join(filter(None, (outcomes.get(path.resolve(), ""), reasons)))
         print(f"{path.name:{width}}  {kind:9}  {row}  {notes}".rstrip(), flush=True)
@@ -128,8 +109,9 @@ def show(bag: Path, config: Sequence[str]) -> None:
     """Print what is in a take."""
     from wam_power_ros.bags import quality
 
-    names, arm = arm_of(overlay.setup(config))
-    take, t, q, remarks = inspect(bag, names, arm)
+    setup = overlay.setup(config)
+    limits = _limits(setup)
+    take, t, q, remarks = inspect(bag, setup.joint_names, limits)
     graded = quality.grade(remarks)
     qd = quality.joint_speeds(t, q)
     print(f"{take.bag.path}: {take.bag.kind}, {take.duration:.2f} s, {graded.name.lower()}")
@@ -142,22 +124,22 @@ def show(bag: Path, config: Sequence[str]) -> None:
     for name, count in take.counts.items():
         lost = f", {take.missing[name]} missing" if take.missing.get(name) else ""
         print(f"  {count:6} {name}{lost}")
-    for joint, name in enumerate(names):
+    for joint, name in enumerate(setup.joint_names):
         low, high, fastest = q[:, joint].min(), q[:, joint].max(), abs(qd[:, joint]).max()
-        of_limit = f", {fastest / arm.qd_max[joint]:.0%} of its limit" if arm is not None else ""
+        of_limit = f", {fastest / limits.qd_max[joint]:.0%} of its limit" if limits else ""
         print(f"  {name}: {low:+.2f} to {high:+.2f} rad, at most {fastest:.2f} rad/s{of_limit}")
 
 
 def plot(bag: Sequence[Path], output: Path | None, config: Sequence[str]) -> None:
     """Draw takes into a file."""
     from wam_power_ros import plotting
-    from wam_power_ros.reporting import take_figures
+    from wam_power_ros.reporting import figures
 
-    names, arm = arm_of(overlay.setup(config))
-    takes = {path.resolve().name: inspect(path, names, arm) for path in bag}
+    setup = overlay.setup(config)
+    names, limits = setup.joint_names, _limits(setup)
+    takes = {path.resolve().name: inspect(path, names, limits) for path in bag}
     movements = {name: (inspected.t, inspected.q) for name, inspected in takes.items()}
-    limits = None if arm is None else _limits(arm)
-    drawn = take_figures.joints(movements, names, limits)
+    drawn = figures.joints(movements, names, limits)
     output = output or Path(f"{bag[0].resolve().name}.png")
     if output.suffix not in (".png", ".svg"):
         raise UsageError(f"{output} must end in .png or .svg")
@@ -171,8 +153,9 @@ def compare(bag: Sequence[Path], config: Sequence[str]) -> None:
 
     if len(bag) < 2:
         raise UsageError("compare needs at least two bags")
-    names, arm = arm_of(overlay.setup(config))
-    first, *others = [inspect(path, names, arm) for path in bag]
+    setup = overlay.setup(config)
+    names, arm = setup.joint_names, setup.arm()
+    first, *others = [inspect(path, names) for path in bag]
     one, took = _movement(first)
     print(f"{first.take.bag.path.name}: movement of {took:.2f} s, the reference")
     for other in others:
@@ -190,8 +173,8 @@ def compare(bag: Sequence[Path], config: Sequence[str]) -> None:
         )
 
 
-def inspect(path: Path, names: Sequence[str], arm: Arm | None) -> InspectedTake:
-    """Open a take and judge its quality.
+def inspect(path: Path, names: Sequence[str], limits: Limits | None = None) -> InspectedTake:
+    """Open a take and judge its quality, also by the limits of the arm, if known.
 
     Raises:
         ValueError: The bag cannot be read, or nothing can be learnt from it.
@@ -203,24 +186,25 @@ def inspect(path: Path, names: Sequence[str], arm: Arm | None) -> InspectedTake:
     take = takes.read(Bag(path), names)
     t, q = smooth_joints(take.states.stamps, take.states.q)
     remarks = [*take.states.remarks]
-    remarks += quality.movement_remarks(t, q, names, None if arm is None else _limits(arm))
+    remarks += quality.movement_remarks(t, q, names, limits)
     remarks += quality.completeness_remarks(take.counts, take.missing, take.ended)
     return InspectedTake(take, t, q, remarks)
 
 
-def _limits(arm: Arm) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _limits(setup: overlay.Setup) -> Limits | None:
     from wam_power_ros.bags.quality import Limits
 
-    return Limits(arm.q_min, arm.q_max, arm.qd_max)
+    arm = setup.arm()
+    return None if arm is None else Limits(arm.q_min, arm.q_max, arm.qd_max)
 
 
-def _row(path: Path, names: Sequence[str], arm: Arm | None) -> tuple[str, str, str]:
+def _row(path: Path, names: Sequence[str], limits: Limits | None) -> tuple[str, str, str]:
     """Kind of a take, its duration and quality in columns, and the reasons for its quality."""
     from wam_power_ros.bags import quality
 
     try:
         with progress_messages(f"reading {path.name}"):
-            take, _, _, remarks = inspect(path, names, arm)
+            take, _, _, remarks = inspect(path, names, limits)
     except (ValueError, OSError) as error:
         reason = pasteable(str(error).removeprefix(f"{path}").lstrip(": "))
         row = f"{'–':>6}  {quality.Grade.POOR.name.lower():7}"
@@ -296,12 +280,12 @@ def import_(
     from wam_power_ros.bags.bag import Bag
 
     setup = overlay.setup(config, task=task_setup(task))
-    names, arm = arm_of(setup)
-    kind = setup["demonstration_recorder"]["stem"]
+    names, kind = setup.joint_names, setup["demonstration_recorder"]["stem"]
+    limits = _limits(setup)
     output = output or layout.free_path(Path(), f"{kind}_{bag.resolve().stem}")
     with progress_messages(f"importing {bag}"):
         made, remarks = editing.import_bag(Bag(bag), output, names, joints, topic, kind)
-        _, row, reasons = _row(made, names, arm)
+        _, row, reasons = _row(made, names, limits)
     _print_bag(made)
     for remark in remarks:
         print(f"  {remark.text}")

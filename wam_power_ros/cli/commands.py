@@ -18,14 +18,14 @@ from wam_power_ros.cli.launcher import (
     Devices,
     Launcher,
     UsageError,
-    arm_of,
+    domain_environment,
     interrupt,
     launch,
     learner_is_running,
     pasteable,
     program_command,
     secured,
-    session_environment,
+    session_domain,
     short_path,
     timestamp,
 )
@@ -175,9 +175,9 @@ def replay(bag: Path, speed: float, folder: Path | None, devices: Devices) -> in
 
     folder = (folder or Path("replays") / timestamp()).resolve()
     parameters = devices.parameters(folder=folder).changed({RECORDER: {"stem": "replay"}})
-    names, arm = arm_of(parameters)
+    arm = parameters.arm()
     identity = arm and arm.identity()
-    states = reader.read_states(Bag(bag), names, arm=identity)
+    states = reader.read_states(Bag(bag), parameters.joint_names, arm=identity)
     for remark in states.remarks:
         print(f"{bag}: {remark.text}")
     replay_trajectory.movement(states.stamps, states.q, speed)
@@ -187,7 +187,7 @@ def replay(bag: Path, speed: float, folder: Path | None, devices: Devices) -> in
             "replay",
             bag=str(bag.resolve()),
             speed=speed,
-            joint_names=list(names),
+            joint_names=parameters.joint_names,
             arm=arm_identity.to_json(identity),
             person=not devices.stand_ins,
         )
@@ -255,7 +255,7 @@ def _follow(folder: Path, processes: Processes, learner: Running, bell: bool) ->
     path, logs = folder / "rollouts.jsonl", NodeLogs(folder / "logs")
     size_shown = 0
     ended = False
-    with terminal.Display() as display, Keys(session_environment(folder)) as keys:
+    with terminal.Display() as display, Keys(domain_environment(session_domain(folder))) as keys:
         while not ended:
             display.footer = keys.poll()
             ended = learner.process.poll() is not None
@@ -271,6 +271,7 @@ def _follow(folder: Path, processes: Processes, learner: Running, bell: bool) ->
                 prompt.cue(bell and entry.severity == "ERROR", "fault")
             display.tick(time.monotonic())
             time.sleep(0.2)
+    processes.finish(learner)
 
 
 # Sessions
@@ -286,9 +287,38 @@ def feedback(kind: str, bag: Path | None, session: Path | None) -> int:
     from wam_power_ros.console.feedback import give
 
     namespace = parameter_file.namespace(folder / "logs/parameters.yaml")
-    answer = give(kind, bag, namespace, session_environment(folder))
+    answer = give(kind, bag, namespace, session_domain(folder))
     print(answer.text if answer.success else f"refused: {answer.text}")
     return 0 if answer.success else 2
+
+
+def view(path: Path | None, address: str, port: int) -> int:
+    """Serve a page that shows a session or a bag, until Ctrl-C."""
+    from wam_power_ros.practice.session import Session
+
+    try:
+        from wam_power_ros.view import guarded_server, viewer
+    except ImportError as error:
+        raise UsageError(
+            f"the page needs viser ({error}): pip install 'viser>=1.1.1,<1.2'"
+        ) from None
+    is_bag = path is not None and not Session.exists(path) and path.exists()
+    folder = path.resolve() if is_bag else existing_session(path)
+    signal.signal(signal.SIGTERM, interrupt)
+    server = guarded_server.open_server(address, port)
+    try:
+        host = f"[{address}]" if ":" in address else address
+        url = f"http://{host}:{server.get_port()}"
+        ready = lambda: print(f"{url}  (Ctrl-C ends it)", flush=True)  # noqa: E731
+        if is_bag:
+            viewer.of_bag(server, folder, ready)
+        else:
+            viewer.of_session(server, folder, ready, session_domain)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        server.stop()
+    return 0
 
 
 def report(session: Path) -> int:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from types import FrameType
-from typing import IO, TYPE_CHECKING
+from typing import IO
 
 from wam_power_ros.cli.plan import (
     DOMAIN_FILE,
@@ -29,17 +29,10 @@ from wam_power_ros.cli.plan import (
 from wam_power_ros.cli.processes import Processes, Running
 from wam_power_ros.console.prompt import ask, show
 from wam_power_ros.params import overlay
+from wam_power_ros.ros import network
 from wam_power_ros.ros.domain import exported, hold, private_domain
 
-if TYPE_CHECKING:
-    from wam_power_ros.control.arm import Arm
-
 MEGABYTE = 1e6
-STAND_IN_ENVIRONMENT = {  # overrides what this terminal exports for a robot
-    "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-    "ROS_STATIC_PEERS": "",
-    "ROS_DISCOVERY_SERVER": "",
-}
 
 
 class UsageError(Exception):
@@ -84,7 +77,7 @@ class Devices:
                 links that the set-up names.
         """
         setup = overlay.setup(self.config, self.simulate, task_setup(task) if task else "")
-        arm_of(setup)  # refuses what the controller would refuse
+        setup.arm()  # refuses what the controller would refuse
         setup = setup.changed({SIMULATION: {"seed": seed}})
         if folder is None:
             return setup
@@ -127,13 +120,13 @@ def launch(plan: Plan) -> Iterator[Launcher]:
     with ExitStack() as stack:
         if plan.stand_ins:
             domain = stack.enter_context(private_domain())
-            environment = STAND_IN_ENVIRONMENT | {"ROS_DOMAIN_ID": str(domain)}
+            environment = domain_environment(domain)
             files[plan.file.with_name(DOMAIN_FILE)] = f"{domain}\n"
         else:
             domain = exported(os.environ)
             if lock := hold(domain):
                 stack.enter_context(lock)
-            environment = {"ROS_AUTOMATIC_DISCOVERY_RANGE": discovery_range(os.environ)}
+            environment = {network.RANGE: discovery_range(os.environ)}
         stack.enter_context(folder_lock(plan.folder))
         if plan.stand_ins:
             _print_domain(domain)
@@ -197,16 +190,24 @@ def check_space(folder: Path, needed: float) -> None:
         )
 
 
-def session_environment(folder: Path) -> dict[str, str]:
-    """Environment variables that select the DDS domain of a session in simulation, else none."""
+def session_domain(folder: Path) -> int | None:
+    """DDS domain of a session in simulation; None on an arm, whose domain is in ROS_DOMAIN_ID."""
     file = folder / "logs" / DOMAIN_FILE
-    domain = file.read_text().strip() if file.exists() else ""
-    return STAND_IN_ENVIRONMENT | {"ROS_DOMAIN_ID": domain} if domain else {}
+    text = file.read_text().strip() if file.exists() else ""
+    return int(text) if text else None
+
+
+def domain_environment(domain: int | None) -> dict[str, str]:
+    """Environment variables of the processes in the domain of a simulation; none without one.
+
+    They override what this terminal exports for a robot.
+    """
+    return {} if domain is None else network.ON_LOOPBACK | {"ROS_DOMAIN_ID": str(domain)}
 
 
 def discovery_range(environment: Mapping[str, str]) -> str:
     """DDS discovery range of started nodes: this machine, unless the environment names one."""
-    return environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE") or "LOCALHOST"
+    return environment.get(network.RANGE) or "LOCALHOST"
 
 
 def _print_domain(domain: int) -> None:
@@ -254,28 +255,6 @@ def _confirm_activation() -> None:
         "Keep a hand on the pendant, then press Enter: "
     ):
         raise UsageError("no answer: standard input is closed")
-
-
-def arm_of(setup: overlay.Setup) -> tuple[list[str], Arm | None]:
-    """Joint names of the driver of a set-up, and model of its arm (None without a URDF file).
-
-    Raises:
-        ValueError: The URDF lacks joints or links that the set-up names.
-    """
-    from wam_power_ros.control.arm import Arm, guarded_points
-    from wam_power_ros.params.resources import share
-
-    controller = setup["torque_controller"]
-    if not controller["urdf"]:
-        return controller["joint_names"], None
-    urdf = share(controller["urdf"]).read_text()
-    names, tool = controller["model_joint_names"], controller["tool_frame"]
-    points = (controller[f"guarded_{part}"] for part in ("names", "links", "points"))
-    try:
-        return controller["joint_names"], Arm(urdf, names, tool, guarded_points(*points))
-    except ValueError as error:
-        where = "torque_controller: urdf, model_joint_names, tool_frame, guarded_links"
-        raise ValueError(f"{controller['urdf']}: {error} ({where})") from None
 
 
 def program_command() -> str:

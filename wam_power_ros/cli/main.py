@@ -14,16 +14,26 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import fields
+from functools import partial
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 from wam_power_ros import __version__
-from wam_power_ros.cli import bags_command, commands, plan_command, score_command, view
+from wam_power_ros.cli import bags_command, commands, plan_command, score_command
 from wam_power_ros.cli.launcher import Devices, UsageError, pasteable
-from wam_power_ros.cli.parser import Parser, natural, positive
+from wam_power_ros.cli.parser import (
+    Parser,
+    add_command,
+    config_option,
+    natural,
+    positive,
+    seed_option,
+    session_options,
+    task_option,
+)
 from wam_power_ros.cli.processes import ProcessError
-from wam_power_ros.cli.session_options import DEFAULT_TASK, SessionOptions
+from wam_power_ros.cli.session_options import SessionOptions
 from wam_power_ros.entry import INTERRUPTED
 from wam_power_ros.params import overlay
 
@@ -93,14 +103,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"wam_power_ros {__version__}")
     subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
 
-    def add(
-        name: str, command: Callable, summary: str, description: str = ""
-    ) -> argparse.ArgumentParser:
-        description = description or f"{summary.capitalize()}."
-        added = subparsers.add_parser(name, help=summary, description=description)
-        added.set_defaults(command=command)
-        return added
-
+    add = partial(add_command, subparsers)
     learn = add(
         "learn",
         commands.learn,
@@ -108,7 +111,7 @@ def _parser() -> argparse.ArgumentParser:
         "Start the nodes, record demonstrations, run the learning session, write its report.",
     )
     _skill_options(learn)
-    _session_options(learn)
+    session_options(learn)
     learn.add_argument("--session", type=Path, help="folder; resumed if it holds a session")
     learn.add_argument(
         "--resume", action="store_true", help="resume --session, or the newest session"
@@ -117,8 +120,8 @@ def _parser() -> argparse.ArgumentParser:
 
     teach = add("teach", commands.teach, "record kinesthetic demonstrations")
     _skill_options(teach)
-    _task_option(teach)
-    _seed_option(teach)
+    task_option(teach)
+    seed_option(teach)
     teach.add_argument("--folder", type=Path, help="for the bags (default: demonstrations/NOW)")
     _arm_options(teach)
 
@@ -131,12 +134,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     names = ", ".join(overlay.known())
     config.add_argument("config", nargs="*", metavar="NAME", help=f"{names}, or a .yaml file")
-    _task_option(config)
+    task_option(config)
     config.add_argument(
         "--simulate", action="store_true", help="replace the devices by simulated stand-ins"
     )
 
-    plan_command.add_to(subparsers, _session_options)
+    plan_command.add_to(subparsers)
 
     policy = add(
         "policy",
@@ -163,22 +166,22 @@ def _parser() -> argparse.ArgumentParser:
     feedback.add_argument("bag", type=Path, nargs="?", help="bag of the demonstration")
     feedback.add_argument("--session", type=Path, help="folder (default: the newest session)")
 
-    view_ = add(
+    view = add(
         "view",
-        view.view,
+        commands.view,
         "serve a page that shows a session or a bag in a browser",
         "Show arm, movements and learning curve in a browser; with buttons while a session runs.",
     )
-    view_.add_argument(
+    view.add_argument(
         "path", type=Path, nargs="?", metavar="SESSION|BAG", help="folder (default: newest session)"
     )
-    view_.add_argument(
+    view.add_argument(
         "--address",
         default="127.0.0.1",
         help="address to serve the page at (default 127.0.0.1: this machine only). At any other "
         "address, everyone who can reach it can press the buttons",
     )
-    view_.add_argument(
+    view.add_argument(
         "--port", type=natural, default=8080, help="port, or the next free one (default 8080)"
     )
 
@@ -239,15 +242,6 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _known(group: str) -> str:
-    return ", ".join(sorted(entry.name for entry in metadata.entry_points(group=group)))
-
-
-def _task_option(parser: argparse.ArgumentParser) -> None:
-    known = _known("wam_power_ros.tasks")
-    parser.add_argument("--task", metavar="NAME", help=f"one of {known} (default: {DEFAULT_TASK})")
-
-
 def _skill_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--demonstrations", type=positive, default=3, help="number to record (default 3)"
@@ -259,40 +253,10 @@ def _skill_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _seed_option(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--seed", type=natural, help="of exploration and simulation (default 0)")
-
-
-def _session_options(parser: argparse.ArgumentParser) -> None:
-    learners = _known("wam_power_ros.learners")
-    _task_option(parser)
-    _seed_option(parser)
-    parser.add_argument(
-        "--learner",
-        metavar="NAME",
-        default="",
-        help=f"one of {learners} (default: the preset's)",
-    )
-    parser.add_argument(
-        "--preset", metavar="NAME", default="", help="settings of the task (default: its first)"
-    )
-    parser.add_argument("--trials", type=natural, help="budget of rollouts (default: the preset's)")
-    parser.add_argument(
-        "--bags",
-        type=Path,
-        nargs="+",
-        default=(),
-        help="learn from these demonstrations, record none",
-    )
-
-
 def _arm_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--config",
-        action="append",
-        default=[],
-        metavar="NAME",
-        help="set-up of a driver, a motion capture, ...: "
+    config_option(
+        parser,
+        "set-up of a driver, a motion capture, ...: "
         f"{', '.join(overlay.known())}, or a .yaml file; may be repeated, later ones override "
         "earlier ones. Starts no stand-ins",
     )

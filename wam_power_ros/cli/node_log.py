@@ -8,8 +8,8 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from wam_power_ros.console.prompt import show
 
@@ -18,17 +18,11 @@ LOG_LINE = re.compile(r"\[(DEBUG|INFO|WARN|ERROR|FATAL)\] \[[\d.]+\] \[([^\]]+)\
 PROBLEMS = ("WARN", "ERROR", "FATAL")  # severities shown as problems
 
 
-@dataclass(frozen=True)
-class LogEntry:
-    """An entry of a node's log.
+class LogEntry(NamedTuple):
+    """An entry of a node's log."""
 
-    Attributes:
-        severity: One of INFO, WARN, ERROR, FATAL.
-        text: Name of the node and message.
-    """
-
-    severity: str
-    text: str
+    severity: str  # one of DEBUG, INFO, WARN, ERROR, FATAL
+    text: str  # name of the node and message
 
 
 class NodeLogs:

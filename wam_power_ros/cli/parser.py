@@ -1,12 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Argument parser that suggests the nearest valid name for a misspelt one; argument types."""
+"""Argument parser that suggests the nearest valid name for a misspelt one; options of commands."""
 
 from __future__ import annotations
 
 import argparse
 import difflib
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from importlib import metadata
+from pathlib import Path
 from typing import Any
+
+from wam_power_ros.cli.session_options import DEFAULT_TASK
 
 
 class Parser(argparse.ArgumentParser):
@@ -55,3 +59,67 @@ def _at_least(minimum: int, text: str) -> int:
     if value < minimum:
         raise argparse.ArgumentTypeError(f"{value} must be at least {minimum}")
     return value
+
+
+def add_command(
+    subparsers: argparse._SubParsersAction,
+    name: str,
+    command: Callable[..., int | None] | None,
+    summary: str,
+    description: str = "",
+) -> argparse.ArgumentParser:
+    """Add a command.
+
+    Args:
+        subparsers: Where to add it.
+        name: Name of the command.
+        command: Function that runs it, whose arguments are its options; None for a group.
+        summary: Its line in the list of commands.
+        description: Sentence above its options; the summary if omitted.
+    """
+    description = description or f"{summary.capitalize()}."
+    added: argparse.ArgumentParser = subparsers.add_parser(
+        name, help=summary, description=description
+    )
+    if command is not None:
+        added.set_defaults(command=command)
+    return added
+
+
+def config_option(parser: argparse.ArgumentParser, text: str) -> None:
+    """Add the option `--config`."""
+    parser.add_argument("--config", action="append", default=[], metavar="NAME", help=text)
+
+
+def preset_option(parser: argparse.ArgumentParser) -> None:
+    """Add the option `--preset`."""
+    text = "settings of the task (default: its first)"
+    parser.add_argument("--preset", metavar="NAME", default="", help=text)
+
+
+def task_option(parser: argparse.ArgumentParser) -> None:
+    """Add the option `--task`."""
+    text = f"one of {_known('tasks')} (default: {DEFAULT_TASK})"
+    parser.add_argument("--task", metavar="NAME", help=text)
+
+
+def seed_option(parser: argparse.ArgumentParser) -> None:
+    """Add the option `--seed`."""
+    parser.add_argument("--seed", type=natural, help="of exploration and simulation (default 0)")
+
+
+def session_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `SessionOptions`, except the number of demonstrations."""
+    task_option(parser)
+    seed_option(parser)
+    learners = f"one of {_known('learners')} (default: the preset's)"
+    parser.add_argument("--learner", metavar="NAME", default="", help=learners)
+    preset_option(parser)
+    parser.add_argument("--trials", type=natural, help="budget of rollouts (default: the preset's)")
+    bags = "learn from these demonstrations, record none"
+    parser.add_argument("--bags", type=Path, nargs="+", default=(), help=bags)
+
+
+def _known(group: str) -> str:
+    points = metadata.entry_points(group=f"wam_power_ros.{group}")
+    return ", ".join(sorted(point.name for point in points))

@@ -7,13 +7,14 @@ import argparse
 import os
 import re
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import yaml
 
 from wam_power_ros.cli.launcher import Devices, UsageError, discovery_range, folder_lock
+from wam_power_ros.cli.parser import add_command, config_option, session_options
 from wam_power_ros.cli.plan import (
     CONTROLLER,
     LEARNER,
@@ -37,21 +38,16 @@ STATE_PUBLISHER, RVIZ = "robot_state_publisher", "rviz2"  # packages, and their 
 LAUNCHED = {"sim": "the stand-ins and the nodes", "hardware": "the nodes alone"}  # NAME.launch.py
 
 
-def add_to(
-    subparsers: argparse._SubParsersAction,
-    session_options: Callable[[argparse.ArgumentParser], None],
-) -> None:
+def add_to(subparsers: argparse._SubParsersAction) -> None:
     """Add the command to the command line."""
     text = "print the processes of a session, which the launch files start, as JSON"
-    parser = subparsers.add_parser("plan", help=text, description=f"{text.capitalize()}.")
-    parser.set_defaults(command=plan, demonstrations=0)
+    parser = add_command(subparsers, "plan", plan, text)
+    parser.set_defaults(demonstrations=0)
     kinds = "; ".join(f"{name}: {what}" for name, what in LAUNCHED.items())
     parser.add_argument("kind", choices=LAUNCHED, help=kinds)
     parser.add_argument("--session", type=Path, help="folder to start or resume; else no learner")
     session_options(parser)
-    parser.add_argument(
-        "--config", action="append", default=[], metavar="NAME", help="set-up; may be repeated"
-    )
+    config_option(parser, "set-up; may be repeated")
     parser.add_argument("--pace", choices=("lockstep", "real_time"), help="of a simulation")
     parser.add_argument("--namespace", default="", help="of the nodes of one arm")
     parser.add_argument("--secure", action="store_true", help="run each node in its enclave")

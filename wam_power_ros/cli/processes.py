@@ -14,7 +14,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -40,6 +40,12 @@ class Running:
         """Last lines of the log."""
         lines = self.log.read_text(errors="replace").splitlines()
         return "\n".join(lines[-TAIL_LINES:]) or "(nothing was printed)"
+
+    def error(self) -> ProcessError:
+        """Error that says how the process has ended."""
+        status = self.process.returncode
+        cause = f"signal {-status}" if status < 0 else f"status {status}"
+        return ProcessError(f"{self.name} ended with {cause}. End of {self.log}:\n{self.tail}")
 
 
 class Processes:
@@ -76,7 +82,7 @@ class Processes:
             ProcessError: It failed, or another one ended.
         """
         if self.wait(running):
-            self._check([running])
+            raise running.error()
 
     def wait(self, running: Running) -> int:
         """Wait for a process that ends by itself and reports its own errors; return its status.
@@ -85,32 +91,20 @@ class Processes:
             ProcessError: Another process ended.
         """
         while (status := running.process.poll()) is None:
-            self._check(other for other in self._running if other is not running)
+            self.check(but=running)
             time.sleep(0.05)
         self._running.remove(running)
         return status
 
     def check(self, but: Running | None = None) -> None:
-        """Check that no process has ended, whatever its exit status.
-
-        Args:
-            but: Process that may end with status 0.
+        """Check that no process has ended, whatever its exit status, except one that may end.
 
         Raises:
             ProcessError: One has ended; the message has its name, status and the end of its log.
         """
-        succeeded = but is not None and but.process.poll() == 0
-        self._check(other for other in self._running if not (succeeded and other is but))
-
-    def _check(self, processes: Iterable[Running]) -> None:
-        for running in processes:
-            status = running.process.poll()
-            if status is None:
-                continue
-            cause = f"signal {-status}" if status < 0 else f"status {status}"
-            raise ProcessError(
-                f"{running.name} ended with {cause}. End of {running.log}:\n{running.tail}"
-            )
+        for running in self._running:
+            if running is not but and running.process.poll() is not None:
+                raise running.error()
 
     def stop(self, timeout: float = 8.0) -> None:
         """End every process: SIGINT, after `timeout` [s] SIGTERM, then SIGKILL."""

@@ -9,7 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from wam_power_ros.cli.launcher import UsageError, arm_of, task_setup
+from wam_power_ros.cli.launcher import UsageError, task_setup
+from wam_power_ros.cli.parser import add_command, config_option, preset_option
 from wam_power_ros.cli.session_options import DEFAULT_TASK
 from wam_power_ros.params import overlay
 
@@ -24,15 +25,12 @@ if TYPE_CHECKING:
 def add_to(subparsers: argparse._SubParsersAction) -> None:
     """Add the command to the command line."""
     text = "print the return of bags or of a whole session under any task and preset"
-    parser = subparsers.add_parser("score", help=text, description=f"{text.capitalize()}.")
-    parser.set_defaults(command=score)
+    parser = add_command(subparsers, "score", score, text)
     parser.add_argument("recorded", type=Path, nargs="+", help="bags, or folder of a session")
     default = f"task (default: the session's, else {DEFAULT_TASK})"
     parser.add_argument("--task", metavar="NAME", help=default)
-    parser.add_argument(
-        "--preset", metavar="NAME", default="", help="settings of the task (default: its first)"
-    )
-    parser.add_argument("--config", action="append", default=[], metavar="NAME", help="set-up")
+    preset_option(parser)
+    config_option(parser, "set-up")
 
 
 def score(recorded: Sequence[Path], task: str | None, preset: str, config: Sequence[str]) -> int:
@@ -44,7 +42,7 @@ def score(recorded: Sequence[Path], task: str | None, preset: str, config: Seque
         if Session.exists(path):
             _score_session(path, task, preset, config)
         else:
-            failed += not _score_bag(path, task or "flip", preset, config)
+            failed += not _score_bag(path, task or DEFAULT_TASK, preset, config)
     return 1 if failed else 0
 
 
@@ -53,13 +51,12 @@ def _score_bag(path: Path, name: str, chosen: str, config: Sequence[str]) -> boo
     from wam_power_ros.bags.bag import Bag
     from wam_power_ros.practice.settings import preset
 
-    setup = overlay.setup(config, task=task_setup(name))
-    names, arm = _arm(setup)
+    setup, arm = _set_up(name, config)
     try:
         bag = Bag(path)
-        context = _context(bag, name, setup, names, arm)
+        context = _context(bag, name, setup, arm)
         task = preset(name, chosen).make_task(context)
-        assessed = task.assess(*recorded_rollout(bag, task, names, arm))
+        assessed = task.assess(*recorded_rollout(bag, task, setup.joint_names, arm))
     except ValueError as error:
         print(f"{path}: no return: {error}")
         return False
@@ -78,7 +75,7 @@ def _score_session(folder: Path, task_name: str | None, chosen: str, config: Seq
 
     found = session.read(folder)
     name = task_name or found.header.settings.task
-    names, arm = _arm(overlay.setup(config, task=task_setup(name)))
+    setup, arm = _set_up(name, config)
     task = preset(name, chosen).make_task(found.context)
     print(f"{folder}: logged return; return and success under {name}, preset {chosen or 'first'}")
     by_kind: dict[str, list[tuple[float, float]]] = {}
@@ -91,7 +88,7 @@ def _score_session(folder: Path, task_name: str | None, chosen: str, config: Seq
             outcome = "no bag"
         else:
             try:
-                assessed = task.assess(*recorded_rollout(Bag(bag), task, names, arm))
+                assessed = task.assess(*recorded_rollout(Bag(bag), task, setup.joint_names, arm))
             except ValueError as error:
                 outcome = str(error)
             else:
@@ -106,11 +103,11 @@ def _score_session(folder: Path, task_name: str | None, chosen: str, config: Seq
         print(f"mean of {len(pairs)} {kind}: {before:.3f} logged, {now:.3f} now")
 
 
-def _arm(setup: overlay.Setup) -> tuple[list[str], Arm]:
-    names, arm = arm_of(setup)
-    if arm is None:
+def _set_up(task: str, config: Sequence[str]) -> tuple[overlay.Setup, Arm]:
+    setup = overlay.setup(config, task=task_setup(task))
+    if (arm := setup.arm()) is None:
         raise UsageError("the set-up has no URDF file of the arm: choose one with --config")
-    return names, arm
+    return setup, arm
 
 
 def recorded_rollout(
@@ -203,9 +200,7 @@ def _topic(topics: Iterable[str], name: str) -> str:
     return next((topic for topic in topics if f"/{topic}".endswith(f"/{name}")), "")
 
 
-def _context(
-    bag: Bag, task: str, setup: overlay.Setup, joint_names: list[str], arm: Arm
-) -> dict[str, Any]:
+def _context(bag: Bag, task: str, setup: overlay.Setup, arm: Arm) -> dict[str, Any]:
     """Context of the session that a bag belongs to, else of a session on this bag alone."""
     from wam_power_ros.bags import reader
     from wam_power_ros.params.torque_controller_params import TorqueControllerParams
@@ -215,7 +210,7 @@ def _context(
     folder = bag.path.resolve().parent.parent
     if Session.exists(folder) and (found := read(folder)).header.settings.task == task:
         return found.context
-    kind, states = plugins.task_type(task), reader.read_states(bag, joint_names)
+    kind, states = plugins.task_type(task), reader.read_states(bag, setup.joint_names)
     demonstration = kind.demonstration_of(arm, states.stamps, states.q)
     controller = TorqueControllerParams.of_setup(setup)
     return kind.context_of([demonstration], controller.region)

@@ -8,12 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from wam_power_ros.cli.launcher import (
-    Devices,
-    UsageError,
-    arm_of,
-    task_stems,
-)
+from wam_power_ros.cli.launcher import Devices, UsageError, task_stems
 
 if TYPE_CHECKING:
     from wam_power_ros.practice.session import SessionHeader
@@ -145,11 +140,11 @@ def _check_new(task: str, asked: SessionOptions, devices: Devices) -> None:
             f"a budget of {budget} rollouts leaves none to practise after "
             f"{reproductions} reproductions of demonstrations; raise --trials"
         )
-    names, arm = arm_of(devices.parameters(task))
-    tasks = task_stems()
+    setup, tasks = devices.parameters(task), task_stems()
+    arm = setup.arm()
     for path in asked.bags:
         bag = Bag(path)
-        reader.read_states(bag, names, arm=arm and arm.identity())
+        reader.read_states(bag, setup.joint_names, arm=arm and arm.identity())
         tasks_of_bag = tasks.get(bag.kind, {task})
         if task not in tasks_of_bag:
             listed = ", ".join(tasks_of_bag)

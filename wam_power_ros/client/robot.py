@@ -8,7 +8,7 @@ interrupt of a notebook, stops the arm. It is no safety function.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -315,22 +315,21 @@ def connect(*config: str, namespace: str = "", domain: int | None = None) -> Ite
     Raises:
         ValueError: A set-up is unknown, or none names a URDF.
     """
-    environment = {} if domain is None else {"ROS_DOMAIN_ID": str(domain)}
-    with connected(overlay.setup(config), environment, namespace) as robot:
+    with connected(overlay.setup(config), domain, namespace) as robot:
         yield robot
 
 
 @contextmanager
 def connected(
-    setup: overlay.Setup, environment: Mapping[str, str], namespace: str = ""
+    setup: overlay.Setup, domain: int | None, namespace: str = "", on_loopback: bool = False
 ) -> Iterator[Robot]:
-    """Connect to the nodes of a set-up; see `node_runner.participant` for the environment."""
+    """Connect to the nodes of a set-up; see `node_runner.participant` for the arguments."""
     controller, context = setup["torque_controller"], Context()
     if not controller["urdf"]:
         raise ValueError("the set-up names no urdf: give the one of the nodes")
     urdf = share(controller["urdf"]).read_text()
     make = lambda: rclpy.create_node("robot", namespace=namespace, context=context)  # noqa: E731
-    with participant(make, environment, context) as node, Link(node) as link:
+    with participant(make, domain, context, on_loopback) as node, Link(node) as link:
         yield Robot(
             link,
             controller["state_topic"],

@@ -9,7 +9,6 @@ if __name__ == "__main__":  # before the other imports, which a signal may inter
     raise SystemExit(start("wam_power_ros.console.feedback", INTERRUPTED))
 
 import sys
-from collections.abc import Mapping
 from pathlib import Path
 
 import rclpy
@@ -25,10 +24,7 @@ APPEAR_TIMEOUT = 10.0  # [s of wall time] until a service of the learner is avai
 
 
 def give(
-    kind: str,
-    bag: Path | None = None,
-    namespace: str = "",
-    environment: Mapping[str, str] | None = None,
+    kind: str, bag: Path | None = None, namespace: str = "", domain: int | None = None
 ) -> Answer:
     """Send feedback to the learner.
 
@@ -36,15 +32,17 @@ def give(
         kind: One of `client.feedback.SERVICES`, or "demonstration".
         bag: Bag of the demonstration, for the kind "demonstration".
         namespace: Namespace of the learner.
-        environment: Variables that select the DDS domain of the learner, over those of this
-            process.
+        domain: DDS domain of a simulation; None for that of ROS_DOMAIN_ID.
 
     Returns:
         Answer of the learner, or why there is none.
     """
     make = lambda: rclpy.create_node("feedback", namespace=namespace)  # noqa: E731
     try:
-        with participant(make, environment) as node, Link(node, APPEAR_TIMEOUT, LOG_AFTER) as link:
+        with (
+            participant(make, domain, on_loopback=domain is not None) as node,
+            Link(node, APPEAR_TIMEOUT, LOG_AFTER) as link,
+        ):
             return Feedback(link).give(kind, bag)
     except ServiceError as error:
         text = f"{error}; does a learner run with the same ROS_DOMAIN_ID?"

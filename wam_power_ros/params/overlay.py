@@ -13,12 +13,15 @@ import reprlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import yaml
 
 from wam_power_ros.params import parameter_file
 from wam_power_ros.params.resources import share
+
+if TYPE_CHECKING:
+    from wam_power_ros.control.arm import Arm
 
 Parameters = dict[str, dict[str, Any]]  # by node
 NODES = (
@@ -61,6 +64,32 @@ class Setup(Mapping[str, dict[str, Any]]):
     def __len__(self) -> int:
         """Number of nodes."""
         return len(self.nodes)
+
+    @property
+    def joint_names(self) -> list[str]:
+        """Joint names of the driver, base to tip."""
+        names: list[str] = self["torque_controller"]["joint_names"]
+        return names
+
+    def arm(self) -> Arm | None:
+        """Build the model of the arm; None without a URDF file.
+
+        Raises:
+            ValueError: The URDF lacks joints or links that the set-up names.
+        """
+        from wam_power_ros.control.arm import Arm, guarded_points
+
+        controller = self["torque_controller"]
+        if not controller["urdf"]:
+            return None
+        urdf = share(controller["urdf"]).read_text()
+        points = (controller[f"guarded_{part}"] for part in ("names", "links", "points"))
+        names, tool = controller["model_joint_names"], controller["tool_frame"]
+        try:
+            return Arm(urdf, names, tool, guarded_points(*points))
+        except ValueError as error:
+            where = "torque_controller: urdf, model_joint_names, tool_frame, guarded_links"
+            raise ValueError(f"{controller['urdf']}: {error} ({where})") from None
 
     def changed(self, changes: Mapping[str, Mapping[str, Any]]) -> Setup:
         """Set-up with other values of some parameters, by node."""

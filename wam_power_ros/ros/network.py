@@ -25,6 +25,7 @@ from wam_power_ros.params.resources import share
 RANGE, PROFILE = "ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE"
 PROFILE_HERE = "DEFAULT_FASTRTPS_PROFILES.xml"  # also read by Fast DDS, in the working directory
 LOOPBACK = "security/loopback.xml"
+ON_LOOPBACK = {RANGE: "LOCALHOST", "ROS_STATIC_PEERS": "", "ROS_DISCOVERY_SERVER": ""}
 TRANSPORTS = "FASTDDS_BUILTIN_TRANSPORTS"  # where no profile names them
 
 

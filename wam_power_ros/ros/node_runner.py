@@ -11,7 +11,7 @@ import os
 import signal
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
@@ -35,16 +35,17 @@ N = TypeVar("N", bound=Node)
 RCLError = rclpy_implementation.RCLError  # error of the middleware, such as invalid keys
 
 
-def init(context: Context | None = None) -> None:
+def init(context: Context | None = None, domain: int | None = None) -> None:
     """Initialise rclpy, on the loopback interface only unless the environment asks for more.
 
     Args:
         context: Context to initialise; that of the process by default.
+        domain: DDS domain; that of ROS_DOMAIN_ID by default.
 
     Raises:
         ValueError: ROS_DOMAIN_ID is not a domain, or security is enforced without keys.
     """
-    domain = exported(os.environ)
+    domain = exported(os.environ) if domain is None else domain
     security.check_keystore(os.environ, sys.argv)
     network.confine(os.environ)
     if not any(map(os.environ.get, ("ROS_LOG_DIR", "ROS_HOME", "HOME"))):  # rclpy insists on one
@@ -195,22 +196,26 @@ def end() -> None:
 @contextmanager
 def participant(
     make_node: Callable[[], N],
-    environment: Mapping[str, str] | None = None,
+    domain: int | None = None,
     context: Context | None = None,
+    on_loopback: bool = False,
 ) -> Iterator[N]:
     """Make a node; its context is shut down at the end.
 
     Args:
         make_node: Makes the node.
-        environment: Variables that select the DDS domain and the transports, over those of this
-            process, which are restored when the middleware has read them.
+        domain: DDS domain; that of ROS_DOMAIN_ID by default.
         context: Context of the node; that of the process by default.
+        on_loopback: Whether the node reaches this machine only, as a simulation does, even if the
+            environment asks for more.
     """
+    # The middleware reads its transports from the environment and nowhere else.
     node, before = None, dict(os.environ)
     try:
         try:
-            os.environ.update(environment or {})
-            init(context)
+            if on_loopback:
+                os.environ.update(network.ON_LOOPBACK)
+            init(context, domain)
             with refusing_open_sockets():
                 node = make_node()
         finally:

@@ -54,7 +54,7 @@ def of_session(
     server: viser.ViserServer,
     folder: Path,
     ready: Callable[[], object],
-    environment: Callable[[Path], dict[str, str]],
+    domain_of: Callable[[Path], int | None],
 ) -> None:
     """Show a session, its rollouts and its learning curve until interrupted.
 
@@ -62,7 +62,7 @@ def of_session(
         server: An open server.
         folder: Folder of the session.
         ready: Called when the page can be opened.
-        environment: Returns the environment variables of a session's DDS domain, by its folder.
+        domain_of: Returns the DDS domain of a session in simulation by its folder; None on an arm.
 
     Raises:
         ValueError: The session cannot be read.
@@ -77,7 +77,8 @@ def of_session(
         body = setup["pancake_tracker"]["body"]
         namespace = parameter_file.namespace(folder / "logs/parameters.yaml")
         make = partial(View, setup["torque_controller"], body, namespace)
-        with participant(make, environment(folder)) as node, node.link:
+        domain = domain_of(folder)
+        with participant(make, domain, on_loopback=domain is not None) as node, node.link:
             page.connect(node)
             _tick_until(page, LIVE_PERIOD, lambda: not running(folder))
             page.connect(None)
