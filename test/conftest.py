@@ -30,7 +30,7 @@ from wam_power_ros.client.link import DISCOVERY
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.policy import Basis, Policy
 from wam_power_ros.ros import network
-from wam_power_ros.ros.domain import private_domain
+from wam_power_ros.ros.domain import private_domain, shared
 
 network.confine(os.environ)  # this process, too
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # started in the background by a shell
@@ -167,8 +167,9 @@ class Processes:
 
     def __init__(self, domain_id: int, folder: Path) -> None:
         self._folder = folder
-        self.environment = os.environ | {
-            "ROS_DOMAIN_ID": str(domain_id),
+        self.environment = {
+            **os.environ,
+            **shared(domain_id),
             "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
             "PYTHONUNBUFFERED": "1",
         }

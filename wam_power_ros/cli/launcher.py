@@ -29,7 +29,7 @@ from wam_power_ros.cli.plan import (
 from wam_power_ros.cli.processes import Processes, Running
 from wam_power_ros.console.prompt import ask, show
 from wam_power_ros.params import overlay
-from wam_power_ros.ros.domain import exported, hold, private_domain
+from wam_power_ros.ros.domain import exported, hold, private_domain, shared
 
 if TYPE_CHECKING:
     from wam_power_ros.control.arm import Arm
@@ -127,13 +127,14 @@ def launch(plan: Plan) -> Iterator[Launcher]:
     with ExitStack() as stack:
         if plan.stand_ins:
             domain = stack.enter_context(private_domain())
-            environment = STAND_IN_ENVIRONMENT | {"ROS_DOMAIN_ID": str(domain)}
+            environment = STAND_IN_ENVIRONMENT | shared(domain)
             files[plan.file.with_name(DOMAIN_FILE)] = f"{domain}\n"
         else:
             domain = exported(os.environ)
             if lock := hold(domain):
                 stack.enter_context(lock)
-            environment = {"ROS_AUTOMATIC_DISCOVERY_RANGE": discovery_range(os.environ)}
+            reach = {"ROS_AUTOMATIC_DISCOVERY_RANGE": discovery_range(os.environ)}
+            environment = reach | shared(domain)
         stack.enter_context(folder_lock(plan.folder))
         if plan.stand_ins:
             _print_domain(domain)
