@@ -41,11 +41,12 @@ from wam_power_ros.practice.practice import RATING_MAX, Practice
 from wam_power_ros.practice.session import Session, read
 from wam_power_ros.practice.session_log import Event, Record, Trial
 from wam_power_ros.practice.settings import SessionSettings, preset
-from wam_power_ros.ros import interface, interrupts
+from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer, Code, ServiceError
 from wam_power_ros.ros.node_runner import (
     end,
     init,
+    interrupt_on_signals,
     parameter_file_hint,
     refusing_open_sockets,
 )
@@ -328,7 +329,7 @@ def _line(record: Record) -> str:
 def main() -> int:
     """Entry point of `ros2 run wam_power_ros learner`."""
     node = None
-    interrupts.install()
+    interrupt_on_signals()
     try:
         init()
         with refusing_open_sockets():
