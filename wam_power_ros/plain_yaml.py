@@ -7,7 +7,7 @@ from pathlib import Path
 
 import yaml
 
-from wam_power_ros.durable_files import check_regular
+from wam_power_ros import durable_files
 
 SIZE_MAX = 1_000_000  # largest file [byte]
 DEPTH_MAX = 20  # largest number of nested levels
@@ -21,11 +21,7 @@ def read(file: Path) -> object:
         ValueError: If it is not a regular file, too large, nested too deeply, has an alias, or is
             not YAML.
     """
-    check_regular(file)
-    size = file.stat().st_size
-    if size > SIZE_MAX:
-        raise ValueError(f"{file} has {size} bytes; at most {SIZE_MAX} are allowed")
-    return parse(file.read_bytes(), str(file))
+    return parse(durable_files.read(file, SIZE_MAX), str(file))
 
 
 def parse(text: bytes, where: str) -> object:

@@ -16,7 +16,7 @@ from typing import Any
 
 import yaml
 
-from wam_power_ros.durable_files import check_regular
+from wam_power_ros import durable_files
 
 SIZE_MAX = 1_000_000  # [byte]
 ROS_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")  # prefixes
@@ -67,17 +67,15 @@ def read(file: Path) -> dict[str, dict[str, Any]]:
         ValueError: The file is not a regular file, too large, not YAML, or does not contain
             parameters by node. The message names the file and, for a duplicate key, both lines.
     """
-    check_regular(file)
-    if (size := file.stat().st_size) > SIZE_MAX:
-        raise ValueError(f"{file} has {size} bytes; at most {SIZE_MAX} are allowed")
+    text = durable_files.read(file, SIZE_MAX)
     try:
-        nodes = yaml.load(file.read_text(encoding="utf-8"), Loader=Loader) or {}
+        nodes = yaml.load(text, Loader=Loader) or {}
         return dict(_sections(nodes))
     except ValueError as error:
         raise ValueError(f"{file}: {error}") from None
     except (yaml.YAMLError, TypeError, AttributeError, RecursionError) as error:
-        text = re.sub(r"\s+", " ", str(error))
-        raise ValueError(f"{file} is not a file of ROS parameters: {text}") from None
+        reason = re.sub(r"\s+", " ", str(error))
+        raise ValueError(f"{file} is not a file of ROS parameters: {reason}") from None
 
 
 def _sections(nodes: object, parent: str = "") -> Iterator[tuple[str, dict[str, Any]]]:
