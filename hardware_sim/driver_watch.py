@@ -27,7 +27,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from wam_power_ros.ros import interface, network, node_runner, security
 from wam_power_ros.ros.domain import FIRST_PORT, PORTS_PER_PARTICIPANT, exported, ports
-from wam_power_ros.ros.simulation_guard import STAND_IN, UNNAMED
+from wam_power_ros.ros.simulation_guard import STAND_IN, UNNAMED, described
 
 STATE_TYPE = "sensor_msgs/msg/JointState"
 OWN_NODES = {*security.TABLE, "check_driver"}  # may subscribe to commands
@@ -78,7 +78,7 @@ class DriverWatch:
             deadline = 0.0 if alone else self._start_time + DISCOVERY_TIME
             if name and (name != UNNAMED or now > deadline):
                 raise ValueError(
-                    f"{_described(name)} {activity} in DDS domain {domain}: a simulation must not "
+                    f"{described(name)} {activity} in DDS domain {domain}: a simulation must not "
                     "share a domain with a robot; choose another one: export ROS_DOMAIN_ID=N"
                 )
             complete = loopback_only and self._discovered() >= participants
@@ -102,7 +102,7 @@ class DriverWatch:
             self._unnamed_since = self._unnamed_since or now  # it may prove to be a stand-in
             return ""
         self._unnamed_since = 0.0
-        return f"{_described(name)} {activity}" if name else ""
+        return f"{described(name)} {activity}" if name else ""
 
     def _robot(self) -> tuple[str, str]:
         """Name and activity of a node that must not share the domain; empty for none."""
@@ -143,10 +143,6 @@ def _participants(domain: int) -> int:
     """Number of DDS participants of a domain on this machine, by their discovery ports."""
     used = network.ports_in_use() & set(ports(domain))
     return sum((port - FIRST_PORT) % PORTS_PER_PARTICIPANT == 0 for port in used)
-
-
-def _described(name: str) -> str:
-    return "a participant without a node name" if name == UNNAMED else f"node {name!r}"
 
 
 def main() -> int:
