@@ -32,14 +32,10 @@ def check_regular(path: Path) -> None:
 
 
 def read(path: Path, size_max: int) -> bytes:
-    """Read a file that somebody may have been given.
-
-    Args:
-        path: File.
-        size_max: Largest size [byte].
+    """Return the content of a file that somebody may have been given.
 
     Raises:
-        ValueError: It is not a regular file, or larger; the message names it.
+        ValueError: It is not a regular file, or larger than `size_max` [byte].
     """
     check_regular(path)
     if (size := path.stat().st_size) > size_max:

@@ -40,18 +40,14 @@ def parse(text: str | bytes, where: str, size_max: int = SIZE_MAX) -> Any:  # no
         ValueError: It is too large, nested too deeply, has a key twice in one object or a number
             that is not finite or beyond 128 bits, or is not JSON; the message names its origin.
     """
-    try:
-        decoded = text.decode() if isinstance(text, bytes) else text
-        size = len(text) if isinstance(text, bytes) else len(text.encode(errors="surrogatepass"))
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{where} is not JSON: {error}") from None
+    size = len(text if isinstance(text, bytes) else text.encode(errors="surrogatepass"))
     if size > size_max:
         raise ValueError(f"{where} has {size} bytes; at most {size_max} are allowed")
     try:
         data = json.loads(
-            decoded,
+            text.decode() if isinstance(text, bytes) else text,
             object_pairs_hook=_unique,
-            parse_constant=_refuse_constant,
+            parse_constant=_finite,
             parse_float=_finite,
             parse_int=_integer,
         )
@@ -80,10 +76,6 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         repeated = next(key for key in keys if keys.count(key) > 1)
         raise ValueError(f"key {repeated[:80]!r} appears twice")
     return found
-
-
-def _refuse_constant(name: str) -> float:
-    raise ValueError(f"{name} is not a finite number")
 
 
 def _finite(text: str) -> float:

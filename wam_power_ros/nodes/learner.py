@@ -45,10 +45,9 @@ from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer, Code, ServiceError
 from wam_power_ros.ros.node_runner import (
     end,
-    init,
     interrupt_on_signals,
     parameter_file_hint,
-    refusing_open_sockets,
+    started,
 )
 from wam_power_ros.tasks.task import Pose, Task
 
@@ -331,9 +330,7 @@ def main() -> int:
     node = None
     interrupt_on_signals()
     try:
-        init()
-        with refusing_open_sockets():
-            node = Learner()
+        node = started(Learner)
         node.practise()
     except (SessionFailed, ServiceError, ValueError, OSError) as error:
         log = node.get_logger() if node else rclpy.logging.get_logger("learner")

@@ -53,15 +53,20 @@ def init(context: Context | None = None) -> None:
     rclpy.init(context=context, domain_id=domain, signal_handler_options=signals)
 
 
-@contextmanager
-def refusing_open_sockets() -> Iterator[None]:
-    """Make a node within it.
+def started(make_node: Callable[[], N], context: Context | None = None) -> N:
+    """Initialise rclpy and make a node.
+
+    Args:
+        make_node: Makes the node, in `context`.
+        context: Context to initialise; that of the process by default.
 
     Raises:
-        ValueError: Sockets of that node are open to the network although no setting asks for it.
+        ValueError: As for `init`; or sockets of the node are open to the network although no
+            setting asks for it.
     """
+    init(context)
     before = network.bound_addresses()
-    yield
+    node = make_node()
     if network.wider_reach(os.environ) is None:
         opened = [each for each in network.bound_addresses() if each not in before]
         if exposed := [each for each in opened if not each.startswith("127.")]:
@@ -69,6 +74,7 @@ def refusing_open_sockets() -> Iterator[None]:
                 f"sockets at {', '.join(exposed)} are open to the network: Fast DDS has not "
                 f"applied the profile {os.environ.get(network.PROFILE)}"
             )
+    return node
 
 
 def executor_for(node: Node) -> Executor:
@@ -132,10 +138,7 @@ def run(
         signal.signal(number, lambda signum, _: received.append(signum))
     node = None
     try:
-        init()
-        with refusing_open_sockets():
-            made = make_node()
-        node = made
+        node = started(make_node)
         spin(node, lambda: bool(received))
     except (ValueError, RCLError) as error:
         if node is not None:
@@ -207,9 +210,7 @@ def participant(
     try:
         try:
             os.environ.update(environment or {})
-            init(context)
-            with refusing_open_sockets():
-                node = make_node()
+            node = started(make_node, context)
         finally:
             for name in os.environ.keys() - before.keys():
                 del os.environ[name]
