@@ -47,7 +47,7 @@ ALLOWED: dict[str, set[str]] = {
     "tasks": {"faults", "plotting", "regions", "rotations", "learning"},
     "practice": {"durable_files", "plain_yaml", "plain_json", "faults", "learning", "tasks"},
     "params": {
-        "durable_files",
+        "plain_yaml",
         "faults",
         "regions",
         "rotations",
@@ -73,7 +73,7 @@ ALLOWED["benchmark"] = {*ALLOWED}
 # Lines that a folder may have, docstrings and blanks included. Needing more is a reason to look for
 # what can go; where nothing can, the commit that raises a figure says why.
 BUDGET = {
-    "ground": 800,  # the modules of wam_power_ros/ itself
+    "ground": 790,  # the modules of wam_power_ros/ itself
     "learning": 2350,
     "control": 4050,
     "tracking": 610,
@@ -81,8 +81,8 @@ BUDGET = {
     "practice": 2120,
     "conformance": 1030,
     "bags": 2010,
-    "params": 960,
-    "ros": 2340,
+    "params": 950,
+    "ros": 2280,
     "client": 1180,
     "nodes": 3060,
     "console": 670,
@@ -90,7 +90,7 @@ BUDGET = {
     "reporting": 940,
     "in_process": 350,
     "cli": 2450,
-    "hardware_sim": 2900,
+    "hardware_sim": 2860,
     "launch": 260,
     "examples": 320,
     "reproduction": 3260,
@@ -310,10 +310,7 @@ LOADED_AS_CODE = {"pickle", "marshal", "shelve", "dill", "cloudpickle", "imp", "
 RUNS_TEXT = {"eval", "exec", "compile", "__import__"}
 UNSAFE = {"yaml": {"load", "load_all", "full_load", "unsafe_load"}, "os": {"system", "popen"}}
 ANYWHERE = sorted([*MODULES, *BENCHMARKS, *(ROOT / "launch").rglob("*.py")])
-YAML_LOAD = {  # with loaders that are checked below
-    ("plain_yaml.py", "yaml", "load"),
-    ("parameter_file.py", "yaml", "load"),
-}
+YAML_LOAD = {("plain_yaml.py", "yaml", "load")}  # with loaders that are checked below
 
 
 def runs_code(path: Path, call: ast.Call) -> bool:
