@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from wam_power_ros.ros.domain import shared
+
 ROOT = Path(__file__).resolve().parents[1]
 JOINTS = [f"wam_j{number}" for number in range(1, 8)]
 HOME = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
@@ -22,7 +24,7 @@ def environment(domain: int | None = None) -> dict[str, str]:
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
     }
-    return given if domain is None else given | {"ROS_DOMAIN_ID": str(domain)}
+    return given if domain is None else given | shared(domain)
 
 
 def ros_arguments(name: str, *configs: str, **parameters: object) -> list[str]:

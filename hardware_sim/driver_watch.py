@@ -20,16 +20,14 @@ if __name__ == "__main__":  # before the other imports, which a signal may inter
 import math
 import os
 import time
-from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 
 from rclpy.node import Node
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from wam_power_ros.ros import interface, network, node_runner, security
 from wam_power_ros.ros.domain import FIRST_PORT, PORTS_PER_PARTICIPANT, exported, ports
-from wam_power_ros.ros.simulation_guard import STAND_IN, UNNAMED
+from wam_power_ros.ros.simulation_guard import STAND_IN, UNNAMED, described
 
 STATE_TYPE = "sensor_msgs/msg/JointState"
 OWN_NODES = {*security.TABLE, "check_driver"}  # may subscribe to commands
@@ -37,10 +35,8 @@ TOOL_PREFIXES = ("_ros2cli", "rosbag2", "rqt", "plotjuggler", "foxglove")  # may
 DISCOVERY_TIME = 10.0  # [s] to discover all participants, which announce themselves every 3 s
 SETTLE_TIME = 1.0  # [s] from the discovery of a participant to that of its topics
 CHECK_PERIOD = 0.25  # [s] between checks for a robot while the simulation runs
-# A global id of Fast DDS begins with vendor and host, process (two bytes of its id, two at random),
-# and number of the participant: ends of these three.
-HOST_END, PROCESS_END, PARTICIPANT_END = 4, 8, 12
 EVENTS = "/parameter_events"  # every node publishes it
+PARTICIPANT_SIZE = 12  # bytes of a global id that name its participant (RTPS 2.2, 9.3.1)
 
 
 class DriverWatch:
@@ -52,7 +48,6 @@ class DriverWatch:
 
     def __init__(self, node: Node) -> None:
         self._node = node
-        self._own_gid_prefix = self._find_own_gid_prefix()
         parameter = {
             name: node.get_parameter(name).value
             for name in ("pace", "state_topic", "command_topic", "listeners")
@@ -77,15 +72,16 @@ class DriverWatch:
         loopback_only = network.wider_reach(os.environ) is None
         complete_since = math.inf
         while True:
-            now, others = time.monotonic(), _participants(domain)
+            now, participants = time.monotonic(), _participants(domain)
             name, activity = self._robot()
-            deadline = self._start_time + DISCOVERY_TIME if others or not loopback_only else 0.0
+            alone = loopback_only and participants <= 1
+            deadline = 0.0 if alone else self._start_time + DISCOVERY_TIME
             if name and (name != UNNAMED or now > deadline):
                 raise ValueError(
-                    f"{_described(name)} {activity} in DDS domain {domain}: a simulation must not "
+                    f"{described(name)} {activity} in DDS domain {domain}: a simulation must not "
                     "share a domain with a robot; choose another one: export ROS_DOMAIN_ID=N"
                 )
-            complete = loopback_only and self._discovered() >= others
+            complete = loopback_only and self._discovered() >= participants
             complete_since = min(complete_since, now) if complete else math.inf
             if not name and now > min(deadline, complete_since + SETTLE_TIME):
                 return
@@ -106,7 +102,7 @@ class DriverWatch:
             self._unnamed_since = self._unnamed_since or now  # it may prove to be a stand-in
             return ""
         self._unnamed_since = 0.0
-        return f"{_described(name)} {activity}" if name else ""
+        return f"{described(name)} {activity}" if name else ""
 
     def _robot(self) -> tuple[str, str]:
         """Name and activity of a node that must not share the domain; empty for none."""
@@ -114,11 +110,11 @@ class DriverWatch:
         for topic, types in node.get_topic_names_and_types():
             is_clock = topic == self._clock_topic
             if is_clock or (STATE_TYPE in types and topic not in self._command_topics):
-                for other in self._alive(node.get_publishers_info_by_topic(topic)):
+                for other in self._others(topic):
                     if is_clock or not self._is_stand_in_elsewhere(other):
                         return other.node_name, f"publishes {topic}"
         for topic in self._command_topics:
-            for other in self._alive(node.get_subscriptions_info_by_topic(topic)):
+            for other in node.get_subscriptions_info_by_topic(topic):
                 name = other.node_name
                 if name not in OWN_NODES and not name.startswith(self._listeners):
                     return name, f"receives {topic}"
@@ -129,56 +125,24 @@ class DriverWatch:
         elsewhere = other.node_namespace != self._node.get_namespace()
         return elsewhere and other.node_name == STAND_IN
 
+    def _others(self, topic: str) -> list[TopicEndpointInfo]:
+        """Publishers of a topic, without those of this node."""
+        node = self._node
+        name = node.get_name(), node.get_namespace()
+        found = node.get_publishers_info_by_topic(topic)
+        found.sort(key=lambda each: (each.node_name, each.node_namespace) != name)
+        return found[sum(own.topic_name == topic for own in node.publishers) :]
+
     def _discovered(self) -> int:
-        """Number of participants of other processes that have been discovered."""
-        events = self._alive(self._node.get_publishers_info_by_topic(EVENTS))
-        return len({bytes(each.endpoint_gid)[:PARTICIPANT_END] for each in events})
-
-    def _alive(self, endpoints: Sequence[TopicEndpointInfo]) -> list[TopicEndpointInfo]:
-        """Endpoints of other processes, without those of processes that have ended here.
-
-        A killed process stays announced for 20 s.
-        """
-        own = self._own_gid_prefix
-        if not own:  # another middleware
-            name = self._node.get_name(), self._node.get_namespace()
-            return [each for each in endpoints if (each.node_name, each.node_namespace) != name]
-        gids = [(bytes(each.endpoint_gid), each) for each in endpoints]
-        others = [(gid, each) for gid, each in gids if gid[:PROCESS_END] != own]
-        if not others:
-            return []
-        ids = (path.name for path in Path("/proc").glob("[0-9]*"))
-        running = {_low_bytes(int(id)) for id in ids}
-        host = own[:HOST_END]
-        return [
-            each for gid, each in others if gid[:HOST_END] != host or gid[HOST_END:][:2] in running
-        ]
-
-    def _find_own_gid_prefix(self) -> bytes:
-        """First bytes of the global ids of this process; empty if they are not of Fast DDS."""
-        deadline = time.monotonic() + 1.0
-        while time.monotonic() < deadline:
-            for each in self._node.get_publishers_info_by_topic(EVENTS):
-                gid = bytes(each.endpoint_gid)
-                if gid[HOST_END:][:2] == _low_bytes(os.getpid()):
-                    return gid[:PROCESS_END]
-            time.sleep(0.01)
-        return b""
-
-
-def _low_bytes(process: int) -> bytes:
-    return (process & 0xFFFF).to_bytes(2, "little")
+        """Number of participants that have been discovered, this one included."""
+        events = self._node.get_publishers_info_by_topic(EVENTS)
+        return len({bytes(each.endpoint_gid)[:PARTICIPANT_SIZE] for each in events})
 
 
 def _participants(domain: int) -> int:
-    """Number of other DDS participants of a domain on this machine, by their discovery ports."""
-    own = {int(address.rpartition(":")[2]) for address in network.bound_addresses()}
-    others = network.ports_in_use() & set(ports(domain)) - own
-    return sum((port - FIRST_PORT) % PORTS_PER_PARTICIPANT == 0 for port in others)
-
-
-def _described(name: str) -> str:
-    return "a participant without a node name" if name == UNNAMED else f"node {name!r}"
+    """Number of DDS participants of a domain on this machine, by their discovery ports."""
+    used = network.ports_in_use() & set(ports(domain))
+    return sum((port - FIRST_PORT) % PORTS_PER_PARTICIPANT == 0 for port in used)
 
 
 def main() -> int:

@@ -39,7 +39,7 @@ class OptitrackSim(Node):
             "optitrack_sim", automatically_declare_parameters_from_overrides=True, **options
         )
         self.params = params = OptitrackSimParams.of(self)
-        qos = interface.MOCAP_OUT if params.reliable else interface.MOCAP_OUT_BEST_EFFORT
+        qos = interface.MOCAP if params.reliable else interface.MOCAP_BEST_EFFORT
         self._poses = self._markers = None
         if params.pose_topic:
             self._poses = self.create_publisher(PoseStamped, params.pose_topic, qos)

@@ -78,7 +78,7 @@ class WamSim(Node):
     def _connect(self) -> None:
         """Create the topics of the driver."""
         params = self.params
-        qos = interface.STATE_OUT_DEEP
+        qos = interface.DEEP
         self._states = self.create_publisher(JointState, params.state_topic, qos)
         self._velocities = None
         if params.velocity_topic:

@@ -33,7 +33,7 @@ from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.policy import Basis, Policy, to_json
 from wam_power_ros.ros import interface, network
 from wam_power_ros.ros.answers import Answer, Code
-from wam_power_ros.ros.domain import private_domain
+from wam_power_ros.ros.domain import private_domain, shared
 from wam_power_ros.ros.requests import Request, read_answer
 
 network.confine(os.environ)  # this process, too
@@ -223,8 +223,9 @@ class Processes:
 
     def __init__(self, domain_id: int, folder: Path) -> None:
         self._folder = folder
-        self.environment = os.environ | {
-            "ROS_DOMAIN_ID": str(domain_id),
+        self.environment = {
+            **os.environ,
+            **shared(domain_id),
             "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
             "PYTHONUNBUFFERED": "1",
         }

@@ -31,6 +31,18 @@ def check_regular(path: Path) -> None:
         raise ValueError(f"{path} is {kind}; it must be a regular file")
 
 
+def read(path: Path, size_max: int) -> bytes:
+    """Return the content of a file that somebody may have been given.
+
+    Raises:
+        ValueError: It is not a regular file, or larger than `size_max` [byte].
+    """
+    check_regular(path)
+    if (size := path.stat().st_size) > size_max:
+        raise ValueError(f"{path} has {size} bytes; at most {size_max} are allowed")
+    return path.read_bytes()
+
+
 def sync(path: Path) -> None:
     """Flush a file, or the entries of a folder, to disk."""
     handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +17,6 @@ from wam_power_ros import durable_files
 SIZE_MAX = 1_000_000  # largest text [byte]
 DEPTH_MAX = 20  # largest number of nested levels
 INTEGER_MAX = 2**128  # the largest are states of NumPy's generators in session logs
-# Strings, also an unterminated one, so that the time is linear in the size; then the brackets.
-_BRACKETS = re.compile(r'"[^"\\]*(?:\\.?[^"\\]*)*(?:"|\Z)|([\[{])|([\]}])', re.DOTALL)
 
 
 def read(file: Path, size_max: int = SIZE_MAX) -> Any:  # noqa: ANN401 - JSON is any of its types
@@ -28,10 +25,7 @@ def read(file: Path, size_max: int = SIZE_MAX) -> Any:  # noqa: ANN401 - JSON is
     Raises:
         ValueError: As for `parse`, or it is not a regular file; the message names the file.
     """
-    durable_files.check_regular(file)
-    if (size := file.stat().st_size) > size_max:
-        raise ValueError(f"{file} has {size} bytes; at most {size_max} are allowed")
-    return parse(file.read_bytes(), str(file), size_max)
+    return parse(durable_files.read(file, size_max), str(file), size_max)
 
 
 def parse(text: str | bytes, where: str, size_max: int = SIZE_MAX) -> Any:  # noqa: ANN401
@@ -46,29 +40,33 @@ def parse(text: str | bytes, where: str, size_max: int = SIZE_MAX) -> Any:  # no
         ValueError: It is too large, nested too deeply, has a key twice in one object or a number
             that is not finite or beyond 128 bits, or is not JSON; the message names its origin.
     """
-    try:
-        decoded = text.decode() if isinstance(text, bytes) else text
-        size = len(text) if isinstance(text, bytes) else len(text.encode(errors="surrogatepass"))
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{where} is not JSON: {error}") from None
+    size = len(text if isinstance(text, bytes) else text.encode(errors="surrogatepass"))
     if size > size_max:
         raise ValueError(f"{where} has {size} bytes; at most {size_max} are allowed")
-    depth = 0
-    for bracket in _BRACKETS.finditer(decoded):
-        depth += bracket.lastindex == 1
-        depth -= bracket.lastindex == 2
-        if depth > DEPTH_MAX:
-            raise ValueError(f"{where} is nested deeper than {DEPTH_MAX} levels")
     try:
-        return json.loads(
-            decoded,
+        data = json.loads(
+            text.decode() if isinstance(text, bytes) else text,
             object_pairs_hook=_unique,
-            parse_constant=_refuse_constant,
+            parse_constant=_finite,
             parse_float=_finite,
             parse_int=_integer,
         )
-    except (ValueError, RecursionError) as error:
+        deep = _is_deeper(data, DEPTH_MAX)
+    except ValueError as error:
         raise ValueError(f"{where} is not JSON: {error}") from None
+    except RecursionError:
+        deep = True
+    if deep:
+        raise ValueError(f"{where} is nested deeper than {DEPTH_MAX} levels")
+    return data
+
+
+def _is_deeper(data: object, levels: int) -> bool:
+    """Whether data has more than this number of nested levels."""
+    if not isinstance(data, dict | list):
+        return False
+    values = data.values() if isinstance(data, dict) else data
+    return levels == 0 or any(_is_deeper(value, levels - 1) for value in values)
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -78,10 +76,6 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         repeated = next(key for key in keys if keys.count(key) > 1)
         raise ValueError(f"key {repeated[:80]!r} appears twice")
     return found
-
-
-def _refuse_constant(name: str) -> float:
-    raise ValueError(f"{name} is not a finite number")
 
 
 def _finite(text: str) -> float:

@@ -24,6 +24,7 @@ from wam_power_ros.cli.plan import DOMAIN_FILE, LEARNER, TRACKER, plan_of
 from wam_power_ros.cli.plan_command import arm_description, rviz_file
 from wam_power_ros.params import overlay
 from wam_power_ros.params.parameter_file import of_nodes
+from wam_power_ros.ros.domain import HELD
 
 BAGS = sorted((ROOT / "bags").glob("demo_*"))
 BARE = """
@@ -141,6 +142,7 @@ def test_each_node_of_a_namespace_has_its_clock_and_its_enclave(printed: Printed
         assert words[-2:] == ["--enclave", f"/left/{process['name']}"]
     assert plan["environment"]["ROS_SECURITY_ENABLE"] == "true"
     assert [shared for _, shared in plan["locks"]] == [True, False, False]
+    assert plan["environment"][HELD] == plan["environment"]["ROS_DOMAIN_ID"]  # by the launch
 
 
 def test_a_plan_refuses_a_session_in_use_and_changes_nothing(

@@ -117,7 +117,8 @@ def test_a_domain_that_another_session_holds_is_refused_at_once(
     command += [word for name in CONFIGS for word in ("--params-file", str(ROOT / "config" / name))]
     refused = processes.start(command, ROS_DOMAIN_ID=str(free))
     assert refused.wait(60.0) == 2
-    assert f"DDS domain {free} is in use on this machine by process" in processes.output(refused)
+    held = f"DDS domain {free} is in use on this machine by another session"
+    assert held in processes.output(refused)
 
 
 @pytest.mark.requirement("S-55")
@@ -156,8 +157,9 @@ PARAMETERS = {
 def graph(topic: str) -> SimpleNamespace:
     """A node that sees one publisher of joint states without a node name."""
     unnamed = driver_watch.UNNAMED
-    seen = SimpleNamespace(endpoint_gid=b"", node_name=unnamed, node_namespace=unnamed)
+    seen = SimpleNamespace(node_name=unnamed, node_namespace=unnamed)
     return SimpleNamespace(
+        publishers=[],
         get_namespace=lambda: "/left",
         get_name=lambda: "wam_sim",
         get_parameter=lambda name: SimpleNamespace(value=PARAMETERS[name]),
@@ -173,7 +175,6 @@ def test_a_publisher_of_another_namespace_is_given_time_to_be_named_and_one_of_o
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     now = 0.0
-    monkeypatch.setattr(driver_watch.DriverWatch, "_find_own_gid_prefix", lambda _: b"")
     monkeypatch.setattr(driver_watch.time, "monotonic", lambda: now)
     elsewhere = driver_watch.DriverWatch(graph("/right/joint_states"))
     ours = driver_watch.DriverWatch(graph("/left/arm/states"))

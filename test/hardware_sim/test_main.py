@@ -84,7 +84,7 @@ def test_in_real_time_states_come_500_times_a_second_with_the_wall_clock(
     probe: Probe, processes: Processes
 ) -> None:
     hardware = Hardware(probe, processes, "real_time", realtime_priority=70)
-    clouds = probe.listen(PointCloud2, interface.MARKERS, interface.MOCAP_IN)
+    clouds = probe.listen(PointCloud2, interface.MARKERS, interface.MOCAP_BEST_EFFORT)
     hardware.messages.clear()
     begun = time.time_ns()
     probe.until(lambda: len(hardware.messages) >= 1000, "a thousand states")

@@ -250,9 +250,7 @@ def test_in_lockstep_a_tracker_that_stood_still_loses_no_frame(
     probe: Probe, processes: Processes
 ) -> None:
     bench = Bench(probe, processes, use_sim_time=True)
-    frames = probe.publisher(
-        PoseStamped, interface.body_topic("pancake", "pose"), interface.MOCAP_OUT
-    )
+    frames = probe.publisher(PoseStamped, interface.body_topic("pancake", "pose"), interface.MOCAP)
     clock = probe.publisher(Clock, interface.CLOCK, interface.CLOCK_QOS)
     poses = toss(np.random.default_rng(1), 300)
     second = 1_000_000_000

@@ -232,6 +232,6 @@ def test_a_key_twice_in_the_parameter_file_of_a_process_stops_its_node(
     file.write_text("oven:\n  ros__parameters:\n    heat: 1.0\n    rings: 2\n    heat: 200.0\n")
     monkeypatch.setattr("sys.argv", ["oven", "--ros-args", "--params-file", str(file)])
     with pytest.raises(
-        ValueError, match=r"oven\.yaml: heat is given twice, in line 3 and in li.* 5"
+        ValueError, match=r"oven\.yaml.*: heat is given twice, in line 3 and in line 5"
     ):
         Oven.of(node_with(**GOOD))

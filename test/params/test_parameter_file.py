@@ -59,7 +59,7 @@ def test_a_number_is_decimal_and_all_else_is_text(tmp_path: Path, text: str, val
         ("    heat: 1.0\n    rings: 2\n    heat: 3.0\n", "heat is given twice, in line 3 and.* 5"),
         ("    a: {heat: 1, heat: 2}\n", "heat is given twice, in line 3 and in line 3"),
         ("    heat: &warm 1.0\n    rings: *warm\n", r"line 4: references \(\*name\) are refused"),
-        ("    heat: [1.0\n", "not a file of ROS parameters"),
+        ("    heat: [1.0\n", "oven.yaml is not plain YAML"),
         ("    - heat\n", "oven.yaml"),
     ],
 )

@@ -16,7 +16,14 @@ from pathlib import Path
 import pytest
 
 from wam_power_ros.ros import domain
-from wam_power_ros.ros.domain import DomainError, exported, hold, ports, private_domain
+from wam_power_ros.ros.domain import (
+    DomainError,
+    exported,
+    hold,
+    ports,
+    private_domain,
+    shared,
+)
 
 ROOT = Path(__file__).resolve().parents[2]
 HOLD = """
@@ -28,12 +35,12 @@ sys.stdin.readline()
 """
 
 
-def holder(number: int, *before: str) -> subprocess.Popen[str]:
+def holder(number: int, **environment: str) -> subprocess.Popen[str]:
     """A process that holds a domain until its input ends."""
     return subprocess.Popen(
-        [*before, sys.executable, "-c", HOLD, str(number)],
+        [sys.executable, "-c", HOLD, str(number)],
         cwd=ROOT,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        env=os.environ | {"PYTHONPATH": str(ROOT)} | environment,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
@@ -79,16 +86,17 @@ def test_a_domain_in_which_somebody_is_is_not_taken(two: tuple[int, int]) -> Non
 
 
 @pytest.mark.requirement("S-55")
-def test_a_domain_has_one_holder_and_belongs_to_the_processes_below_it(
+def test_a_domain_has_one_holder_and_is_shared_with_the_processes_that_it_starts(
     two: tuple[int, int],
 ) -> None:
     with private_domain() as taken:
-        assert hold(taken) is None
-        below = holder(taken)
+        below = holder(taken, **shared(taken))
         assert below.communicate("")[0] == "True\n"
+        other = holder(taken, **shared(taken + 1))  # of the holder of another domain
+        assert other.communicate("")[0] == ""
     other = holder(two[0])
     assert other.stdout is not None and other.stdout.readline() == "False\n"
-    with pytest.raises(DomainError, match=f"domain {two[0]} is in use .* process {other.pid} .*-c"):
+    with pytest.raises(DomainError, match=f"domain {two[0]} is in use .*fuser .*_{two[0]}.lock"):
         hold(two[0])
     other.communicate("")
     free = hold(two[0])  # the kernel ends the lock with its process

@@ -112,10 +112,10 @@ rclpy.shutdown()
 )
 def test_where_nothing_is_asked_for_the_loopback_interface_is_chosen(given: dict[str, str]) -> None:
     environment = dict(given)
-    assert confine(environment)
+    confine(environment)
     assert (environment[RANGE], environment[PROFILE]) == ("SYSTEM_DEFAULT", OURS)
     chosen = dict(environment)
-    assert confine(environment)  # in a child process
+    confine(environment)  # in a child process
     assert environment == chosen
 
 
@@ -137,7 +137,7 @@ def test_what_is_asked_for_wins_and_is_named(given: dict[str, str], reason: str)
     changed = {RANGE: "SYSTEM_DEFAULT"}.items() <= given.items() or PROFILE in given
     for inherited in ({},) if changed else ({}, above):
         environment = inherited | given
-        assert not confine(environment)
+        confine(environment)
         assert environment == {RANGE: "LOCALHOST", network.TRANSPORTS: "UDPv4", **given}
         assert reason in (wider_reach(environment) or "")
 
@@ -149,7 +149,7 @@ def test_a_profile_in_the_working_directory_wins_and_is_named(
     monkeypatch.chdir(tmp_path)
     (tmp_path / network.PROFILE_HERE).write_text("<dds/>")
     environment: dict[str, str] = {}
-    assert not confine(environment)
+    confine(environment)
     assert network.PROFILE_HERE in (wider_reach(environment) or "")
 
 

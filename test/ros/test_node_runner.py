@@ -6,14 +6,16 @@ from __future__ import annotations
 import os
 import signal
 import sys
-import time
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import pytest
 import rclpy
 from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
 from std_msgs.msg import String
 
+from wam_power_ros.entry import SIGNALS
 from wam_power_ros.ros import interface, node_runner
 
 if TYPE_CHECKING:
@@ -160,20 +162,33 @@ def test_a_refused_configuration_ends_the_process_with_its_reason(processes: Pro
     assert "Traceback" not in processes.output(process)
 
 
-def test_an_executor_that_dispatches_nothing_is_replaced(
+def test_without_an_events_executor_the_plain_one_is_used(
     probe: Probe, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from rclpy.executors import SingleThreadedExecutor
-    from rclpy.experimental import events_executor
-
-    class Deaf(SingleThreadedExecutor):
-        def spin_once(self, timeout_sec: float | None = None) -> None:
-            time.sleep(timeout_sec or 0.0)
-
-    monkeypatch.setattr(events_executor, "EventsExecutor", lambda context: Deaf(context=context))
-    executor = node_runner.executor_for(probe.node, timeout=0.2)
+    monkeypatch.setitem(sys.modules, "rclpy.experimental.events_executor", None)
+    executor = node_runner.executor_for(probe.node)
     assert type(executor) is SingleThreadedExecutor
     assert probe.node in executor.get_nodes()
+
+
+@pytest.fixture
+def interruptible() -> Iterator[None]:
+    """A process whose signals raise KeyboardInterrupt."""
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    node_runner.interrupt_on_signals()
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_the_first_signal_interrupts_at_once_and_further_ones_disturb_nothing(
+    number: int, interruptible: None
+) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        os.kill(os.getpid(), number)
+    for each in SIGNALS:
+        os.kill(os.getpid(), each)
 
 
 def test_a_node_in_another_domain_leaves_the_environment_of_its_process_as_it_was(

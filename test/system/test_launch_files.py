@@ -15,6 +15,8 @@ import pytest
 import yaml
 from conftest import ROOT, Processes
 
+from wam_power_ros.ros.domain import HELD
+
 pytest.importorskip("launch.actions", reason="launch is not installed")
 PATIENCE = 300.0  # [s of wall time]
 NOTES_ITS_CALL = """#!/bin/sh
@@ -70,6 +72,7 @@ class Launch:
             TMPDIR=str(temporary),
             ROS_LOG_DIR=str(self._folder / "log"),
             AMENT_PREFIX_PATH=str(prefix or os.environ.get("AMENT_PREFIX_PATH", "")),
+            **{HELD: ""},  # of a terminal, which holds no domain
         )
 
     @property
@@ -161,7 +164,7 @@ def test_hardware_is_not_launched_beside_a_simulation(launch: Launch, second: La
     second.temporary = launch.temporary  # where the locks of domains are
     second.start("hardware.launch.py", config="geodude natnet_ros2")
     assert second.process.wait(PATIENCE) == 1
-    assert re.search(r"DDS domain \d+ is in use on this machine by process", second.output)
+    assert re.search(r"DDS domain \d+ is in use on this machine by another session", second.output)
     assert "process started" not in second.output
     launch.interrupt()
     launch.has_ended_well()

@@ -30,7 +30,7 @@ from wam_power_ros.cli.processes import Processes, Running
 from wam_power_ros.console.prompt import ask, show
 from wam_power_ros.params import overlay
 from wam_power_ros.ros import network
-from wam_power_ros.ros.domain import exported, hold, private_domain
+from wam_power_ros.ros.domain import exported, hold, private_domain, shared
 
 MEGABYTE = 1e6
 
@@ -120,13 +120,13 @@ def launch(plan: Plan) -> Iterator[Launcher]:
     with ExitStack() as stack:
         if plan.stand_ins:
             domain = stack.enter_context(private_domain())
-            environment = domain_environment(domain)
+            environment = network.ON_LOOPBACK | shared(domain)
             files[plan.file.with_name(DOMAIN_FILE)] = f"{domain}\n"
         else:
             domain = exported(os.environ)
             if lock := hold(domain):
                 stack.enter_context(lock)
-            environment = {network.RANGE: discovery_range(os.environ)}
+            environment = {network.RANGE: discovery_range(os.environ)} | shared(domain)
         stack.enter_context(folder_lock(plan.folder))
         if plan.stand_ins:
             _print_domain(domain)

@@ -31,7 +31,7 @@ from wam_power_ros.cli.session_options import (
     learner_parameters,
 )
 from wam_power_ros.params.resources import share
-from wam_power_ros.ros.domain import exported, hold, lock_files
+from wam_power_ros.ros.domain import exported, hold, lock_files, shared
 
 NAMESPACE = re.compile(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 STATE_PUBLISHER, RVIZ = "robot_state_publisher", "rviz2"  # packages, and their executables
@@ -115,7 +115,7 @@ def plan(
         secure=secure,
         attended=False,
     )
-    environment = {
+    environment = shared(domain) | {
         "ROS_AUTOMATIC_DISCOVERY_RANGE": discovery_range(os.environ),
         "ROS_SECURITY_ENABLE": str(secure).lower(),
         "ROS_SECURITY_STRATEGY": "Enforce",

@@ -19,8 +19,8 @@ import rclpy
 from std_msgs.msg import Bool
 
 from wam_power_ros.console.prompt import show
-from wam_power_ros.ros import interface, interrupts
-from wam_power_ros.ros.node_runner import participant
+from wam_power_ros.ros import interface
+from wam_power_ros.ros.node_runner import interrupt_on_signals, participant
 
 FIRST_REPEAT = 0.75  # [s] at most until a held key repeats for the first time
 NEXT_REPEAT = 0.15  # [s] at most until it repeats again
@@ -46,7 +46,7 @@ def main() -> int:
     """Run `wam-power enable`: publish until Ctrl-C or until the terminal is closed."""
     if not sys.stdin.isatty():
         raise ValueError("enable reads keys from a terminal, but standard input is not one")
-    interrupts.install()
+    interrupt_on_signals()
     with participant(lambda: rclpy.create_node("enabling_switch")) as node:
         switch = node.create_publisher(Bool, interface.ENABLE, interface.ENABLE_OUT)
         key, terminal = HeldKey(), sys.stdin.fileno()

@@ -29,7 +29,6 @@ from wam_power_ros.ros.node_runner import participant
 
 DISCOVERY_TIME = 4.0  # [s] to discover other publishers; 2 s are usually enough
 CHECK_PERIOD = 1.0  # [s] between checks for publishers that start later
-QUEUE_DEPTH = 4000  # messages kept for a late subscriber
 COMMAND_NAMES = re.compile(r"command|cmd", re.IGNORECASE)
 COMMAND_TYPES = {"std_msgs/msg/Float64MultiArray", "trajectory_msgs/msg/JointTrajectory"}
 
@@ -163,7 +162,7 @@ def qos(topic: Topic) -> QoSProfile:
     reliable = all(item.reliability == QosReliability.RELIABLE for item in topic.offered)
     latched = topic.latched
     return QoSProfile(
-        depth=max(item.depth for item in topic.offered) if latched else QUEUE_DEPTH,
+        depth=max(item.depth for item in topic.offered) if latched else interface.DEEP.depth,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )

@@ -47,7 +47,6 @@ from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.ros import (
     interface,
-    interrupts,
     joint_messages,
     node_runner,
     pose_messages,
@@ -84,19 +83,19 @@ class CheckDriver(Node):
         self._send_torque: Callable[[StateSample], None] | None = None
         self._command_type = joint_messages.COMMAND_TYPES[arm.command_type]
         subscribe = self._subscribe
-        subscribe(JointState, arm.state_topic, self._on_state, interface.CHECK_IN)
+        subscribe(JointState, arm.state_topic, self._on_state, interface.DEEP_IN)
         if arm.velocity_topic:
-            subscribe(JointState, arm.velocity_topic, self._on_velocity, interface.CHECK_IN)
+            subscribe(JointState, arm.velocity_topic, self._on_velocity, interface.DEEP_IN)
         if mocap.markers_topic:
-            subscribe(PointCloud2, mocap.markers_topic, self._on_cloud, interface.CHECK_IN)
+            subscribe(PointCloud2, mocap.markers_topic, self._on_cloud, interface.DEEP_IN)
         else:
-            subscribe(PoseStamped, mocap.pose_topic, self._on_pose, interface.CHECK_IN)
+            subscribe(PoseStamped, mocap.pose_topic, self._on_pose, interface.DEEP_IN)
         if not arm.urdf:
             self.create_subscription(
                 String, interface.ROBOT_DESCRIPTION, self._on_urdf, interface.LATCHED
             )
         self._listener = self.create_subscription(
-            self._command_type, arm.command_topic, self._on_torque, interface.CHECK_IN
+            self._command_type, arm.command_topic, self._on_torque, interface.DEEP_IN
         )
         scheduling.request(arm.realtime_priority)  # as in the controller, to measure its jitter
         self.link = Link(self)
@@ -406,7 +405,7 @@ def main() -> int:
     """Entry point of `ros2 run wam_power_ros check_driver`; returns the exit status."""
     options = _parser().parse_args(remove_ros_args(sys.argv)[1:])
     console, errors = Console(), Console(stderr=True)
-    interrupts.install()
+    node_runner.interrupt_on_signals()
     try:
         setup = overlay.setup(options.config)
         arm = TorqueControllerParams.of_setup(setup)

@@ -40,13 +40,13 @@ from wam_power_ros.practice.practice import RATING_MAX, Practice
 from wam_power_ros.practice.session import Session, read
 from wam_power_ros.practice.session_log import Event, Record, Trial
 from wam_power_ros.practice.settings import SessionSettings, preset
-from wam_power_ros.ros import interface, interrupts
+from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer, Code, ServiceError
 from wam_power_ros.ros.node_runner import (
     end,
-    init,
+    interrupt_on_signals,
     parameter_file_hint,
-    refusing_open_sockets,
+    started,
 )
 from wam_power_ros.ros.requests import Request, Server
 from wam_power_ros.tasks.task import Pose, Task
@@ -331,11 +331,9 @@ def _line(record: Record) -> str:
 def main() -> int:
     """Entry point of `ros2 run wam_power_ros learner`."""
     node = None
-    interrupts.install()
+    interrupt_on_signals()
     try:
-        init()
-        with refusing_open_sockets():
-            node = Learner()
+        node = started(Learner)
         node.practise()
     except (SessionFailed, ServiceError, ValueError, OSError) as error:
         log = node.get_logger() if node else rclpy.logging.get_logger("learner")

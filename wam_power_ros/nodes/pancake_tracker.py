@@ -90,7 +90,7 @@ class PancakeTracker(Node):
             self._read, self._add = pose_messages.markers, self._tracker.add_markers
         self._discovery = self.create_timer(DISCOVERY_PERIOD, self._discover, clock=steady)
         if not self._sim_time:
-            self._subscribe_frames(interface.MOCAP_IN)
+            self._subscribe_frames(interface.MOCAP_BEST_EFFORT)
         subscribe(Path, interface.ROLLOUT_END_EFFECTOR, self._on_end_effector, interface.LATCHED)
         self.create_timer(0.5 / params.rate, self._check_silence, clock=steady)
         self.get_logger().info(f"waiting for frames of the {params.body} on {self._source}")
@@ -105,7 +105,7 @@ class PancakeTracker(Node):
         infos = self.get_publishers_info_by_topic(self._source)
         if infos:
             reliable = all(map(interface.is_reliable, infos))
-            self._subscribe_frames(interface.MOCAP_IN_RELIABLE if reliable else interface.MOCAP_IN)
+            self._subscribe_frames(interface.MOCAP if reliable else interface.MOCAP_BEST_EFFORT)
 
     def _subscribe_frames(self, qos: QoSProfile) -> None:
         self._discovery.cancel()

@@ -83,7 +83,7 @@ class TorqueController(LifecycleNode):
         self._read = cdr.StateReader(self._reader)
         writer = joint_messages.TorqueWriter(params.joint_names, params.command_type)
         self._write = cdr.TorqueSerializer(writer)
-        qos = interface.COMMAND_DEEP if sim_time else interface.COMMAND
+        qos = interface.DEEP if sim_time else interface.COMMAND
         self._commands = self.create_publisher(writer.message_type, params.command_topic, qos)
         self._preparation = Preparation(
             self.context.get_domain_id(),

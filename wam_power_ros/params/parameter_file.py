@@ -16,9 +16,8 @@ from typing import Any
 
 import yaml
 
-from wam_power_ros.durable_files import check_regular
+from wam_power_ros import plain_yaml
 
-SIZE_MAX = 1_000_000  # [byte]
 ROS_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")  # prefixes
 _TAG = "tag:yaml.org,2002:"
 _INT = re.compile(r"[-+]?(0|[1-9][0-9]*)$")
@@ -29,27 +28,21 @@ _FLOAT = re.compile(
 )
 
 
-class Loader(yaml.SafeLoader):
-    """Loads plain data: decimal numbers, unique keys, no references."""
-
-    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:  # noqa: ANN401
-        """Refuse a reference to another part of the file, as ROS does."""
-        if self.check_event(yaml.AliasEvent):
-            event = self.peek_event()
-            raise ValueError(f"line {event.start_mark.line + 1}: references (*name) are refused")
-        return super().compose_node(parent, index)
+class Loader(plain_yaml.LOADER):  # type: ignore[misc, valid-type]  # one of two classes
+    """Loads plain data: decimal numbers, unique keys."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         """Refuse a key that is given twice."""
         lines: dict[str, int] = {}
         for key, _ in node.value:
-            line = key.start_mark.line + 1
-            if key.value in lines:
-                first = lines[key.value]
-                raise ValueError(f"{key.value} is given twice, in line {first} and in line {line}")
             if isinstance(key, yaml.ScalarNode):
+                line = key.start_mark.line + 1
+                if key.value in lines:
+                    first = lines[key.value]
+                    text = f"{key.value} is given twice, in line {first} and in line {line}"
+                    raise yaml.YAMLError(text)
                 lines[key.value] = line
-        return super().construct_mapping(node, deep)
+        return dict(super().construct_mapping(node, deep))
 
 
 Loader.yaml_implicit_resolvers = {
@@ -67,23 +60,17 @@ def read(file: Path) -> dict[str, dict[str, Any]]:
         ValueError: The file is not a regular file, too large, not YAML, or does not contain
             parameters by node. The message names the file and, for a duplicate key, both lines.
     """
-    check_regular(file)
-    if (size := file.stat().st_size) > SIZE_MAX:
-        raise ValueError(f"{file} has {size} bytes; at most {SIZE_MAX} are allowed")
+    nodes = plain_yaml.read(file, Loader)
     try:
-        nodes = yaml.load(file.read_text(encoding="utf-8"), Loader=Loader) or {}
-        return dict(_sections(nodes))
+        return dict(_sections(nodes or {}))
     except ValueError as error:
         raise ValueError(f"{file}: {error}") from None
-    except (yaml.YAMLError, TypeError, AttributeError, RecursionError) as error:
-        text = re.sub(r"\s+", " ", str(error))
-        raise ValueError(f"{file} is not a file of ROS parameters: {text}") from None
 
 
 def _sections(nodes: object, parent: str = "") -> Iterator[tuple[str, dict[str, Any]]]:
     """Nodes and their parameters; a namespace may be a separate level."""
     for name, section in _mapping(nodes, parent or "the file").items():
-        path = f"{parent}/{name.lstrip('/')}" if parent else name
+        path = f"{parent}/{str(name).lstrip('/')}" if parent else str(name)
         if "ros__parameters" in _mapping(section, path):
             yield path, _mapping(section["ros__parameters"], f"ros__parameters of {path}")
         elif not section or not all(isinstance(child, dict) for child in section.values()):

@@ -9,14 +9,6 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
-LEVELS = {
-    "ok": DiagnosticStatus.OK,
-    "warn": DiagnosticStatus.WARN,
-    "error": DiagnosticStatus.ERROR,
-    "stale": DiagnosticStatus.STALE,
-}
-
-
 FAULT_KIND = "fault kind"  # key that only the status of a controller has
 
 
@@ -42,12 +34,12 @@ def diagnostics_message(
         now: Stamp.
         name: Name of node and component, see `component`.
         hardware_id: Name of the device.
-        level: One of `LEVELS`.
+        level: "ok", "warn", "error" or "stale".
         text: Summary for a person.
         values: Values by name, written as text.
     """
     status = DiagnosticStatus(
-        level=LEVELS[level],
+        level=getattr(DiagnosticStatus, level.upper()),
         name=name,
         hardware_id=hardware_id,
         message=text,

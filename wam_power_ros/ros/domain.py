@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """DDS domains of this machine: one process holds each, by a lock that ends with the process.
 
-A session holds the domain it works in, a stand-in the domain it was started in; nodes that they
-start share it. Simulations in namespaces may share a domain. This module imports no rclpy.
+A session holds the domain it works in, a stand-in the domain it was started in; processes that they
+start share it (`shared`). Simulations in namespaces may share a domain. This module imports no
+rclpy.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import os
 import random
 import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import IO
 
@@ -22,6 +23,7 @@ FIRST_PORT = 7410  # of a participant of domain 0 (RTPS 2.2, 9.6.1.1)
 PORTS_PER_DOMAIN, PORTS_PER_PARTICIPANT = 250, 2
 DOMAIN_MAX = 232  # ports of higher domains do not exist
 PRIVATE_DOMAINS = range(1, 102)  # ports of higher domains are also assigned by the kernel
+HELD = "WAM_POWER_HELD_DOMAIN"  # environment variable: domain that a parent process holds
 
 
 class DomainError(ValueError):
@@ -38,6 +40,11 @@ def exported(environment: Mapping[str, str]) -> int:
     if not (text.isascii() and text.isdigit() and int(text) <= DOMAIN_MAX):
         raise DomainError(f"ROS_DOMAIN_ID={text!r} is not a whole number from 0 to {DOMAIN_MAX}")
     return int(text)
+
+
+def shared(domain: int) -> dict[str, str]:
+    """Environment variables of processes that share a domain which this process holds."""
+    return {"ROS_DOMAIN_ID": str(domain), HELD: str(domain)}
 
 
 @contextmanager
@@ -76,11 +83,13 @@ def hold(domain: int, namespace: str = "") -> ExitStack | None:
         namespace: Namespace to hold beside those of other processes; empty for the whole domain.
 
     Returns:
-        The locks; None when a parent process of this one holds the domain already.
+        The locks; None if a parent process holds the domain, as its environment says (`shared`).
 
     Raises:
         DomainError: Another process holds it, or its lock cannot be read.
     """
+    if os.environ.get(HELD) == str(domain):
+        return None
     with ExitStack() as held:
         for file, shared in lock_files(domain, namespace):
             try:
@@ -91,14 +100,11 @@ def hold(domain: int, namespace: str = "") -> ExitStack | None:
                     "or remove it while nobody uses the domain"
                 ) from None
             except BlockingIOError:
-                holder = _holder(file)
-                if holder in _ancestors():
-                    return None
-                who = _command(holder) if holder else "another process"
                 where = f"namespace {namespace} of " if namespace.strip("/") else ""
                 raise DomainError(
-                    f"{where}DDS domain {domain} is in use on this machine by {who}; end it, or "
-                    "choose another domain: export ROS_DOMAIN_ID=N"
+                    f"{where}DDS domain {domain} is in use on this machine by another session "
+                    f"(`fuser {file}` names its process); end it, or choose another domain: "
+                    "export ROS_DOMAIN_ID=N"
                 ) from None
         return held.pop_all()
 
@@ -144,35 +150,3 @@ def _locked(path: Path, operation: int = fcntl.LOCK_EX) -> IO[str]:
         file.close()
         raise
     return file
-
-
-def _holder(path: Path) -> int:
-    """Id of the process that holds the lock on a file, from /proc/locks; 0 if not listed."""
-    with suppress(OSError):
-        inode = path.stat().st_ino
-        for line in Path("/proc/locks").read_text().splitlines():
-            words = line.split()
-            if "FLOCK" in words and words[-3].rpartition(":")[2] == str(inode):
-                return int(words[-4])
-    return 0
-
-
-def _ancestors() -> set[int]:
-    """Ids of this process and its parents."""
-    found, process = set(), os.getpid()
-    while process > 0 and process not in found:
-        found.add(process)
-        try:
-            stat = Path(f"/proc/{process}/stat").read_text()
-        except OSError:
-            break
-        process = int(stat.rpartition(")")[2].split()[1])
-    return found
-
-
-def _command(process: int) -> str:
-    try:
-        words = Path(f"/proc/{process}/cmdline").read_text(errors="replace").split("\0")
-    except OSError:
-        return f"process {process}"
-    return f"process {process} ({' '.join(words).strip()[:100]})"

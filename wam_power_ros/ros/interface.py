@@ -106,18 +106,15 @@ def _qos(depth: int, reliability: str = "RELIABLE", durability: str = "VOLATILE"
 
 # QoS: publish reliable, subscribe best effort, except for latched topics
 STATE_OUT = _qos(10)
-# For the stand-in, whose states may come in bursts: in lockstep, and when it catches up with its
-# clock. A recorder that could not run for seconds still gets the states that it missed.
-STATE_OUT_DEEP = _qos(4000)
 STATE_IN = _qos(10, "BEST_EFFORT")
-CHECK_IN = _qos(5000, "BEST_EFFORT")  # a check of drivers must not drop any message
-STATE_RECORD = _qos(4000, "BEST_AVAILABLE")  # a recorder may lag behind but must not lose states
 COMMAND = _qos(1)
-COMMAND_DEEP = _qos(4000)  # in lockstep: a recorder that lags behind loses none
-MOCAP_OUT = _qos(1000)  # a late reliable reader is sent what it missed
-MOCAP_OUT_BEST_EFFORT = _qos(10, "BEST_EFFORT")  # as of some drivers
-MOCAP_IN = _qos(500, "BEST_EFFORT")  # a path needs every frame: a burst must not drop any
-MOCAP_IN_RELIABLE = _qos(500)  # in lockstep, where a busy machine must not change a rollout
+# For readers that must lose nothing while they write to a disk: four seconds at 500 Hz. Lockstep
+# waits for the controller alone, so states and torques of a simulation are kept for a recorder.
+DEEP = _qos(2000)
+DEEP_IN = _qos(2000, "BEST_EFFORT")
+STATE_RECORD = _qos(2000, "BEST_AVAILABLE")
+MOCAP = _qos(500)  # a path needs every frame: two seconds at 240 Hz
+MOCAP_BEST_EFFORT = _qos(500, "BEST_EFFORT")
 LATCHED = _qos(1, durability="TRANSIENT_LOCAL")
 REQUESTS = _qos(10)
 ANSWERS = _qos(10, durability="TRANSIENT_LOCAL")  # to a client that was discovered meanwhile

@@ -29,14 +29,11 @@ ON_LOOPBACK = {RANGE: "LOCALHOST", "ROS_STATIC_PEERS": "", "ROS_DISCOVERY_SERVER
 TRANSPORTS = "FASTDDS_BUILTIN_TRANSPORTS"  # where no profile names them
 
 
-def confine(environment: MutableMapping[str, str]) -> bool:
+def confine(environment: MutableMapping[str, str]) -> None:
     """Set the variables that select transports: on loopback unless the environment asks for more.
 
     Args:
         environment: Variables of a process that has not initialised rclpy yet; changed.
-
-    Returns:
-        True if sockets will be bound to the loopback interface only.
     """
     profile = str(share(LOOPBACK))
     if environment.get(PROFILE) == profile:  # set by a parent process
@@ -47,9 +44,8 @@ def confine(environment: MutableMapping[str, str]) -> bool:
         environment[RANGE] = "LOCALHOST"
     if wider_reach(environment):
         environment.setdefault(TRANSPORTS, "UDPv4")
-        return False
-    environment |= {RANGE: "SYSTEM_DEFAULT", PROFILE: profile}
-    return True
+    else:
+        environment |= {RANGE: "SYSTEM_DEFAULT", PROFILE: profile}
 
 
 def wider_reach(environment: Mapping[str, str]) -> str | None:
@@ -73,7 +69,7 @@ def wider_reach(environment: Mapping[str, str]) -> str | None:
 
 
 def bound_addresses(process: str = "self") -> list[str]:
-    """Addresses `ip:port` to which UDP sockets of a process are bound; empty if not on Linux.
+    """Addresses `ip:port` to which UDP sockets of a process are bound.
 
     Args:
         process: Process id, or "self".
@@ -93,10 +89,9 @@ def ports_in_use() -> set[int]:
 def _udp_sockets() -> list[tuple[str, str]]:
     """Addresses and inodes of the UDP sockets (IPv4) of this network namespace."""
     found = []
-    with suppress(OSError):
-        for line in Path("/proc/self/net/udp").read_text().splitlines()[1:]:
-            words = line.split()
-            ip, _, port = words[1].partition(":")
-            address = socket.inet_ntoa(struct.pack("=I", int(ip, 16)))
-            found.append((f"{address}:{int(port, 16)}", words[9]))
+    for line in Path("/proc/self/net/udp").read_text().splitlines()[1:]:
+        words = line.split()
+        ip, _, port = words[1].partition(":")
+        address = socket.inet_ntoa(struct.pack("=I", int(ip, 16)))
+        found.append((f"{address}:{int(port, 16)}", words[9]))
     return found

@@ -14,10 +14,10 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 from typing import TypeVar
 
 import rclpy
-from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -25,9 +25,9 @@ from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from wam_power_ros.entry import INTERRUPTED, REFUSED
+from wam_power_ros.entry import INTERRUPTED, REFUSED, SIGNALS
 from wam_power_ros.params import parameter_file
-from wam_power_ros.ros import interrupts, network, security
+from wam_power_ros.ros import network, security
 from wam_power_ros.ros.answers import ServiceError
 from wam_power_ros.ros.domain import exported
 
@@ -54,15 +54,23 @@ def init(context: Context | None = None, domain: int | None = None) -> None:
     rclpy.init(context=context, domain_id=domain, signal_handler_options=signals)
 
 
-@contextmanager
-def refusing_open_sockets() -> Iterator[None]:
-    """Make a node within it.
+def started(
+    make_node: Callable[[], N], context: Context | None = None, domain: int | None = None
+) -> N:
+    """Initialise rclpy and make a node.
+
+    Args:
+        make_node: Makes the node, in `context`.
+        context: Context to initialise; that of the process by default.
+        domain: DDS domain; that of ROS_DOMAIN_ID by default.
 
     Raises:
-        ValueError: Sockets of that node are open to the network although no setting asks for it.
+        ValueError: As for `init`; or sockets of the node are open to the network although no
+            setting asks for it.
     """
+    init(context, domain)
     before = network.bound_addresses()
-    yield
+    node = make_node()
     if network.wider_reach(os.environ) is None:
         opened = [each for each in network.bound_addresses() if each not in before]
         if exposed := [each for each in opened if not each.startswith("127.")]:
@@ -70,36 +78,18 @@ def refusing_open_sockets() -> Iterator[None]:
                 f"sockets at {', '.join(exposed)} are open to the network: Fast DDS has not "
                 f"applied the profile {os.environ.get(network.PROFILE)}"
             )
+    return node
 
 
-def executor_for(node: Node, timeout: float = 1.0) -> Executor:
-    """Return the events executor if it calls a timer within `timeout` [s], else the plain one.
-
-    The events executor needs half the CPU of the plain one; some builds of it dispatch nothing.
-    """
+def executor_for(node: Node) -> Executor:
+    """Return the events executor, which needs half the CPU of the plain one, if rclpy has it."""
     try:
         from rclpy.experimental.events_executor import EventsExecutor
-
-        executor = EventsExecutor(context=node.context)
     except ImportError:
-        return _plain(node, "is not in this rclpy")
-    executor.add_node(node)
-    called: list[bool] = []
-    steady = Clock(clock_type=ClockType.STEADY_TIME)
-    timer = node.create_timer(1e-3, lambda: called.append(True), clock=steady)
-    start = steady.now()
-    while not called and (steady.now() - start).nanoseconds < timeout * 1e9:
-        executor.spin_once(timeout_sec=0.05)
-    node.destroy_timer(timer)
-    if called:
-        return executor
-    executor.remove_node(node)
-    return _plain(node, "dispatched nothing in its self-test")
-
-
-def _plain(node: Node, reason: str) -> Executor:
-    node.get_logger().warning(f"events executor {reason}; using the single-threaded executor")
-    executor = SingleThreadedExecutor(context=node.context)
+        node.get_logger().warning("no events executor in this rclpy; using the plain one")
+        executor: Executor = SingleThreadedExecutor(context=node.context)
+    else:
+        executor = EventsExecutor(context=node.context)
     executor.add_node(node)
     return executor
 
@@ -147,16 +137,13 @@ def run(
     Returns:
         Exit status: 0 after a signal, 2 when the configuration was refused.
     """
-    signals: list[int] = []
-    for number in interrupts.SIGNALS:
-        signal.signal(number, lambda received, _: signals.append(received))
+    received: list[int] = []
+    for number in SIGNALS:
+        signal.signal(number, lambda signum, _: received.append(signum))
     node = None
     try:
-        init()
-        with refusing_open_sockets():
-            made = make_node()
-        node = made
-        spin(node, lambda: bool(signals))
+        node = started(make_node)
+        spin(node, lambda: bool(received))
     except (ValueError, RCLError) as error:
         if node is not None:
             raise
@@ -169,6 +156,22 @@ def run(
             node.close()
         end()
     return 0
+
+
+def interrupt_on_signals() -> None:
+    """Let the first SIGINT or SIGTERM raise KeyboardInterrupt; further ones are ignored.
+
+    Only for processes whose main thread dispatches no callbacks: an exception that a signal handler
+    raises while the events executor calls Python from C++ becomes a RuntimeError or is lost.
+    """
+
+    def interrupt(signum: int, frame: FrameType | None) -> None:
+        for number in SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    for number in SIGNALS:
+        signal.signal(number, interrupt)
 
 
 def parameter_file_hint() -> str:
@@ -188,7 +191,7 @@ def end() -> None:
     `ros2 launch` sends a SIGINT after that of the terminal. The interpreter removes its handlers
     when it ends, and such a signal would change the exit status.
     """
-    for number in interrupts.SIGNALS:
+    for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)
     rclpy.try_shutdown()
 
@@ -215,9 +218,7 @@ def participant(
         try:
             if on_loopback:
                 os.environ.update(network.ON_LOOPBACK)
-            init(context, domain)
-            with refusing_open_sockets():
-                node = make_node()
+            node = started(make_node, context, domain)
         finally:
             for name in os.environ.keys() - before.keys():
                 del os.environ[name]
@@ -240,7 +241,7 @@ def run_script(make_node: Callable[[], N], work: Callable[[N], int | None]) -> i
         Exit status: that of `work`, REFUSED after an exception that is reported without a
         traceback, INTERRUPTED after a signal.
     """
-    interrupts.install()
+    interrupt_on_signals()
     try:
         with participant(make_node) as node:
             return work(node) or 0

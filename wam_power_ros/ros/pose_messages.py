@@ -8,6 +8,8 @@ are `int` nanoseconds, quaternions xyzw, all else SI.
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -16,7 +18,7 @@ from nav_msgs.msg import Odometry, Path
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import String
 
-from wam_power_ros import plain_json
+from wam_power_ros import plain_json, rotations
 from wam_power_ros.ros.stamps import nanoseconds, sensor_stamp, time_message
 
 if TYPE_CHECKING:
@@ -137,7 +139,7 @@ def odometry_message(state: StateReading, child_frame: str) -> Odometry:
     message = Odometry(child_frame_id=child_frame)
     message.header.stamp, message.header.frame_id = time_message(state.stamp_ns), state.frame
     _fill_pose(message.pose.pose, state.position, state.quat_xyzw)
-    rotation = _rotation(state.quat_xyzw)
+    rotation = rotations.matrix(state.quat_xyzw)
     linear, angular = message.twist.twist.linear, message.twist.twist.angular
     linear.x, linear.y, linear.z = (rotation.T @ state.velocity).tolist()
     angular.x, angular.y, angular.z = (rotation.T @ state.angular_velocity).tolist()
@@ -158,20 +160,9 @@ def odometry(message: Odometry) -> StateReading:
     twist = np.array([[linear.x, linear.y, linear.z], [angular.x, angular.y, angular.z]])
     if not np.isfinite(twist).all():
         raise ValueError(f"twist {twist.tolist()} must be finite")
-    velocity, angular_velocity = twist @ _rotation(reading.quat_xyzw).T
+    velocity, angular_velocity = twist @ rotations.matrix(reading.quat_xyzw).T
     variance = float(message.pose.covariance[0])
     return StateReading(*reading, velocity, angular_velocity, variance)
-
-
-def _rotation(quat_xyzw: np.ndarray) -> np.ndarray:
-    x, y, z, w = quat_xyzw
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
 
 
 class PathReading(NamedTuple):
@@ -220,8 +211,7 @@ class GroundTruth(NamedTuple):
 
 def ground_truth_message(truth: GroundTruth) -> String:
     """Message about the ground truth of a rollout: a JSON object."""
-    sec, nanosec = divmod(truth.end_ns, 1_000_000_000)
-    return String(data=json.dumps({"end": {"sec": sec, "nanosec": nanosec}, **truth.values}))
+    return String(data=json.dumps({"end": _stamp_values(truth.end_ns), **truth.values}))
 
 
 def ground_truth(message: String) -> GroundTruth:
@@ -230,10 +220,27 @@ def ground_truth(message: String) -> GroundTruth:
     Raises:
         ValueError: When it is not such a JSON object.
     """
+    with _refusing(message, "the ground truth of a rollout") as values:
+        return GroundTruth(_stamp(values.pop("end")), values)
+
+
+@contextmanager
+def _refusing(message: String, what: str) -> Iterator[dict[str, Any]]:
+    """Values of a message with a JSON object, which is refused if they are not as expected.
+
+    Raises:
+        ValueError: The message is not JSON, or reading its values within the context failed.
+    """
     try:
-        values = plain_json.parse(message.data, "the ground truth of a rollout")
-        end = values.pop("end")
-        return GroundTruth(int(end["sec"]) * 1_000_000_000 + int(end["nanosec"]), dict(values))
+        yield plain_json.parse(message.data, what)
     except (AttributeError, KeyError, TypeError, OverflowError) as error:
-        text = f"{message.data[:200]!r} must describe the ground truth of a rollout: {error!r}"
-        raise ValueError(text) from error
+        raise ValueError(f"{message.data[:200]!r} must describe {what}: {error!r}") from error
+
+
+def _stamp_values(stamp_ns: int) -> dict[str, int]:
+    sec, nanosec = divmod(stamp_ns, 1_000_000_000)
+    return {"sec": sec, "nanosec": nanosec}
+
+
+def _stamp(values: Mapping[str, Any]) -> int:
+    return int(values["sec"]) * 1_000_000_000 + int(values["nanosec"])

@@ -42,8 +42,6 @@ def request(priority: int) -> Granted:
 
 
 def _schedule(priority: int) -> str:
-    if not hasattr(os, "sched_setscheduler"):
-        return "not Linux"
     try:  # threads made later inherit from the one that makes them
         for thread in Path("/proc/self/task").iterdir():
             os.sched_setscheduler(int(thread.name), os.SCHED_FIFO, os.sched_param(priority))
@@ -54,8 +52,6 @@ def _schedule(priority: int) -> str:
 
 def _lock_memory() -> str:
     libc = ctypes.CDLL(None, use_errno=True)
-    if not hasattr(libc, "mlockall"):
-        return "not Linux"
     if libc.mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT) != 0:
         reason = os.strerror(ctypes.get_errno())
         return f"refused: {reason}; allow memlock in /etc/security/limits.d"

@@ -223,8 +223,7 @@ def check_keystore(environment: Mapping[str, str], arguments: Sequence[str]) -> 
     Raises:
         ValueError: The keystore or the enclave is missing; the message names it.
     """
-    enforced = environment.get("ROS_SECURITY_STRATEGY") == "Enforce"
-    if environment.get("ROS_SECURITY_ENABLE") != "true" or not enforced:
+    if not _enforced(environment):
         return
     keystore = environment.get("ROS_SECURITY_KEYSTORE", "")
     named = dict(pairwise(arguments)).get("--enclave", "/")
@@ -241,14 +240,16 @@ def check_keystore(environment: Mapping[str, str], arguments: Sequence[str]) -> 
 
 def exposed(environment: Mapping[str, str]) -> str | None:
     """Reason why others on the network can command this arm; None if they cannot."""
-    enforced = environment.get("ROS_SECURITY_STRATEGY") == "Enforce"
-    if environment.get("ROS_SECURITY_ENABLE") == "true" and enforced:
-        return None
     reason = network.wider_reach(environment)
-    if environment.get(network.RANGE) == "OFF" or reason is None:
+    if _enforced(environment) or environment.get(network.RANGE) == "OFF" or reason is None:
         return None
     return (
         f"anybody on the network can command this arm: {reason}, security not enforced. Remove "
         f"that setting and set {network.RANGE}=LOCALHOST to bind sockets to this machine's "
         "loopback interface, or enforce security: see SECURITY.md"
     )
+
+
+def _enforced(environment: Mapping[str, str]) -> bool:
+    switches = map(environment.get, ("ROS_SECURITY_ENABLE", "ROS_SECURITY_STRATEGY"))
+    return [*switches] == ["true", "Enforce"]

@@ -9,6 +9,11 @@ STAND_IN = "wam_sim"  # node that publishes the joint states of a simulated arm
 UNNAMED = "_NODE_NAME_UNKNOWN_"  # the node's name is not discovered yet, or it is no ROS node
 
 
+def described(name: str) -> str:
+    """Name of a node as it is discovered, for a sentence."""
+    return "a participant without a node name" if name == UNNAMED else f"node {name!r}"
+
+
 class SimulationGuard:
     """Looks who publishes the joint states that a controller in simulation answers.
 
@@ -28,10 +33,9 @@ class SimulationGuard:
         name = self._stranger()
         if name is None:
             return None
-        who = "a participant without a node name" if name == UNNAMED else f"node {name!r}"
         return (
-            f"{who} publishes {self._topic}, and this controller is for a simulation: it answers "
-            f"the stand-in {STAND_IN!r} only; for an arm set simulation: false"
+            f"{described(name)} publishes {self._topic}, and this controller is for a simulation: "
+            f"it answers the stand-in {STAND_IN!r} only; for an arm set simulation: false"
         )
 
     def intruder(self) -> str | None:
