@@ -179,7 +179,7 @@ def test_a_wrong_topic_or_type_is_named_with_what_there_is(tmp_path: Path) -> No
     [
         ("!!python/object/apply:os.system ['touch {mark}']", "not plain YAML"),
         ("rosbag2_bagfile_information: !!python/name:os.system", "not plain YAML"),
-        ("a: &a [x]\nb: *a", "alias"),
+        ("a: &a [x]\nb: *a", "references"),
         ("[" * 100_000, "nested deeper|nesting depth"),  # PyYAML 6.0.4 has a limit of its own
         ("x" * 1_000_001, "1000001 bytes"),
         ("a: b: c: :", "not plain YAML"),

@@ -19,7 +19,8 @@ from wam_power_ros.learning.policy import Policy, to_json
 from wam_power_ros.learning.rollout import EndEffectorPath, Rollout
 from wam_power_ros.practice.session import Session
 from wam_power_ros.practice.settings import preset
-from wam_power_ros.ros.pose_messages import Finished, finished_message, path_message
+from wam_power_ros.ros.pose_messages import path_message
+from wam_power_ros.ros.requests import RolloutEnd, answer_message
 
 ROOT = Path(__file__).resolve().parents[2]
 START = 1_700_000_000_000_000_000
@@ -39,9 +40,11 @@ def recorded(
         writer.add(topic, "nav_msgs/msg/Path", LATCHED)
         for stamp, found in ((START, old[topic]), (START + 10**9, paths[topic])):
             writer.write(topic, stamp, serialize_message(path_message(found, stamp, "base")))
-    writer.add("/rollout/finished", "std_msgs/msg/String", LATCHED)
-    finished = Finished(executed or policy.id, START + 10**9, fault)
-    writer.write("/rollout/finished", START + 10**9, string(finished_message(finished).data))
+    writer.add("/controller/answer", "std_msgs/msg/String", LATCHED)
+    end = RolloutEnd(executed or policy.id, START + 10**9, fault)
+    writer.write(
+        "/controller/answer", START + 10**9, string(answer_message("7", end.answer()).data)
+    )
     return writer.close({})
 
 
