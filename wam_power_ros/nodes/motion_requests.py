@@ -84,7 +84,9 @@ class MotionRequests:
             return core.execute() if do == "execute" else core.move_to_start()
 
         if sent_ns < self._stopped_ns:
-            return self._give(id, replace(STOPPED, text="stopped: sent before the last stop"))
+            return self._give(
+                id, replace(STOPPED, text="sent before the last stop, by the clock of its sender")
+            )
         if self._id:
             return self.refuse(id, "the previous request is under way")
         answer = attempt(self._active(), start)
