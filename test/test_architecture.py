@@ -84,7 +84,7 @@ BUDGET = {
     "params": 940,
     "ros": 2480,
     "client": 1240,
-    "nodes": 2930,
+    "nodes": 2940,
     "console": 670,
     "view": 1360,
     "reporting": 930,

@@ -16,7 +16,7 @@ import pytest
 from conftest import ROOT, Probe, Processes, lift
 from played_arm import HOME, NAMES, PlayedArm
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from benchmark.messages import largest_policy
@@ -100,6 +100,24 @@ def test_the_loop_waits_neither_for_a_policy_nor_for_a_log_and_stop_is_obeyed_at
     assert probe.until(lambda: execute, "the answer")[0].code is Code.STOPPED
     answered(arm)  # a stopped rollout is not executed
     probe.until(lambda: "must be finite" in processes.output(arm.process), "the log")
+
+
+@pytest.mark.requirement("S-54")
+def test_an_arm_that_a_person_takes_does_not_move_on_a_request_that_was_sent_before(
+    probe: Probe, arm: PlayedArm, worker: Worker
+) -> None:
+    refused = probe.ask("wave")
+    probe.until(lambda: refused, "an answer, so both have been discovered")
+    worker.signal(signal.SIGSTOP)
+    move = probe.ask("move_to_start", lift("late"))
+    probe.spin(0.3)
+    free = SetBool.Request(data=True)
+    assert probe.call(SetBool, interface.GRAVITY_COMPENSATION, free).success
+    worker.signal(signal.SIGCONT)
+    assert probe.until(lambda: arm.send() or move, "the answer")[0].code is Code.STOPPED
+    for _ in range(25):
+        arm.send()
+        assert arm.answer().label == "gravity_compensation"
 
 
 @pytest.mark.requirement("S-54")

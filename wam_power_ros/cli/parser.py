@@ -71,7 +71,7 @@ def add_command(
     """Add a command.
 
     Args:
-        subparsers: Where to add it.
+        subparsers: Commands of the parser to which it is added.
         name: Name of the command.
         command: Function that runs it, whose arguments are its options; None for a group.
         summary: Its line in the list of commands.

@@ -155,7 +155,7 @@ class Learner(Node):
 
         def serve(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             try:
-                answer = self._log(
+                answer = self._append(
                     lambda practice: practice.rate(amount, clock={"at": time.time()})
                 )
             except ValueError as error:
@@ -166,7 +166,7 @@ class Learner(Node):
 
         return serve
 
-    def _log(self, make: Callable[[Practice], Event]) -> Answer:
+    def _append(self, make: Callable[[Practice], Event]) -> Answer:
         """Append an event to the log of the session.
 
         Raises:
@@ -194,7 +194,7 @@ class Learner(Node):
             policy = self._demonstrations.fit([read], bag, f"demonstration-{number}")
             return practice.add_demonstration(policy, bag, clock={"at": time.time()})
 
-        return self._log(make)
+        return self._append(make)
 
     # A session
 

@@ -61,7 +61,7 @@ class MotionRequests:
         self._joint_names, self._active, self._send = joint_names, active, give
         self._given: dict[str, Answer] = {}  # last answers by id
         self._id = self._do = ""  # request under way; "" for none
-        self._stopped_ns = 0  # wall time; what was sent before is not begun
+        self._begin_ns = 0  # wall time; what was sent before is not begun
 
     def begin(self, id: str, do: str, about: PreparedPolicy | Sampled, sent_ns: int) -> None:
         """Begin a movement and answer that it has begun, or why not.
@@ -72,7 +72,7 @@ class MotionRequests:
             id: Id of the request.
             do: "move_to_start" or "execute" a policy, or "replay" a movement.
             about: The policy or the movement.
-            sent_ns: When the request was sent, by the clock of its sender [ns].
+            sent_ns: Time at which the request was sent, by the clock of its sender [ns].
         """
         if id in self._given:
             return self._send(id, self._given[id])
@@ -83,10 +83,9 @@ class MotionRequests:
             core.load_prepared(about)
             return core.execute() if do == "execute" else core.move_to_start()
 
-        if sent_ns < self._stopped_ns:
-            return self._give(
-                id, replace(STOPPED, text="sent before the last stop, by the clock of its sender")
-            )
+        if sent_ns < self._begin_ns:
+            text = "sent before the last stop, reset or activation, by the clock of its sender"
+            return self._give(id, replace(STOPPED, text=text))
         if self._id:
             return self.refuse(id, "the previous request is under way")
         answer = attempt(self._active(), start)
@@ -94,6 +93,14 @@ class MotionRequests:
             self._id, self._do = id, do
             answer = replace(answer, code=Code.BEGUN)
         return self._give(id, answer)
+
+    def expire(self) -> None:
+        """Begin nothing any more that was sent before now, also what is still being read.
+
+        A person who stops the arm, takes it in the hand, resets a fault or activates the controller
+        does not expect it to move on an earlier request.
+        """
+        self._begin_ns = time.time_ns()
 
     def refuse(self, id: str, reason: str) -> None:
         """Refuse a request for now."""
@@ -122,11 +129,8 @@ class MotionRequests:
         self._end(answer)
 
     def stop(self, core: Controller | None) -> None:
-        """Answer the request under way: a person has stopped the arm.
-
-        A request that was sent before, and is still being read, is not begun any more.
-        """
-        self._stopped_ns = time.time_ns()
+        """Answer the request under way: a person has stopped the arm."""
+        self.expire()
         if self._do == "replay":
             summary = self._summary(core)
             self._end(replace(STOPPED, text=f"stopped\n{summary}".rstrip()))
@@ -135,7 +139,7 @@ class MotionRequests:
 
     def deactivated(self) -> None:
         """Answer the request under way: the controller is not active any more."""
-        self._stopped_ns = time.time_ns()
+        self.expire()
         if self._id:
             self._end(NOT_ACTIVE)
 

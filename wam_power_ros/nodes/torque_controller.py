@@ -156,6 +156,7 @@ class TorqueController(LifecycleNode):
             self._report.refuse("activation", reason)
             return FAILURE
         self._active = True
+        self._requests.expire()
         self._watchdog.activated()
         self._report.log_changes(self._condition())
         return super().on_activate(state)
@@ -403,9 +404,14 @@ class TorqueController(LifecycleNode):
         self, request: Callable[[Controller, Any], None]
     ) -> Callable[[Any, Trigger.Response], Trigger.Response]:
         """Service callback that makes a request to the controller."""
-        return lambda asked, response: fill(
-            response, attempt(self._active_controller(), lambda core: request(core, asked))
-        )
+
+        def answer(asked: Any, response: Trigger.Response) -> Trigger.Response:  # noqa: ANN401
+            self._requests.expire()
+            return fill(
+                response, attempt(self._active_controller(), lambda core: request(core, asked))
+            )
+
+        return answer
 
     # Timers
 

@@ -33,7 +33,7 @@ class Request:
     """A request to a node.
 
     Attributes:
-        do: What to do.
+        do: Name of what is to be done, such as "execute".
         about: Texts by name, such as the policy to execute.
         id: Id of this request, by default one that no other request has.
     """
