@@ -95,8 +95,9 @@ def test_a_bad_policy_is_refused_whole_and_the_good_one_stays(
         answers = probe.ask(do, text)
         return probe.until(lambda: arm.send() or answers, "an answer")[0]
 
-    assert asked("move_to_start", to_json(lift("good"))).code is Code.BEGUN
-    arm.diagnosis(lambda d: arm.send() or d["mode"] == "hold", "the end of the move")
+    moved = probe.ask("move_to_start", to_json(lift("good")))
+    probe.until(lambda: arm.send() or len(moved) == 2, "the end of the move")
+    assert [answer.code for answer in moved] == [Code.BEGUN, Code.DONE]
     bad = to_json(with_id(lift("good"), "bad")).replace("300.0", "NaN", 1)
     stiff = to_json(with_id(lift("good"), "stiff")).replace("300.0", "9e9")
     for count, text in enumerate((bad, "{", stiff), start=1):  # each is taken before the next
