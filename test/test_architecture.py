@@ -74,11 +74,11 @@ ALLOWED["benchmark"] = {*ALLOWED}
 # what can go; where nothing can, the commit that raises a figure says why.
 BUDGET = {
     "ground": 780,  # the modules of wam_power_ros/ itself
-    "learning": 2330,
+    "learning": 2340,
     "control": 3950,
     "tracking": 590,
     "tasks": 2670,
-    "practice": 2040,
+    "practice": 2080,
     "conformance": 1030,
     "bags": 2010,
     "params": 940,

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 from hill_task import SIZE, TOP, CrudeModel, climb, hill, rng
+from hypothesis import given
+from hypothesis import strategies as st
 
 from wam_power_ros.learning.adaptive_power import AdaptivePower
 from wam_power_ros.learning.baselines import RandomSearch
@@ -267,6 +269,37 @@ def test_rollouts_are_kept_in_order_until_they_are_cleared() -> None:
     assert rollouts.returns.tolist() == [0.5, 0.25] and len(rollouts) == 2
     rollouts.clear()
     assert len(rollouts) == 0
+
+
+@given(
+    returns=st.lists(st.sampled_from([0.0, 0.25, 0.5, 1.0]), min_size=1, max_size=40),
+    sigma=st.integers(1, 12),
+)
+def test_the_elite_is_that_of_all_rollouts_at_any_number_of_them(
+    returns: list[float], sigma: int
+) -> None:
+    rollouts = Rollouts(1)
+    for count, ret in enumerate(returns, start=1):
+        rollouts.add(np.array([float(count)]), ret)
+        past = np.array(returns[:count])
+        expected = np.sort(best_first(past)[:sigma])
+        z, elite = rollouts.elite(sigma)
+        assert z.ravel().tolist() == (expected + 1.0).tolist()
+        assert elite.tolist() == past[expected].tolist()
+        assert rollouts.z.ravel().tolist() == list(range(1, count + 1))
+
+
+def test_rollouts_that_were_given_out_neither_change_nor_can_be_changed() -> None:
+    rollouts = Rollouts(1)
+    rollouts.add(np.array([1.0]), 0.5)
+    z, returns = rollouts.z, rollouts.returns
+    rollouts.clear()
+    for _ in range(20):
+        rollouts.add(np.array([2.0]), 0.75)
+    assert z.tolist() == [[1.0]] and returns.tolist() == [0.5]
+    for given_out in (z, returns, rollouts.z, rollouts.returns):
+        with pytest.raises(ValueError, match="read-only"):
+            given_out[0] = 0.0
 
 
 def test_of_equal_returns_the_later_rollout_comes_first() -> None:

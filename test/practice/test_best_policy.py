@@ -4,7 +4,14 @@
 import numpy as np
 import pytest
 
-from wam_power_ros.practice.best_policy import Runs
+from wam_power_ros.practice.past import Runs
+
+
+def run(name: str, returns: list[float]) -> Runs:
+    runs = Runs(name, "demonstration-1", np.zeros(3))
+    for ret in returns:
+        runs.add(ret, succeeded=True)
+    return runs
 
 
 @pytest.mark.parametrize(
@@ -19,11 +26,11 @@ from wam_power_ros.practice.best_policy import Runs
 def test_the_lower_bound_is_the_mean_minus_its_standard_error(
     returns: list[float], noise: float, bound: float
 ) -> None:
-    runs = Runs("trial-0001", "demonstration-1", np.zeros(3), returns)
+    runs = run("trial-0001", returns)
     assert runs.lower_bound(noise) == pytest.approx(bound)
 
 
 def test_more_runs_count_more_than_one_that_was_lucky() -> None:
-    once, often = (Runs("id", "demo", np.zeros(3), returns) for returns in ([0.68], [0.6] * 4))
+    once, often = run("once", [0.68]), run("often", [0.6] * 4)
     assert often.lower_bound(0.2) > once.lower_bound(0.2)
     assert once.lower_bound(0.05) > often.lower_bound(0.05)

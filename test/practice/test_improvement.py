@@ -33,7 +33,7 @@ def never(z: np.ndarray) -> bool:
 
 
 def feasible(refuse: Callable[[Policy], str]) -> Callable[[np.ndarray], bool]:
-    return feasibility(PARAMETERS, AnyArm(refuse), [], "sample")
+    return feasibility(PARAMETERS, AnyArm(refuse), 0, "sample")
 
 
 def place(policy: Policy) -> float:

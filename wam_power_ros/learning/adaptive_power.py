@@ -37,12 +37,13 @@ class AdaptivePower(GaussianLearner):
     settings: Settings
 
     def _update(self) -> None:
-        rollouts, returns = self._rollouts.z, self._rollouts.returns
+        z, returns = self._rollouts.elite(self.settings.variance_sigma)
         if returns.max() <= 0.0:
             return
-        elite = best_first(returns)[: self.settings.variance_sigma]
+        order = best_first(returns)
         # sigma^2 = sum R (theta_k - theta)^2 / sum R, with the mean theta before the update.
-        weights = returns[elite] / returns.max()
-        variance = weighted_mean((rollouts[elite] - self._mean) ** 2, weights)
+        weights = returns[order] / returns.max()
+        variance = weighted_mean((z[order] - self._mean) ** 2, weights)
         self._noise = np.sqrt(np.clip(variance, self.settings.smallest, self.settings.largest))
-        self._mean = power_update(self._mean, rollouts, returns, self.settings.sigma)
+        sigma = self.settings.sigma
+        self._mean = power_update(self._mean, *self._rollouts.elite(sigma), sigma)

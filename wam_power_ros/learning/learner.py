@@ -10,6 +10,7 @@ generator and of the rollouts: to restore it, tell a new learner the same rollou
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from bisect import insort
 from typing import Any, Protocol
 
 import numpy as np
@@ -101,21 +102,32 @@ class Rollouts:
     def __init__(self, size: int) -> None:
         """Start without rollouts; z has `size` elements."""
         self._size = size
-        self._z: list[np.ndarray] = []
-        self._returns: list[float] = []
+        self._z: np.ndarray
+        self._returns: np.ndarray
+        self._best_first: list[int]
+        self.clear()
 
     def __len__(self) -> int:
-        return len(self._returns)
+        return len(self._best_first)
 
     @property
     def z(self) -> np.ndarray:
-        """Coordinates. Shape (m, size)."""
-        return np.array(self._z, dtype=float).reshape(-1, self._size)
+        """Coordinates, read-only. Shape (m, size)."""
+        return _read_only(self._z[: len(self)])
 
     @property
     def returns(self) -> np.ndarray:
-        """Returns. Shape (m,)."""
-        return np.array(self._returns, dtype=float)
+        """Returns, read-only. Shape (m,)."""
+        return _read_only(self._returns[: len(self)])
+
+    def elite(self, sigma: int) -> tuple[np.ndarray, np.ndarray]:
+        """The `sigma` rollouts that `best_first` puts first, oldest first.
+
+        Returns:
+            Coordinates and returns. Shapes (k, size) and (k,), k at most `sigma`.
+        """
+        indices = sorted(self._best_first[:sigma])
+        return self._z[indices], self._returns[indices]
 
     def add(self, z: np.ndarray, ret: float) -> None:
         """Append a copy of a rollout.
@@ -128,12 +140,17 @@ class Rollouts:
             raise ValueError(f"z must be finite and of shape ({self._size},), got {z.shape}: {z}")
         if not (np.isfinite(ret) and ret >= 0.0):
             raise ValueError(f"a return must be finite and >= 0, got {ret}")
-        self._z.append(z)
-        self._returns.append(float(ret))
+        new = len(self)
+        if new == len(self._returns):  # doubled, so that a rollout costs the same at any number
+            self._z = np.concatenate([self._z, np.empty_like(self._z)])
+            self._returns = np.concatenate([self._returns, np.empty_like(self._returns)])
+        self._z[new], self._returns[new] = z, ret
+        insort(self._best_first, new, key=lambda index: (-self._returns[index], -index))
 
     def clear(self) -> None:
-        """Discard all rollouts to start the next batch."""
-        self._z, self._returns = [], []
+        """Discard all rollouts to start the next batch; arrays given out keep their values."""
+        self._z, self._returns = np.empty((8, self._size)), np.empty(8)
+        self._best_first = []
 
 
 class GaussianLearner(ABC):
@@ -190,6 +207,11 @@ class GaussianLearner(ABC):
     @abstractmethod
     def _update(self) -> None:
         """Update mean and noise after a rollout was added to `_rollouts`."""
+
+
+def _read_only(array: np.ndarray) -> np.ndarray:
+    array.setflags(write=False)
+    return array
 
 
 def best_first(returns: np.ndarray) -> np.ndarray:

@@ -171,13 +171,8 @@ class Power(GaussianLearner):
 
     def _update(self) -> None:
         self._noise = self.settings.decay ** len(self._rollouts)
-        returns = self._rollouts.returns
+        sigma = self.sigma
+        z, returns = self._rollouts.elite(sigma)
         if returns.max() > 0.0:
-            self._mean = power_update(
-                np.zeros(self.size),
-                self._rollouts.z,
-                returns,
-                self.sigma,
-                self.settings.weights,
-                self.settings.sharpness,
-            )
+            weights, sharpness = self.settings.weights, self.settings.sharpness
+            self._mean = power_update(np.zeros(self.size), z, returns, sigma, weights, sharpness)

@@ -59,8 +59,8 @@ class ScreenedPower(GaussianLearner):
         return candidates[int(np.argmax(self._model.predict(candidates)))]
 
     def _update(self) -> None:
-        rollouts, returns = self._rollouts.z, self._rollouts.returns
-        self._model.learn(rollouts[-1], float(returns[-1]))
-        self._noise = self.settings.decay ** len(returns)
+        self._model.learn(self._rollouts.z[-1], float(self._rollouts.returns[-1]))
+        self._noise = self.settings.decay ** len(self._rollouts)
+        z, returns = self._rollouts.elite(self.settings.sigma)
         if returns.max() > 0.0:
-            self._mean = power_update(self._mean, rollouts, returns, self.settings.sigma)
+            self._mean = power_update(self._mean, z, returns, self.settings.sigma)

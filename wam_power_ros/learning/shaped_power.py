@@ -48,17 +48,16 @@ class ShapedPower(GaussianLearner):
         return super().ask()
 
     def _update(self) -> None:
-        returns = self._rollouts.returns
-        if len(returns) % 2 == 1:
+        count, settings = len(self._rollouts), self.settings
+        if count % 2 == 1:
             self._centre = self._mean
-        self._noise = self.settings.decay ** max(len(returns) - self.settings.warm_up, 0)
-        if len(returns) < self.settings.warm_up or returns.max() <= 0.0:
+        self._noise = settings.decay ** max(count - settings.warm_up, 0)
+        z, returns = self._rollouts.elite(settings.sigma)
+        if count < settings.warm_up or returns.max() <= 0.0:
             return
-        sigma, weights = self.settings.sigma, self.settings.weights
-        if weights == "rank":
-            elite = best_first(returns)[:sigma]
-            rank = np.arange(1, len(elite) + 1)
-            by_rank = np.log(sigma + 0.5) - np.log(rank)  # [Hansen2016, (49)]
-            self._mean = weighted_mean(self._rollouts.z[elite], by_rank)
+        if settings.weights == "rank":
+            rank = np.arange(1, len(z) + 1)
+            by_rank = np.log(settings.sigma + 0.5) - np.log(rank)  # [Hansen2016, (49)]
+            self._mean = weighted_mean(z[best_first(returns)], by_rank)
         else:
-            self._mean = power_update(self._mean, self._rollouts.z, returns, sigma, weights)
+            self._mean = power_update(self._mean, z, returns, settings.sigma, settings.weights)

@@ -3,14 +3,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
+from wam_power_ros.practice.past import Past
 from wam_power_ros.practice.session_log import Record
 
 
@@ -31,44 +31,8 @@ class Best:
     why: str
 
 
-@dataclass
-class Runs:
-    """Runs of one policy without exploration.
-
-    Attributes:
-        id: Id of the first run.
-        demonstration: Id of the candidate that the policy was derived from.
-        z: Coordinates of the policy. Shape (size,).
-        returns: Returns of the runs, including ratings.
-        successes: Number of runs that succeeded.
-    """
-
-    id: str
-    demonstration: str
-    z: np.ndarray
-    returns: list[float] = field(default_factory=list)
-    successes: int = 0
-
-    def lower_bound(self, return_noise: float) -> float:
-        """Mean return minus its standard error; `return_noise` is the sd of a single return."""
-        return float(np.mean(self.returns)) - return_noise / math.sqrt(len(self.returns))
-
-
-def runs_without_exploration(records: Sequence[Record]) -> list[Runs]:
-    """Group the runs without exploration by policy, in the order of first runs."""
-    found: dict[tuple[str, bytes], Runs] = {}
-    for record in records:
-        if record.rated_return is not None and record.kind != "explore":
-            z = np.array(record.z)
-            new = Runs(record.id, record.demonstration, z)
-            runs = found.setdefault((record.demonstration, z.tobytes()), new)
-            runs.returns.append(record.rated_return)
-            runs.successes += record.succeeded
-    return list(found.values())
-
-
 def choose_best(
-    records: Sequence[Record],
+    past: Past,
     parametrizations: Mapping[str, Parametrization],
     demonstration: str | None,
     answer: np.ndarray | None,
@@ -83,18 +47,14 @@ def choose_best(
     stopped, its answer is chosen.
 
     Args:
-        records: Records of the session, oldest first.
+        past: Rollouts of the session.
         parametrizations: Parametrizations of the demonstrations, by id.
         demonstration: Id of the current demonstration, None before the choice.
         answer: Coordinates of the session's answer, None while learning. Shape (size,).
         stopped: Reason why learning stopped.
         return_noise: Standard deviation of the return of one policy.
     """
-    known = [
-        runs
-        for runs in runs_without_exploration(records)
-        if demonstration in (None, runs.demonstration)
-    ]
+    known = past.runs_without_exploration(demonstration)
     if not known:
         return None
     answers = [runs for runs in known if answer is not None and (runs.z == answer).all()]
@@ -106,7 +66,7 @@ def choose_best(
     policy, _ = parametrizations[best.demonstration].policy(best.z, best.id)
     why = (
         f"{best.id}: {best.successes} of {len(best.returns)} runs without exploration succeeded, "
-        f"mean return {np.mean(best.returns):.3f}; {rule}"
+        f"mean return {best.mean:.3f}; {rule}"
     )
     return Best(policy, tuple(best.returns), best.successes, why)
 

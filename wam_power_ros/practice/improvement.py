@@ -17,6 +17,7 @@ from wam_power_ros.faults import Fault
 from wam_power_ros.learning.learner import Learner
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
+from wam_power_ros.practice.past import Past
 from wam_power_ros.practice.session_log import Kind, Record
 from wam_power_ros.practice.settings import PracticeSettings, SessionSettings
 from wam_power_ros.tasks.task import LoggedRollout, Task
@@ -43,18 +44,16 @@ class ArmModel(Protocol):
 
 
 def feasibility(
-    parametrization: Parametrization, arm: ArmModel, records: Sequence[Record], name: str
+    parametrization: Parametrization, arm: ArmModel, overruns: int, name: str
 ) -> Callable[[np.ndarray], bool]:
     """Function that returns whether the policy at coordinates (size,) is feasible.
 
     Args:
         parametrization: Parametrization of the demonstration.
         arm: Model of the arm.
-        records: Rollouts of the session so far.
+        overruns: Number of rollouts in which the arm exceeded a limit that its model had kept.
         name: Id of the simulated policies.
     """
-    # A fault with return 0 is a motion limit that the model had kept; others leave no return.
-    overruns = sum(bool(record.fault) and record.ret is not None for record in records)
 
     def is_feasible(z: np.ndarray) -> bool:
         policy, _ = parametrization.policy(z, name)
@@ -226,15 +225,12 @@ class Improvement:
         """Restart the stopping rule if this record was one of its successes."""
         self._rule.forget(record)
 
-    def draw(
-        self, records: Sequence[Record], rejections: int | None
-    ) -> tuple[Kind, np.ndarray, int, str]:
+    def draw(self, past: Past, rejections: int | None) -> tuple[Kind, np.ndarray, int, str]:
         """Next trial: the mean being confirmed, the current mean, or an exploration.
 
         Args:
-            records: Rollouts of the session so far.
-            rejections: Logged number of rejections in a replay, else None; see
-                `sample`.
+            past: Rollouts of the session so far.
+            rejections: Logged number of rejections in a replay, else None; see `sample`.
 
         Returns:
             Kind, coordinates (size,), number of rejections and purpose.
@@ -244,16 +240,14 @@ class Improvement:
             return "mean", rule.z, 0, f"confirms a mean, {rule.count + 1} of {settings.confirm}"
         every = settings.mean_every
         if rule.mean_is_due or (every > 0 and (self.practised + 1) % every == 0):
-            mean = self.shrunk(self.learner.mean, records, rejections)
+            mean = self.shrunk(self.learner.mean, past, rejections)
             return "mean", *mean, "the mean, without exploration"
-        drawn = sample(self.learner, *self._feasible(records), rejections)
+        drawn = sample(self.learner, *self._feasible(past), rejections)
         return "explore", *drawn, "explores"
 
-    def shrunk(
-        self, z: np.ndarray, records: Sequence[Record], rejections: int | None
-    ) -> tuple[np.ndarray, int]:
+    def shrunk(self, z: np.ndarray, past: Past, rejections: int | None) -> tuple[np.ndarray, int]:
         """Coordinates shrunk until they are feasible, and the number of halvings; see `draw`."""
-        return shrink(z, *self._feasible(records), rejections)
+        return shrink(z, *self._feasible(past), rejections)
 
     def add(self, record: Record) -> str:
         """Learn from a record of an exploration or a mean; returns a remark for the log."""
@@ -262,18 +256,8 @@ class Improvement:
             self.learner.tell(np.array(record.learnt_as), record.ret)
         return self._rule.add(record) or ("" if record.ret is not None else "dropped")
 
-    def _feasible(
-        self, records: Sequence[Record]
-    ) -> tuple[np.ndarray, Callable[[np.ndarray], bool]]:
+    def _feasible(self, past: Past) -> tuple[np.ndarray, Callable[[np.ndarray], bool]]:
         """Coordinates of the fault-free rollout with the highest return, else 0; `feasibility`."""
-        ran = [
-            record
-            for record in records
-            if record.demonstration == self.demonstration
-            and record.rated_return is not None
-            and not record.fault
-        ]
-        z = np.zeros(self.parametrization.size)
-        if ran:
-            z = np.array(max(ran, key=lambda record: record.rated_return or 0.0).z)
-        return z, feasibility(self.parametrization, self._arm, records, "sample")
+        best = past.best_without_fault(self.demonstration)
+        z = np.zeros(self.parametrization.size) if best is None else np.array(best.z)
+        return z, feasibility(self.parametrization, self._arm, past.overruns, "sample")

@@ -56,6 +56,7 @@ class LogFile:
         self.folder = folder
         self.lines, data = read_lines(folder)
         self._size, self._digest = len(data), hashlib.sha256(data)
+        self._count = sum(isinstance(line, Record) for line in self.lines)
         self._file = self._open()
         if self.lines and _read_acknowledged(folder) != self._state():
             self._acknowledge()  # killed before it could, or a session of an earlier version
@@ -85,15 +86,12 @@ class LogFile:
         self._size += len(line)
         self._digest.update(line)
         self.lines.append(entry)
+        self._count += isinstance(entry, Record)
         self._acknowledge()
 
     def close(self) -> None:
         """Close the file; nothing can be appended any more."""
         os.close(self._file)
-
-    @property
-    def _count(self) -> int:
-        return sum(isinstance(line, Record) for line in self.lines)
 
     def _state(self) -> _Acknowledged:
         digest = self._digest.hexdigest()

@@ -22,6 +22,7 @@ from wam_power_ros.learning.policy import Policy, check_id, to_json
 from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.practice.best_policy import Best, choose_best, choose_demonstration
 from wam_power_ros.practice.improvement import ArmModel, Improvement, feasibility
+from wam_power_ros.practice.past import Past
 from wam_power_ros.practice.session_log import (
     Event,
     Kind,
@@ -142,7 +143,7 @@ class Practice:
         self._retried: Record | None = None  # whose z is executed again
         self._answer: np.ndarray | None = None
         self._retested = 0
-        self._records: list[Record] = []
+        self._past = Past()
         self._log: list[Line] = []
         self._waiting: list[Event] = []  # take effect after the pending trial
         self._pending: Trial | None = None
@@ -158,6 +159,10 @@ class Practice:
     def records(self) -> tuple[Record, ...]:
         """All rollouts so far, oldest first, with the ratings that have taken effect."""
         return tuple(self._records)
+
+    @property
+    def _records(self) -> list[Record]:
+        return self._past.records
 
     @property
     def candidates(self) -> tuple[Policy, ...]:
@@ -197,7 +202,7 @@ class Practice:
     def best(self) -> Best | None:
         """Best policy so far, see `choose_best`."""
         return choose_best(
-            self._records,
+            self._past,
             self._parametrizations,
             None if self._improvement is None else self._improvement.demonstration,
             self._answer,
@@ -387,7 +392,7 @@ class Practice:
             raise ValueError(f"record {record.number} ({record.id}) comes after the session's end")
         trial.check(record, generator_state(self._rng))
         self._pending = None
-        self._records.append(record)
+        self._past.add(record)
         note = self._advance(record)
         record = record if record.note else record.model_copy(update={"note": note})
         self._records[-1] = record
@@ -405,8 +410,8 @@ class Practice:
             self._parametrizations[policy.id] = self.task.parametrization(policy)
             self._candidates.append(policy)
             return
-        record = self._records[event.rollout - 1].with_rating(event.amount)
-        self._records[event.rollout - 1] = record
+        self._past = self._past.rated(event.rollout, event.amount)
+        record = self._records[event.rollout - 1]
         if self._improvement is not None:
             self._improvement.learn_again(self._records)
             if not record.succeeded:
@@ -433,9 +438,9 @@ class Practice:
         if improvement is None:
             raise ValueError("the session has ended: no demonstration was chosen")
         if self._answer is None:
-            kind, z, count, purpose = improvement.draw(self._records, rejections)
+            kind, z, count, purpose = improvement.draw(self._past, rejections)
             return self._trial(kind, improvement.demonstration, z, count, purpose)
-        self._answer, count = improvement.shrunk(self._answer, self._records, rejections)
+        self._answer, count = improvement.shrunk(self._answer, self._past, rejections)
         purpose = f"re-test {self._retested + 1} of {self.settings.practice.retests}"
         return self._trial("retest", improvement.demonstration, self._answer, count, purpose)
 
@@ -470,7 +475,7 @@ class Practice:
     def _in_hindsight(self, trial: Trial, assessment: Assessment) -> np.ndarray:
         """Coordinates at which a rollout is learnt from: corrected as far as it stays feasible."""
         parametrization = self._parametrizations[trial.demonstration]
-        is_feasible = feasibility(parametrization, self._arm, self._records, "corrected")
+        is_feasible = feasibility(parametrization, self._arm, self._past.overruns, "corrected")
         z = trial.z
         parts = self.task.hindsight(assessment, parametrization)
         if not parts or is_feasible(z + sum(parts)):

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rollouts of a session so far, with summaries that are kept up to date by each of them.
+
+So the next trial, and each line of a resumed session, costs the same after any number of rollouts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from wam_power_ros.practice.session_log import Record
+
+
+@dataclass
+class Runs:
+    """Runs of one policy without exploration.
+
+    Attributes:
+        id: Id of the first run.
+        demonstration: Id of the candidate that the policy was derived from.
+        z: Coordinates of the policy. Shape (size,).
+        returns: Returns of the runs, including ratings.
+        mean: Mean of the returns.
+        successes: Number of runs that succeeded.
+    """
+
+    id: str
+    demonstration: str
+    z: np.ndarray
+    returns: list[float] = field(default_factory=list)
+    mean: float = 0.0
+    successes: int = 0
+
+    def add(self, ret: float, succeeded: bool) -> None:
+        """Count a run."""
+        self.returns.append(ret)
+        self.mean = float(np.mean(self.returns))
+        self.successes += succeeded
+
+    def lower_bound(self, return_noise: float) -> float:
+        """Mean return minus its standard error; `return_noise` is the sd of a single return."""
+        return self.mean - return_noise / math.sqrt(len(self.returns))
+
+
+class Past:
+    """Rollouts so far.
+
+    Attributes:
+        records: The rollouts, oldest first, with the ratings that have taken effect.
+        overruns: Number of rollouts in which the arm exceeded a limit that its model had kept.
+    """
+
+    def __init__(self, records: Sequence[Record] = ()) -> None:
+        """Begin after some rollouts."""
+        self.records: list[Record] = []
+        self.overruns = 0
+        self._runs: dict[tuple[str, bytes], Runs] = {}  # in the order of first runs
+        self._best: dict[str, Record] = {}
+        for record in records:
+            self.add(record)
+
+    def add(self, record: Record) -> None:
+        """Append a rollout."""
+        self.records.append(record)
+        # A fault with return 0 is a motion limit that the model had kept; others leave no return.
+        self.overruns += bool(record.fault) and record.ret is not None
+        ret, name = record.rated_return, record.demonstration
+        if ret is None:
+            return
+        best = self._best.get(name)
+        if not record.fault and (best is None or ret > (best.rated_return or 0.0)):
+            self._best[name] = record
+        if record.kind != "explore":
+            z = np.array(record.z)
+            runs = self._runs.setdefault((name, z.tobytes()), Runs(record.id, name, z))
+            runs.add(ret, record.succeeded)
+
+    def rated(self, number: int, amount: float) -> Past:
+        """These rollouts, one of them with a further rating."""
+        records = list(self.records)
+        records[number - 1] = records[number - 1].with_rating(amount)
+        return Past(records)
+
+    def best_without_fault(self, demonstration: str) -> Record | None:
+        """Rollout of a demonstration with the highest return and no fault, the first of equals."""
+        return self._best.get(demonstration)
+
+    def runs_without_exploration(self, demonstration: str | None) -> list[Runs]:
+        """Runs by policy, of one demonstration or of all, in the order of first runs."""
+        return [r for r in self._runs.values() if demonstration in (None, r.demonstration)]
