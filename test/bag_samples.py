@@ -2,9 +2,11 @@
 """Bags and messages of the tests; messages are bytes of ROS, not of the library that reads them."""
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
+from mcap.writer import IndexType, Writer
 from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 
@@ -42,3 +44,27 @@ def demonstration(path: Path, q: np.ndarray, names: tuple[str, ...] = NAMES) -> 
 def random_q(count: int = 500, seed: int = 0) -> np.ndarray:
     """A movement without a jump: steps of about 0.01 rad."""
     return 0.01 * np.random.default_rng(seed).normal(size=(count, len(NAMES))).cumsum(axis=0)
+
+
+def of_states(path: Path, states: Iterable[tuple[int, int, tuple[str, ...], object]]) -> Path:
+    """A bag of joint states: time of reception, stamp, names and positions of each."""
+    writer = BagWriter(path)
+    writer.add("/joint_states", layout.JOINT_STATE, QOS)
+    for received_ns, stamp_ns, names, q in states:
+        writer.write("/joint_states", received_ns, joint_state(stamp_ns, names, np.asarray(q)))
+    return writer.close({})
+
+
+def without_message_indexes(file: Path, q: np.ndarray) -> Path:
+    """An MCAP file in chunks whose messages are not indexed, as of rosbag2's noMessageIndex."""
+    definition, _ = layout.TYPES.generate_msgdef(layout.JOINT_STATE, ros_version=2)
+    with file.open("wb") as out:
+        writer = Writer(out, chunk_size=4000, index_types=IndexType.CHUNK)
+        writer.start("ros2")
+        schema = writer.register_schema(layout.JOINT_STATE, "ros2msg", definition.encode())
+        channel = writer.register_channel("/joint_states", "cdr", schema)
+        for index, row in enumerate(q):
+            stamp_ns = START + 2_000_000 * index
+            writer.add_message(channel, stamp_ns, joint_state(stamp_ns, NAMES, row), stamp_ns)
+        writer.finish()
+    return file

@@ -80,7 +80,7 @@ BUDGET = {
     "tasks": 2670,
     "practice": 2080,
     "conformance": 1030,
-    "bags": 2010,
+    "bags": 2280,
     "params": 940,
     "ros": 2480,
     "client": 1240,

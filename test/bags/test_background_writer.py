@@ -78,7 +78,7 @@ def test_a_disk_that_hangs_holds_nobody_up_and_costs_nothing(tmp_path: Path, dis
     feed(recorded, q[100:], 100)  # if this waited for the disk, it would wait for good
     assert recorded.waiting >= 2900
     disk.free.set()
-    missing = recorded.close("asked to", {}, "/joint_states")
+    missing = recorded.close("asked to", {})
     assert missing is not None and missing.missing == 0
     np.testing.assert_array_equal(reader.read_demonstration(recorded.path, NAMES)[1], q)
 
@@ -95,7 +95,7 @@ def test_a_disk_that_hangs_for_too_long_is_given_up(
     assert recorded.waiting <= 500
     disk.free.set()
     with pytest.raises(OSError, match="too slow"):
-        recorded.close("asked to", {}, "/joint_states")
+        recorded.close("asked to", {})
     back = reader.read_demonstration(recover(recorded.path).path, NAMES)[1]
     assert len(back) >= 100
     np.testing.assert_array_equal(back, q[: len(back)])
@@ -109,7 +109,7 @@ def test_a_disk_that_refuses_ends_the_recording_and_what_it_took_is_kept(
     disk.error = OSError(28, "No space left on device")
     feed(recorded, q[100:], 100)
     with pytest.raises(OSError, match="No space left"):
-        recorded.close("asked to", {}, "/joint_states")
+        recorded.close("asked to", {})
     assert not recorded.path.exists()
     disk.error = None
     back = reader.read_demonstration(recover(recorded.path).path, NAMES)[1]

@@ -79,7 +79,7 @@ def test_of_several_topics_one_has_to_be_named(tmp_path: Path) -> None:
 def test_a_part_of_a_take_keeps_its_latched_messages(tmp_path: Path) -> None:
     q = random_q(500)
     path = demonstration(tmp_path / "take", q)
-    made = editing.trim(Bag(path), tmp_path / "part", 0.2, 0.4)
+    made, _ = editing.trim(Bag(path), tmp_path / "part", 0.2, 0.4)
     stamps, angles = reader.read_demonstration(made, NAMES)
     np.testing.assert_array_equal(angles, q[100:201])
     assert stamps[0] == START + 200_000_000
@@ -100,10 +100,10 @@ def test_the_parts_of_a_take_merged_are_the_take(tmp_path: Path) -> None:
     q = random_q(200)
     path = demonstration(tmp_path / "take", q)
     parts = [
-        editing.trim(Bag(path), tmp_path / str(begin), begin, end)
+        editing.trim(Bag(path), tmp_path / str(begin), begin, end)[0]
         for begin, end in ((0.2, 0.4), (0.0, 0.199))
     ]
-    merged = editing.merge([*map(Bag, parts)], tmp_path / "merged")
+    merged, _ = editing.merge([*map(Bag, parts)], tmp_path / "merged")
     np.testing.assert_array_equal(reader.read_demonstration(merged, NAMES)[1], q)
 
 

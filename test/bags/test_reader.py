@@ -96,7 +96,7 @@ def test_a_bag_of_another_recorder_reads_the_same(
         (lambda states: states.append((START, ("wam_j1",) * 3, [1.0] * 3)), "3 positions for"),
         (
             lambda states: states.extend(
-                [(START, NAMES, [1.0] * 3), (START - 1, NAMES, [1.0] * 3)]
+                [(START, NAMES, [1.0] * 3), (START - 60_000_000, NAMES, [1.0] * 3)]
             ),
             "follows",
         ),

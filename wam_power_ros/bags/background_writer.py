@@ -16,6 +16,7 @@ from pathlib import Path
 from rosbags.interfaces import Qos
 
 from wam_power_ros.bags.gaps import Gaps
+from wam_power_ros.bags.layout import STATES, noted_names
 from wam_power_ros.bags.writer import BagWriter
 
 WRITE_PERIOD = 0.3  # between two flushes; a kill loses the messages of about this time [s]
@@ -83,11 +84,11 @@ class Recording:
         """Queue a serialized message; its time of reception is now."""
         self._enqueue(self._writer.write, topic, self._now(), cdr)
 
-    def close(self, reason: str, notes: Mapping[str, str], state_topic: str) -> Gaps | None:
+    def close(self, reason: str, notes: Mapping[str, str]) -> Gaps | None:
         """Write the queue and finish the bag, with notes for its metadata.
 
         Returns:
-            Gaps of the state topic; None if the topic was not added.
+            Gaps of the arm's states; None if their topic was not added.
 
         Raises:
             OSError: The writing failed; the bag stays unfinished.
@@ -98,11 +99,12 @@ class Recording:
         if self.error is not None:
             raise self.error
         try:
-            self._writer.close({**notes, **self._writer.completeness(state_topic)})
+            self._writer.close({**notes, **self._writer.completeness(notes)})
         except OSError:
             self._writer.abandon()
             raise
-        return self._writer.gaps(state_topic)
+        state_topic = notes.get("state_topic", STATES)
+        return self._writer.gaps(state_topic, noted_names(notes))
 
     def _enqueue(self, call: Callable[..., None], *arguments: object) -> None:
         if len(self._queue) < WAITING_MAX:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import shutil
 import tempfile
 import weakref
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,8 @@ from wam_power_ros import plain_yaml
 from wam_power_ros.arm_identity import ArmIdentity, from_json
 from wam_power_ros.bags import integrity, layout
 
+FILES = (".mcap", ".db3")  # what a bag may consist of
+
 
 @dataclass(frozen=True)
 class Topic:
@@ -26,10 +29,12 @@ class Topic:
     Attributes:
         msgtype: Message type, such as "std_msgs/msg/String".
         offered: QoS of its publishers.
+        counted: Number of its messages according to the recorder.
     """
 
     msgtype: str
     offered: tuple[Qos, ...]
+    counted: int = 0
 
     @property
     def latched(self) -> bool:
@@ -43,7 +48,7 @@ class Bag:
     """A rosbag2 bag, MCAP or SQLite, of any recorder; needs no closing.
 
     Attributes:
-        path: Folder of the bag.
+        path: Folder of the bag, or its only file.
         topics: Topics, in the order of their names.
         notes: Notes of the recorder.
     """
@@ -57,9 +62,9 @@ class Bag:
         """
         self.path = Path(path)
         metadata = _metadata(self.path)
-        self.notes = layout.notes(metadata)
         try:
-            information = integrity.information(metadata)
+            information = integrity.information(metadata or _described(self.path))
+            self.notes = layout.notes(information)
             self.topics = _topics(information)
             self._packed_messages = str(information.get("compression_mode")).lower() == "message"
             self._files = integrity.verified(self.path, information, self._folder)
@@ -97,6 +102,7 @@ class Bag:
         try:
             for file in self._files:
                 with Reader(file) as reader:
+                    _expect_all(reader)
                     kept = [item for item in reader.connections if item.topic in names]
                     for item, stamp_ns, cdr in reader.messages(kept) if kept else ():
                         if self._packed_messages:  # unpacked here, with a limit
@@ -106,6 +112,19 @@ class Bag:
                         yield item.topic, stamp_ns, cdr
         except Exception as error:
             raise self._unreadable(error) from error
+
+    def check_counts(self) -> None:
+        """Read all messages and compare their number by topic with what the recorder counted.
+
+        Raises:
+            ValueError: They cannot be read, or fewer are there.
+        """
+        found = Counter(name for name, _, _ in self.messages(self.topics))
+        for name, topic in self.topics.items():
+            if found[name] < topic.counted:
+                raise ValueError(
+                    f"{self.path}: {found[name]} of {topic.counted} messages on {name} are there"
+                )
 
     def _folder(self) -> Path:
         """A folder for unpacked files, removed with this value."""
@@ -118,25 +137,66 @@ class Bag:
 
 
 def _metadata(path: Path) -> object:
-    """Contents of metadata.yaml; ValueError if `path` is not a bag."""
+    """Contents of metadata.yaml, None for files without; ValueError if `path` is not a bag."""
     if not path.exists():
         if layout.unfinished(path).exists():
             raise ValueError(f"{path} was never closed; recover it first: wam-power recover {path}")
         raise ValueError(f"{path} is not a bag: there is no such folder")
+    if path.suffix in FILES and path.is_file():
+        return None
     file = path / "metadata.yaml"
     if not file.is_file():
         raise ValueError(
-            f"{path} is not a bag: it has no metadata.yaml; if it has an .mcap file: "
-            f"wam-power recover {path}"
+            f"{path} is not a bag: it has no metadata.yaml; name its .mcap or .db3 file instead, "
+            f"or, if an .mcap file is damaged: wam-power recover {path}"
         )
     return plain_yaml.read(file)
+
+
+def _described(file: Path) -> dict[str, Any]:
+    """Description of a lone file, as metadata.yaml would give it, from the file itself."""
+    with Reader(file) as reader:
+        found = [
+            {
+                "topic_metadata": {
+                    "name": item.topic,
+                    "type": item.msgtype,
+                    "serialization_format": getattr(item.ext, "serialization_format", "cdr"),
+                    "offered_qos_profiles": layout.described_qos(
+                        getattr(item.ext, "offered_qos_profiles", ())
+                    ),
+                },
+                "message_count": item.msgcount,
+            }
+            for item in reader.connections
+        ]
+    noted = integrity.noted(file) if file.suffix == ".mcap" else {}
+    kept = ("custom_data", "compression_mode", "compression_format")
+    described = {
+        "relative_file_paths": [file.name],
+        "topics_with_message_count": found,
+        **{key: noted[key] for key in kept if key in noted},
+    }
+    return {"rosbag2_bagfile_information": described}
+
+
+def _expect_all(reader: Reader) -> None:
+    """Make a reader look for each topic in each chunk.
+
+    It skips chunks in which a topic has no message according to their indexes of messages. These
+    are optional in MCAP, and rosbag2 leaves them out with `noMessageIndex`.
+    """
+    for chunk in getattr(reader.storage, "chunks", ()):
+        for item in reader.connections:
+            chunk.channel_count.setdefault(item.id, 1)
 
 
 def _topics(information: Mapping[str, Any]) -> dict[str, Topic]:
     """Topics in the metadata of a bag, in the order of their names."""
     found: dict[str, Topic] = {}
-    described = [item["topic_metadata"] for item in information["topics_with_message_count"]]
-    for item in sorted(described, key=lambda item: item["name"]):
+    listed = information["topics_with_message_count"]
+    for counts in sorted(listed, key=lambda counts: counts["topic_metadata"]["name"]):
+        item = counts["topic_metadata"]
         name, msgtype = item["name"], item["type"]
         known = found.get(name, Topic(msgtype, ()))
         if known.msgtype != msgtype:
@@ -144,5 +204,6 @@ def _topics(information: Mapping[str, Any]) -> dict[str, Topic]:
         if item["serialization_format"] != "cdr":
             raise ValueError(f"{name} is not serialized as cdr: {item['serialization_format']}")
         offered = layout.parsed_qos(item.get("offered_qos_profiles"))
-        found[name] = Topic(msgtype, (*known.offered, *offered))
+        counted = known.counted + int(counts.get("message_count") or 0)
+        found[name] = Topic(msgtype, (*known.offered, *offered), counted)
     return found

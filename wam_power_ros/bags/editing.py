@@ -6,7 +6,7 @@ from __future__ import annotations
 import heapq
 import json
 import shutil
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from operator import itemgetter
 from pathlib import Path
 
@@ -14,32 +14,43 @@ import numpy as np
 
 from wam_power_ros.bags import layout, reader
 from wam_power_ros.bags.bag import Bag, Topic
-from wam_power_ros.bags.layout import JOINT_STATE, STATES, TYPES
-from wam_power_ros.bags.quality import Remark
+from wam_power_ros.bags.layout import JOINT_STATE, STATES, TYPES, device, noted_names
+from wam_power_ros.bags.quality import Grade, Remark
 from wam_power_ros.bags.reader import States
 from wam_power_ros.bags.writer import BagWriter, header_stamp
 
 Message = tuple[str, int, bytes]  # topic, time of reception [ns], data
 
 
-def trim(bag: Bag, to: Path, begin: float, end: float) -> Path:
-    """Copy the part of a bag between two times [s] since its first joint state.
+def trim(
+    bag: Bag, to: Path, begin: float, end: float, joint_names: Sequence[str] = ()
+) -> tuple[Path, tuple[Remark, ...]]:
+    """Copy the part of a bag between two times [s] since the first state of its arm.
 
-    All latched messages are kept.
+    All latched messages are kept. The arm's states are those with any of `joint_names` or of the
+    names in the bag's notes; without one, all on the topic of states.
+
+    Returns:
+        Path of the new bag, and the topics that were left out.
 
     Raises:
-        ValueError: The bag has no joint state in that part.
+        ValueError: The bag has no joint state in that part, or the part cannot be read.
         FileExistsError: `to` exists already.
     """
-    states = bag.notes.get("state_topic", STATES)
-    times = [(stamp, header_stamp(data)) for _, stamp, data in bag.messages([states])]
+    topic = bag.notes.get("state_topic") or (STATES if STATES in bag.topics else _only_states(bag))
+    known = {*joint_names, *noted_names(bag.notes)}
+    states = [
+        (stamp, header_stamp(data) or stamp, not known.isdisjoint(device(data, JOINT_STATE)))
+        for _, stamp, data in bag.messages([topic])
+    ]
+    times = [item for item in states if item[2]] or states
     kept = [
-        stamp for stamp, time in times if begin <= (time - times[0][1]) * 1e-9 <= end
+        stamp for stamp, time, _ in times if begin <= (time - times[0][1]) * 1e-9 <= end
     ]  # by header stamps; a simulation may be recorded faster or slower than real time
     if not kept:
-        raise ValueError(f"{bag.path}: no message on {states} from {begin} to {end} s")
+        raise ValueError(f"{bag.path}: no message on {topic} from {begin} to {end} s")
     low, high = min(kept), max(kept)
-    latched = {name for name, topic in bag.topics.items() if topic.latched}
+    latched = {name for name, found in bag.topics.items() if found.latched}
 
     def part() -> Iterable[Message]:
         for name, stamp, data in bag.messages(bag.topics):
@@ -48,11 +59,14 @@ def trim(bag: Bag, to: Path, begin: float, end: float) -> Path:
             elif name in latched:
                 yield name, min(max(stamp, low), high), data
 
-    return _write(to, bag.topics, sorted(part(), key=itemgetter(1)), bag.notes)
+    return _copy(to, bag.topics, sorted(part(), key=itemgetter(1)), bag.notes)
 
 
-def merge(bags: Sequence[Bag], to: Path) -> Path:
+def merge(bags: Sequence[Bag], to: Path) -> tuple[Path, tuple[Remark, ...]]:
     """Copy the messages of several bags into one, in the order of reception.
+
+    Returns:
+        Path of the new bag, and the topics that were left out.
 
     Raises:
         ValueError: A topic has two types or overlaps in time in two bags.
@@ -74,7 +88,7 @@ def merge(bags: Sequence[Bag], to: Path) -> Path:
             if first <= last:
                 raise ValueError(f"{name} is in {one} and {other} at the same time")
     messages = heapq.merge(*(bag.messages(topics) for bag in bags), key=itemgetter(1))
-    return _write(to, topics, messages, bags[0].notes)
+    return _copy(to, topics, messages, bags[0].notes)
 
 
 def import_bag(
@@ -84,6 +98,7 @@ def import_bag(
     bag_names: Sequence[str] = (),
     topic: str = "",
     kind: str = "",
+    by_reception: bool = False,
 ) -> tuple[Path, tuple[Remark, ...]]:
     """Create a demonstration from the joint states in a bag of any recorder.
 
@@ -94,6 +109,7 @@ def import_bag(
         bag_names: Names of the same joints in the bag, in that order; `joint_names` if omitted.
         topic: Topic of the joint states; the only one of this type if omitted.
         kind: Stem of the demonstrated task.
+        by_reception: Whether the times of reception are used instead of the stamps.
 
     Returns:
         Path of the new bag, and what was left out or unwrapped in reading the states.
@@ -106,7 +122,7 @@ def import_bag(
     if len(bag_names) != len(joint_names):
         raise ValueError(f"{len(bag_names)} names {bag_names} for the joints {list(joint_names)}")
     topic = topic or _only_states(bag)
-    states = reader.read_states(bag, bag_names, topic)
+    states = reader.read_states(bag, bag_names, topic, by_reception=by_reception)
     rows = {number: row for row, number in enumerate(states.index)}
     messages = [
         (STATES, stamp, _converted(data, states, rows[number], joint_names))
@@ -115,6 +131,7 @@ def import_bag(
     ]
     notes = {
         "joint_names": json.dumps(list(joint_names)),
+        **({"arm": bag.notes["arm"]} if bag.arm else {}),
         "state_topic": STATES,
         "source": "imported",
         "imported": json.dumps(
@@ -127,7 +144,13 @@ def import_bag(
         ),
     }
     offered = (layout.qos(reliable=True, latched=False),)
-    made = _write(to, {STATES: Topic(JOINT_STATE, offered)}, messages, notes, kind)
+
+    def check(made: Bag) -> None:
+        back = reader.read_states(made, joint_names)
+        if not (np.array_equal(back.q, states.q) and np.array_equal(back.stamps, states.stamps)):
+            raise ValueError("other states come back than were written")
+
+    made = _write(to, {STATES: Topic(JOINT_STATE, offered)}, messages, notes, check, kind)
     return made, states.remarks
 
 
@@ -144,10 +167,11 @@ def _only_states(bag: Bag) -> str:
 def _converted(data: bytes, states: States, row: int, joint_names: Sequence[str]) -> bytes:
     """A joint state with the names and order of the arm, and the stamp and angles as read."""
     message = layout.decoded(data, JOINT_STATE)
-    order = [message.name.index(name) for name in states.names]
+    whole = set(states.names) <= set(message.name)  # not joined from several messages
+    order = [message.name.index(name) for name in states.names] if whole else []
     for field in ("velocity", "effort"):
         values = getattr(message, field)
-        complete = len(values) == len(message.name)
+        complete = whole and len(values) == len(message.name)
         setattr(message, field, values[order] if complete else np.zeros(0))
     message.name, message.position = list(joint_names), states.q[row]
     time = message.header.stamp
@@ -155,14 +179,40 @@ def _converted(data: bytes, states: States, row: int, joint_names: Sequence[str]
     return bytes(TYPES.serialize_cdr(message, JOINT_STATE))
 
 
+def _copy(
+    to: Path, topics: Mapping[str, Topic], messages: Iterable[Message], notes: Mapping[str, str]
+) -> tuple[Path, tuple[Remark, ...]]:
+    """Write those topics to a bag whose type is known; the remarks name the others."""
+    kept = {name: topic for name, topic in topics.items() if topic.msgtype in TYPES.fielddefs}
+    remarks = [
+        Remark(Grade.FAIR, f"{name} left out: {topic.msgtype} is not of the common interfaces")
+        for name, topic in topics.items()
+        if name not in kept
+    ]
+    if not kept:
+        raise ValueError("; ".join(remark.text for remark in remarks) or "there is no topic")
+
+    def check(made: Bag) -> None:
+        names, states = noted_names(notes), notes.get("state_topic", STATES)
+        if names and made.topics.get(states, Topic("", ())).counted:
+            reader.read_states(made, names)
+
+    chosen = (message for message in messages if message[0] in kept)
+    return _write(to, kept, chosen, notes, check), tuple(remarks)
+
+
 def _write(
     to: Path,
     topics: Mapping[str, Topic],
     messages: Iterable[Message],
     notes: Mapping[str, str],
+    check: Callable[[Bag], None],
     kind: str = "",
 ) -> Path:
-    """Write a bag, removed again on an error; a `kind` is noted by a start event."""
+    """Write a bag and read it back; it is removed again on an error.
+
+    A `kind` is noted by a start event; `check` refuses a bag whose contents are of no use.
+    """
     writer = BagWriter(to)
     try:
         for name, topic in topics.items():
@@ -172,9 +222,19 @@ def _write(
                 writer.event("start", kind, stamp)
                 kind = ""
             writer.write(name, stamp, data)
-        states = notes.get("state_topic", STATES)
-        return writer.close({**notes, **writer.completeness(states)})
+        made = writer.close({**notes, **writer.completeness(notes)})
     except BaseException:
         writer.abandon()
         shutil.rmtree(layout.unfinished(to), ignore_errors=True)
         raise
+    try:
+        bag = Bag(made)
+        bag.check_counts()
+        check(bag)
+    except BaseException as error:
+        shutil.rmtree(made)
+        if isinstance(error, ValueError):
+            text = str(error).removeprefix(f"{made}: ")
+            raise ValueError(f"{to} could not be read again and was removed: {text}") from error
+        raise
+    return made

@@ -123,14 +123,15 @@ def verified(path: Path, information: Mapping[str, Any], folder: Callable[[], Pa
     Raises:
         ValueError: A file is damaged, missing, not a regular file, or too large when unpacked.
     """
-    files = [path / PurePath(str(name)).name for name in information["relative_file_paths"]]
+    within = path.parent if path.is_file() else path
+    files = [within / PurePath(str(name)).name for name in information["relative_file_paths"]]
     for file in files:
         check_regular(file)
     if str(information.get("compression_mode")).lower() == "file":
         budget, to = Budget(path, sum(file.stat().st_size for file in files)), folder()
         files = [_unpack_file(file, to / file.stem, budget) for file in files]
     for file in files:
-        verify(file, information)
+        verify(file, {} if path.is_file() else information)
     return files
 
 
@@ -150,7 +151,7 @@ def verify(file: Path, information: Mapping[str, Any]) -> None:
 
     Raises:
         ValueError: It is damaged, too large when unpacked, neither MCAP nor SQLite, or differs
-            from `information`, the description of the bag.
+            from `information`, the description of the bag; empty for a file without.
     """
     if file.suffix == ".mcap":
         with mcap_records.mapped(file) as data:
@@ -244,17 +245,35 @@ def _check_chunk(chunk: Chunk, where: str, budget: Budget) -> None:
 
 def _check_notes(file: Path, noted: bytes, information: Mapping[str, Any]) -> None:
     """Refuse a metadata.yaml that differs from the copy in the checked file."""
-    metadata = mcap_records.parsed(Metadata, noted).metadata if noted else {}
-    if (text := metadata.get("serialized_metadata")) is None:
-        return
-    first = plain_yaml.parse(text.encode(), str(file))
-    if isinstance(first, dict) and first != information:
+    first = _information(file, noted)
+    if first and information and first != information:
         keys = first.keys() | information.keys()
         differ = sorted(key for key in keys if first.get(key) != information.get(key))
         raise ValueError(
             f"metadata.yaml was changed after the recording: "
             f"{', '.join(map(str, differ))} differ from the copy in {file.name}"
         )
+
+
+def _information(file: Path, noted: bytes) -> Mapping[str, Any]:
+    """Description of the bag in a metadata record of its file; empty if there is none."""
+    metadata = mcap_records.parsed(Metadata, noted).metadata if noted else {}
+    found = plain_yaml.parse(metadata.get("serialized_metadata", "{}").encode(), str(file))
+    return found if isinstance(found, dict) else {}
+
+
+def noted(file: Path) -> Mapping[str, Any]:
+    """Description of the bag that rosbag2 keeps in an MCAP file; empty if there is none.
+
+    Raises:
+        ValueError: It is not an MCAP file, or damaged.
+    """
+    last = b""
+    with mcap_records.mapped(file) as data:
+        for opcode, _, begin, end in mcap_records.records(data, len(MAGIC)):
+            if opcode == Opcode.METADATA and end - begin <= RECORD_MAX[opcode]:
+                last = data[begin:end]
+    return _information(file, last)
 
 
 def _crc(data: mmap, begin: int, end: int) -> int:

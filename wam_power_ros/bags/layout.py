@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import enum
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -86,6 +86,14 @@ def notes(metadata: object) -> dict[str, str]:
     return texts(metadata.get("custom_data") if isinstance(metadata, dict) else None)
 
 
+def noted_names(notes: Mapping[str, str]) -> tuple[str, ...]:
+    """Joint names as our recorder notes them; empty in bags of other recorders."""
+    try:
+        return tuple(map(str, plain_json.parse(notes.get("joint_names", "[]"), "joint_names")))
+    except (ValueError, TypeError):
+        return ()
+
+
 def texts(notes: object) -> dict[str, str]:
     """Notes with keys and values as texts; empty if they are not a mapping."""
     return {str(k): str(v) for k, v in notes.items()} if isinstance(notes, dict) else {}
@@ -116,6 +124,30 @@ def decoded(cdr: bytes, msgtype: str) -> object:
         return decode(cdr[4:], 0, definition.cls, TYPES)[0]
     except (SerdeError, struct.error, UnicodeDecodeError, ValueError) as error:
         raise ValueError(f"{len(cdr)} bytes are not a {msgtype}: {error}") from None
+
+
+def device(cdr: bytes, msgtype: str) -> tuple[str, ...]:
+    """Device that sent a message: names of its joints in a JointState; else empty, as if damaged.
+
+    Reads only the names, which a recorder can do for each message.
+    """
+    if msgtype != JOINT_STATE or len(cdr) < 16:
+        return ()
+    size = struct.Struct("<I" if cdr[1] & 1 else ">I")
+    names, at = [], 12  # after the encoding and the stamp
+    try:
+        at += 4 + size.unpack_from(cdr, at)[0]  # frame_id
+        at += -at % 4
+        (count,) = size.unpack_from(cdr, at)
+        at += 4
+        for _ in range(count):
+            at += -at % 4
+            (length,) = size.unpack_from(cdr, at)
+            names.append(bytes(cdr[at + 4 : at + 3 + length]).decode())
+            at += 4 + length
+    except (struct.error, UnicodeDecodeError):
+        return ()
+    return tuple(names)
 
 
 def event(cdr: bytes) -> dict[str, Any]:

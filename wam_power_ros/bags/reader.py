@@ -3,18 +3,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from wam_power_ros import plain_json
 from wam_power_ros.arm_identity import ArmIdentity, refusal
 from wam_power_ros.bags import jumps
 from wam_power_ros.bags.bag import Bag
-from wam_power_ros.bags.layout import JOINT_STATE, STATES, decoded
+from wam_power_ros.bags.layout import JOINT_STATE, STATES, decoded, noted_names
 from wam_power_ros.bags.quality import Grade, Remark
+
+LATE_MAX = 50_000_000  # a state may come this much after a newer one; more is a wrong clock [ns]
+JOIN_MAX = 50_000_000  # longest interval over which joints are interpolated to be joined [ns]
 
 
 @dataclass(frozen=True)
@@ -52,20 +54,25 @@ def read_states(
     joint_names: Sequence[str],
     topic: str | None = None,
     arm: ArmIdentity | None = None,
+    by_reception: bool = False,
 ) -> States:
     """Joint states of a bag of any recorder: everyone reads them here.
 
     Joints are matched by name; time is that of the headers, or of the reception if they have none.
     Messages without any of these joints are another device's and are skipped, as are repetitions
-    (same stamp, same angles). A bag taught with another driver may have other names for the same
-    joints: if it has none of `joint_names`, and its metadata has as many names (our recorder notes
-    them, base to tip), those are used. Angles are unwrapped and bad states left out: see `jumps`.
+    (same stamp, same angles). States that came late are put in the order of their stamps. Joints
+    in messages of their own, as of two publishers, are joined: those of the fewer messages are
+    interpolated at the stamps of the others. A bag taught with another driver may have other names
+    for the same joints: if it has none of `joint_names`, and its metadata has as many names (our
+    recorder notes them, base to tip), those are used. Angles are unwrapped and bad states left out:
+    see `jumps`.
 
     Args:
         bag: The bag.
         joint_names: Order of the columns of the result.
         topic: Topic of JointState; if omitted, the one in the metadata, else /joint_states.
         arm: Required arm, if the bag identifies its arm; any if omitted.
+        by_reception: Whether the times of reception are used instead of the stamps.
 
     Raises:
         ValueError: The bag is of another arm, the topic or joints are missing, a joint jumps,
@@ -77,9 +84,15 @@ def read_states(
     messages = _messages(bag, topic)
     simulated = bag.notes.get("source") == "sim"
     try:
-        return _states(messages, tuple(joint_names), _noted_names(bag), simulated)
+        states = _states(
+            messages, tuple(joint_names), noted_names(bag.notes), simulated, by_reception
+        )
     except ValueError as error:
         raise ValueError(f"{bag.path}: {topic}: {error}") from None
+    if (lost := bag.topics[topic].counted - len(messages)) > 0:
+        text = f"{lost} of {bag.topics[topic].counted} messages that the bag counts are not in it"
+        states = replace(states, remarks=(Remark(Grade.FAIR, text), *states.remarks))
+    return states
 
 
 def _states(
@@ -87,46 +100,91 @@ def _states(
     names: tuple[str, ...],
     noted: tuple[str, ...],
     simulated: bool,
+    by_reception: bool,
 ) -> States:
     known = {*names, *noted}
-    states = [_joint_angles(*message, known) for message in messages]
+    states = [_joint_angles(*message, known, by_reception) for message in messages]
     seen = {name for _, angles in states for name in angles}
     if not seen & set(names) and len(noted) == len(names):
         names = noted
-    index: list[int] = []
-    rows: dict[int, np.ndarray] = {}  # by stamp
-    repeated = 0
+    groups: dict[tuple[str, ...], list[tuple[int, int, np.ndarray]]] = {}  # by joints
     for number, (stamp_ns, angles) in enumerate(states):
-        missing = [name for name in names if name not in angles]
-        if len(missing) == len(names):
-            continue
-        if missing:
-            raise ValueError(f"joints {missing} missing among {list(angles)}")
-        row = np.array([angles[name] for name in names])
-        if rows and stamp_ns <= (last := next(reversed(rows))):
-            if stamp_ns in rows and row.tobytes() == rows[stamp_ns].tobytes():
-                repeated += 1
-                continue
-            if not (stamp_ns == last and simulated):
-                raise ValueError(f"stamp {stamp_ns} follows {last}; stamps must increase")
-            # The scene was reset within one tick of its clock. States before the reset, which
-            # a recorder lagging behind on a busy machine wrote, belong to another movement.
-            index, rows = [], {}
-        index.append(number)
-        rows[stamp_ns] = row
-    if not rows:
+        if found := tuple(name for name in names if name in angles):
+            row = np.array([angles[name] for name in found])
+            groups.setdefault(found, []).append((number, stamp_ns, row))
+    if not groups:
         raise ValueError(
             f"no message on this topic has the joints {list(names)}; it has {sorted(seen)}. "
             "Name the joints of the arm, base to tip: wam-power bags import BAG --joints ..."
         )
-    stamps = np.array(list(rows), dtype=np.int64)
-    found = jumps.checked(stamps, np.array(list(rows.values())), names)
-    remarks = found.remarks
+    if missing := [name for name in names if name not in seen]:
+        raise ValueError(f"joints {missing} missing among {sorted(seen)}")
+    if sum(map(len, groups)) > len(names):
+        sets = " and ".join(str(list(found)) for found in groups)
+        raise ValueError(f"joints are in messages of several kinds: {sets}")
+    parts = {found: _part(group, found, simulated) for found, group in groups.items()}
+    return _joined(parts, names) if len(parts) > 1 else parts[names]
+
+
+def _part(
+    group: Sequence[tuple[int, int, np.ndarray]], names: tuple[str, ...], simulated: bool
+) -> States:
+    """States of messages that have the same joints: number, stamp [ns] and angles of each."""
+    rows: dict[int, tuple[int, np.ndarray]] = {}  # number and angles by stamp
+    newest = -(2**63)
+    repeated = late = 0
+    for number, stamp_ns, row in group:
+        if stamp_ns in rows and row.tobytes() == rows[stamp_ns][1].tobytes():
+            repeated += 1
+            continue
+        if stamp_ns == newest and simulated:
+            # The scene was reset within one tick of its clock. States before the reset, which
+            # a recorder lagging behind on a busy machine wrote, belong to another movement.
+            rows = {}
+        elif stamp_ns in rows or stamp_ns < newest - LATE_MAX:
+            raise ValueError(
+                f"stamp {stamp_ns} follows {newest}; stamps must increase. If the driver's clock "
+                "is wrong, use the times of reception: wam-power bags import BAG --by-reception"
+            )
+        late += stamp_ns < newest
+        newest = max(newest, stamp_ns)
+        rows[stamp_ns] = number, row
+    stamps = np.array(sorted(rows), dtype=np.int64)
+    found = jumps.checked(stamps, np.array([rows[stamp][1] for stamp in stamps.tolist()]), names)
+    index = np.array([rows[stamp][0] for stamp in stamps.tolist()])[found.kept]
+    remarks = list(found.remarks)
+    if late:
+        remarks.insert(0, Remark(Grade.GOOD, f"{late} late states put in the order of stamps"))
     if repeated:
         counted = "1 repetition" if repeated == 1 else f"{repeated} repetitions"
-        remarks = (Remark(Grade.GOOD, f"{counted} left out"), *remarks)
-    kept = found.kept
-    return States(stamps[kept], found.q, np.array(index)[kept], names, remarks)
+        remarks.insert(0, Remark(Grade.GOOD, f"{counted} left out"))
+    return States(stamps[found.kept], found.q, index, names, tuple(remarks))
+
+
+def _joined(parts: Mapping[tuple[str, ...], States], names: tuple[str, ...]) -> States:
+    """States of all joints, at the stamps of the part that has most, where no part has a gap."""
+    first = max(parts.values(), key=lambda part: len(part.stamps))
+    near = np.ones(len(first.stamps), dtype=bool)
+    q = np.empty((len(first.stamps), len(names)))
+    for found, part in parts.items():
+        after = np.searchsorted(part.stamps, first.stamps)
+        before = np.searchsorted(part.stamps, first.stamps, side="right") - 1
+        inside = (before >= 0) & (after < len(part.stamps))
+        last = len(part.stamps) - 1
+        apart = part.stamps[after.clip(0, last)] - part.stamps[before.clip(0, last)]
+        near &= inside & (apart <= JOIN_MAX)
+        since = part.stamps[0]
+        for name, values in zip(found, part.q.T, strict=True):
+            q[:, names.index(name)] = np.interp(first.stamps - since, part.stamps - since, values)
+    if not near.any():
+        raise ValueError(f"joints {[*map(list, parts)]} are never there at the same time")
+    of = " and ".join(", ".join(found) for found in parts)
+    text = f"{near.sum()} of {len(near)} states joined from messages of their own: {of}"
+    remarks = [
+        Remark(Grade.GOOD, text),
+        *(each for part in parts.values() for each in part.remarks),
+    ]
+    return States(first.stamps[near], q[near], first.index[near], names, tuple(remarks))
 
 
 def _messages(bag: Bag, topic: str) -> list[tuple[int, bytes]]:
@@ -138,16 +196,8 @@ def _messages(bag: Bag, topic: str) -> list[tuple[int, bytes]]:
     return [(received_ns, cdr) for _, received_ns, cdr in bag.messages([topic])]
 
 
-def _noted_names(bag: Bag) -> tuple[str, ...]:
-    """Joint names as our recorder notes them; empty in bags of other recorders."""
-    try:
-        return tuple(map(str, plain_json.parse(bag.notes.get("joint_names", "[]"), "joint_names")))
-    except (ValueError, TypeError):
-        return ()
-
-
 def _joint_angles(
-    received_ns: int, cdr: bytes, known: Collection[str]
+    received_ns: int, cdr: bytes, known: Collection[str], by_reception: bool
 ) -> tuple[int, dict[str, float]]:
     """Stamp [ns] and angles by name of a message; it may be malformed if no joint is known."""
     message = decoded(cdr, JOINT_STATE)
@@ -157,4 +207,5 @@ def _joint_angles(
     if malformed and not known.isdisjoint(names):
         raise ValueError(f"{len(position)} positions for names {names}")
     angles = dict(zip(names, position, strict=not malformed))
-    return stamp.sec * 1_000_000_000 + stamp.nanosec or received_ns, angles
+    stamp_ns = 0 if by_reception else stamp.sec * 1_000_000_000 + stamp.nanosec
+    return stamp_ns or received_ns, angles

@@ -24,6 +24,7 @@ from mcap.records import Channel, Chunk, Metadata, Schema
 
 from wam_power_ros import plain_yaml
 from wam_power_ros.bags import layout, mcap_records
+from wam_power_ros.bags.bag import Bag
 from wam_power_ros.bags.layout import unfinished
 from wam_power_ros.bags.mcap_records import MAGIC, parsed
 from wam_power_ros.bags.writer import BagWriter
@@ -77,13 +78,13 @@ def recover(path: Path) -> Recovered:
         if (metadata := files[0].with_name("metadata.yaml")).is_file():
             with suppress(ValueError):  # damaged as well
                 copy.notes |= layout.notes(plain_yaml.read(metadata))
-        state_topic = copy.notes.get("state_topic", layout.STATES)
-        notes = copy.notes | writer.completeness(state_topic) | {"recovered": json.dumps(True)}
+        notes = copy.notes | writer.completeness(copy.notes) | {"recovered": json.dumps(True)}
         made = writer.close(notes)
     except BaseException:
         writer.abandon()
         shutil.rmtree(unfinished(writer.path), ignore_errors=True)
         raise
+    Bag(made).check_counts()
     return Recovered(made, dict(writer.counts), copy.left_out)
 
 

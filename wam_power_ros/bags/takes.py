@@ -9,7 +9,7 @@ from pathlib import Path
 
 from wam_power_ros.bags import layout
 from wam_power_ros.bags.bag import Bag
-from wam_power_ros.bags.gaps import gaps
+from wam_power_ros.bags.gaps import device_gaps
 from wam_power_ros.bags.reader import States, read_states
 from wam_power_ros.bags.series import TRASH
 from wam_power_ros.bags.writer import has_header, header_stamp
@@ -65,7 +65,7 @@ def read(bag: Bag, joint_names: Sequence[str]) -> Take:
     """
     states = read_states(bag, joint_names)
     counts = dict.fromkeys(bag.topics, 0)
-    stamps: dict[str, list[int]] = {}
+    stamps: dict[str, dict[tuple[str, ...], list[int]]] = {}  # by topic and device
     ended = ""
     for name, _, cdr in bag.messages(bag.topics):
         counts[name] += 1
@@ -73,6 +73,11 @@ def read(bag: Bag, joint_names: Sequence[str]) -> Take:
             ended = str(event.get("reason", ended))
         msgtype = bag.topics[name].msgtype
         if msgtype in layout.TYPES.fielddefs and has_header(msgtype):
-            stamps.setdefault(name, []).append(header_stamp(cdr))
-    missing = {name: gaps(found).missing for name, found in stamps.items() if counts[name] > 2}
+            devices = stamps.setdefault(name, {})
+            devices.setdefault(layout.device(cdr, msgtype), []).append(header_stamp(cdr))
+    missing = {
+        name: device_gaps(found, states.names).missing
+        for name, found in stamps.items()
+        if counts[name] > 2
+    }
     return Take(bag, states, counts, missing, ended)

@@ -12,7 +12,7 @@ import json
 import os
 import struct
 from array import array
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,8 +22,18 @@ from mcap.writer import CompressionType, Writer
 from rosbags.interfaces import Qos
 
 from wam_power_ros import durable_files
-from wam_power_ros.bags.gaps import Gaps, gaps
-from wam_power_ros.bags.layout import EVENT, STRING, TYPES, described_qos, qos, unfinished
+from wam_power_ros.bags.gaps import Gaps, device_gaps
+from wam_power_ros.bags.layout import (
+    EVENT,
+    STATES,
+    STRING,
+    TYPES,
+    described_qos,
+    device,
+    noted_names,
+    qos,
+    unfinished,
+)
 
 METADATA_VERSION = 9  # of metadata.yaml, that of Jazzy
 
@@ -48,11 +58,14 @@ def header_stamp(cdr: bytes) -> int:
 
 @dataclass
 class _Channel:
-    """A topic being written; `stamps` are those of the headers [ns], None without headers."""
+    """A topic being written.
+
+    `stamps` are those of the headers [ns] by device, see `layout.device`; None without headers.
+    """
 
     number: int
     metadata: dict[str, Any]
-    stamps: array[int] | None
+    stamps: dict[tuple[str, ...], array[int]] | None
     count: int = 0
 
 
@@ -91,10 +104,15 @@ class BagWriter:
         """Number of messages written, by topic."""
         return {topic: channel.count for topic, channel in list(self._channels.items())}
 
-    def gaps(self, topic: str) -> Gaps | None:
-        """Gaps between the header stamps of a topic; None if it has none or was not added."""
+    def gaps(self, topic: str, joint_names: Collection[str]) -> Gaps | None:
+        """Gaps between the header stamps of a topic, of the devices with some joints if one has.
+
+        None if the topic has no headers or was not added.
+        """
         channel = self._channels.get(topic)
-        return None if channel is None or channel.stamps is None else gaps(channel.stamps)
+        if channel is None or channel.stamps is None:
+            return None
+        return device_gaps(channel.stamps, joint_names)
 
     def add(self, topic: str, msgtype: str, offered: Sequence[Qos]) -> None:
         """Add a topic with a message type of Jazzy's common interfaces.
@@ -120,7 +138,7 @@ class BagWriter:
             "topic_type_hash": metadata["type_description_hash"],
         }
         number = self._writer.register_channel(topic, "cdr", self._schemas[msgtype], notes)
-        stamps = array("q") if has_header(msgtype) else None
+        stamps: dict[tuple[str, ...], array[int]] | None = {} if has_header(msgtype) else None
         self._channels[topic] = _Channel(number, metadata, stamps)
 
     def write(self, topic: str, stamp_ns: int, cdr: bytes) -> None:
@@ -136,7 +154,8 @@ class BagWriter:
         self._first_ns = min(self._first_ns, stamp_ns)
         self._last_ns = max(self._last_ns, stamp_ns)
         if channel.stamps is not None and len(cdr) >= 12:
-            channel.stamps.append(header_stamp(cdr))
+            sender = device(cdr, channel.metadata["type"])
+            channel.stamps.setdefault(sender, array("q")).append(header_stamp(cdr))
 
     def event(
         self, event: str, reason: str, stamp_ns: int, notes: Mapping[str, str] | None = None
@@ -164,9 +183,14 @@ class BagWriter:
         self._writer.flush()
         os.fsync(self._file.fileno())
 
-    def completeness(self, state_topic: str) -> dict[str, str]:
-        """Notes for the metadata: rate of the state topic [Hz], and missing messages by topic."""
-        found = {topic: of for topic in self._channels if (of := self.gaps(topic)) is not None}
+    def completeness(self, notes: Mapping[str, str]) -> dict[str, str]:
+        """Notes for the metadata: rate of the arm's states [Hz], and missing messages by topic.
+
+        Args:
+            notes: Other notes, which may name the arm's joints and the topic of its states.
+        """
+        state_topic, joints = notes.get("state_topic", STATES), noted_names(notes)
+        found = {topic: of for topic in self._channels if (of := self.gaps(topic, joints))}
         period = found[state_topic].period if state_topic in found else 0.0
         return {
             "rate": f"{1.0 / period:.1f}" if period else "0",

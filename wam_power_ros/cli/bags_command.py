@@ -58,8 +58,8 @@ def add_to(subparsers: argparse._SubParsersAction) -> None:
         config_option(command, "set-up of the arm")
     trimmed = add("trim", trim, "copy a part of a take")
     trimmed.add_argument("bag", type=Path)
-    trimmed.add_argument("begin", type=float, help="time since the first joint state [s]")
-    trimmed.add_argument("end", type=float, help="time since the first joint state [s]")
+    trimmed.add_argument("begin", type=float, help="time since the first state of the arm [s]")
+    trimmed.add_argument("end", type=float, help="time since the first state of the arm [s]")
     renamed = add("rename", rename, "give a bag another name")
     renamed.add_argument("bag", type=Path)
     renamed.add_argument("name")
@@ -68,13 +68,16 @@ def add_to(subparsers: argparse._SubParsersAction) -> None:
     merged = add("merge", merge, "copy consecutive recordings into one bag")
     merged.add_argument("bag", type=Path, nargs="+")
     imported = add("import", import_, "make a demonstration of any bag with joint states")
-    imported.add_argument("bag", type=Path, help="MCAP or SQLite")
+    imported.add_argument("bag", type=Path, help="folder, .mcap or .db3 file")
     help_joints = "names of the arm's joints in that bag, base to tip"
     imported.add_argument("--joints", nargs="+", default=[], metavar="NAME", help=help_joints)
     imported.add_argument("--topic", default="", help="of the joint states (default: the only one)")
     help_task = f"of the demonstration (default: {DEFAULT_TASK})"
     imported.add_argument("--task", default=DEFAULT_TASK, help=help_task)
     config_option(imported, "set-up of the arm")
+    help_reception = "use the times of reception, where the stamps of the driver are wrong"
+    imported.add_argument("--by-reception", action="store_true", help=help_reception)
+    config_option(trimmed, "set-up of the arm")
     for command, name in ((trimmed, "trimmed"), (merged, "merged"), (imported, "TASK_NAME")):
         command.add_argument("--output", type=Path, help=f"new bag (default: BAG_{name})")
 
@@ -247,14 +250,16 @@ def _movement(inspected: InspectedTake) -> tuple[np.ndarray, float]:
 # Editing
 
 
-def trim(bag: Path, begin: float, end: float, output: Path | None) -> None:
+def trim(bag: Path, begin: float, end: float, output: Path | None, config: Sequence[str]) -> None:
     """Copy a part of a take."""
     from wam_power_ros.bags import editing
     from wam_power_ros.bags.bag import Bag
 
     if not 0.0 <= begin < end:
         raise UsageError(f"begin {begin} and end {end} must be 0 <= begin < end")
-    _print_bag(editing.trim(Bag(bag), output or _beside(bag, "trimmed"), begin, end))
+    names = overlay.setup(config).joint_names
+    output = output or _beside(bag, "trimmed")
+    _print_bag(*editing.trim(Bag(bag), output, begin, end, names))
 
 
 def merge(bag: Sequence[Path], output: Path | None) -> None:
@@ -264,7 +269,7 @@ def merge(bag: Sequence[Path], output: Path | None) -> None:
 
     if len(bag) < 2:
         raise UsageError("merge needs at least two bags")
-    _print_bag(editing.merge([*map(Bag, bag)], output or _beside(bag[0], "merged")))
+    _print_bag(*editing.merge([*map(Bag, bag)], output or _beside(bag[0], "merged")))
 
 
 def import_(
@@ -274,6 +279,7 @@ def import_(
     task: str,
     output: Path | None,
     config: Sequence[str],
+    by_reception: bool,
 ) -> None:
     """Convert a bag of another recorder into a demonstration."""
     from wam_power_ros.bags import editing, layout
@@ -284,11 +290,11 @@ def import_(
     limits = _limits(setup)
     output = output or layout.free_path(Path(), f"{kind}_{bag.resolve().stem}")
     with progress_messages(f"importing {bag}"):
-        made, remarks = editing.import_bag(Bag(bag), output, names, joints, topic, kind)
+        made, remarks = editing.import_bag(
+            Bag(bag), output, names, joints, topic, kind, by_reception
+        )
         _, row, reasons = _row(made, names, limits)
-    _print_bag(made)
-    for remark in remarks:
-        print(f"  {remark.text}")
+    _print_bag(made, remarks)
     print(f"  {row.strip()}  {reasons}".rstrip())
 
 
@@ -318,8 +324,10 @@ def recover(bag: Sequence[Path]) -> None:
 def _beside(bag: Path, suffix: str) -> Path:
     """Path of a new bag beside another."""
     bag = bag.resolve()
-    return bag.with_name(f"{bag.name}_{suffix}")
+    return bag.with_name(f"{bag.stem if bag.is_file() else bag.name}_{suffix}")
 
 
-def _print_bag(path: Path) -> None:
+def _print_bag(path: Path, remarks: Sequence[Remark] = ()) -> None:
     print(f"Bag: {short_path(path.resolve())}")
+    for remark in remarks:
+        print(f"  {remark.text}")

@@ -195,7 +195,7 @@ class DemonstrationRecorder(Node):
             return Answer(Code.NOTHING, "not recording")
         self._take_pending(recording)
         try:
-            states = recording.close(reason, self._notes, self._state_topic)
+            states = recording.close(reason, self._notes)
         except OSError as error:
             self._abandon(error)
             raise

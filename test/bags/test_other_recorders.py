@@ -1,0 +1,257 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags as other recorders and drivers leave them are read whole, mended aloud, or refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bag_samples import (
+    NAMES,
+    START,
+    demonstration,
+    joint_state,
+    of_states,
+    random_q,
+    without_message_indexes,
+)
+from mcap.reader import make_reader
+from rosbags.rosbag2 import StoragePlugin, Writer
+
+from wam_power_ros.arm_identity import ArmIdentity, to_json
+from wam_power_ros.bags import editing, layout, takes
+from wam_power_ros.bags.bag import Bag
+from wam_power_ros.bags.layout import JOINT_STATE, TYPES
+from wam_power_ros.bags.reader import States, read_states
+from wam_power_ros.bags.writer import BagWriter
+
+MS = 1_000_000
+PERIOD = 4 * MS
+Q = random_q(60)
+STAMPS = START + PERIOD * np.arange(len(Q))
+ARM = [(stamp + MS, stamp, NAMES, row) for stamp, row in zip(STAMPS.tolist(), Q, strict=True)]
+GRIPPER = [(received + 600_000, stamp + 600_000, ("grip",), [0.1]) for received, stamp, *_ in ARM]
+
+
+def by_reception(states: list) -> list:
+    return sorted(states, key=lambda state: state[0])
+
+
+def whole(states: States) -> None:
+    np.testing.assert_array_equal(states.q, Q)
+    np.testing.assert_array_equal(states.stamps, STAMPS)
+
+
+def remarks(states: States) -> list[str]:
+    return [remark.text for remark in states.remarks]
+
+
+def rosbag2_folder(file: Path, count: int) -> Path:
+    """The folder of a file, as rosbag2 describes it."""
+    qos = layout.described_qos([layout.qos(reliable=True, latched=False)])
+    topic = {
+        "name": "/joint_states",
+        "type": JOINT_STATE,
+        "serialization_format": "cdr",
+        "offered_qos_profiles": qos,
+    }
+    information = {
+        "version": 9,
+        "storage_identifier": "mcap",
+        "relative_file_paths": [file.name],
+        "topics_with_message_count": [{"topic_metadata": topic, "message_count": count}],
+    }
+    text = json.dumps({"rosbag2_bagfile_information": information})  # JSON is YAML
+    (file.parent / "metadata.yaml").write_text(text)
+    return file.parent
+
+
+def test_messages_that_no_index_lists_are_read(tmp_path: Path) -> None:
+    file = without_message_indexes(tmp_path / "theirs.mcap", Q)
+    for path in (file, rosbag2_folder(file, len(Q))):
+        np.testing.assert_array_equal(read_states(Bag(path), NAMES).q, Q)
+
+
+@pytest.mark.parametrize("storage", list(StoragePlugin))
+def test_a_lone_file_is_a_bag(storage: StoragePlugin, tmp_path: Path) -> None:
+    with Writer(tmp_path / "bag", version=9, storage_plugin=storage) as writer:
+        topic = writer.add_connection("/joint_states", JOINT_STATE, typestore=TYPES)
+        for received, stamp, names, row in ARM:
+            writer.write(topic, received, joint_state(stamp, names, row))
+    (file,) = (item for item in (tmp_path / "bag").iterdir() if item.suffix != ".yaml")
+    lone = file.rename(tmp_path / file.name)
+    whole(read_states(Bag(lone), NAMES))
+    made, _ = editing.import_bag(Bag(lone), tmp_path / "ours", NAMES)
+    whole(read_states(Bag(made), NAMES))
+    with pytest.raises(ValueError, match=r"name its \.mcap or \.db3 file"):
+        Bag(tmp_path)
+
+
+def test_a_lone_file_of_ours_keeps_its_notes(tmp_path: Path) -> None:
+    path = demonstration(tmp_path / "demo", Q)
+    assert Bag(path / "demo.mcap").notes == Bag(path).notes != {}
+
+
+def test_messages_that_the_recorder_counted_and_lost_are_said(tmp_path: Path) -> None:
+    folder = rosbag2_folder(without_message_indexes(tmp_path / "theirs.mcap", Q), len(Q) + 7)
+    assert "7 of 67 messages that the bag counts are not in it" in remarks(
+        read_states(Bag(folder), NAMES)
+    )
+
+
+def test_late_states_are_put_in_the_order_of_their_stamps(tmp_path: Path) -> None:
+    states = ARM.copy()
+    for at in (10, 30):
+        states[at : at + 2] = [
+            (states[at][0], *states[at + 1][1:]),
+            (states[at + 1][0], *states[at][1:]),
+        ]
+    found = read_states(Bag(of_states(tmp_path / "swapped", states)), NAMES)
+    whole(found)
+    assert remarks(found) == ["2 late states put in the order of stamps"]
+
+
+def test_a_copy_that_comes_later_is_left_out(tmp_path: Path) -> None:
+    twice = by_reception(ARM + [(received + 5 * MS, *state) for received, *state in ARM])
+    found = read_states(Bag(of_states(tmp_path / "twice", twice)), NAMES)
+    whole(found)
+    assert remarks(found) == ["60 repetitions left out"]
+
+
+def test_a_clock_that_was_set_back_is_refused_unless_by_reception(tmp_path: Path) -> None:
+    states = [
+        (received, stamp - 500 * MS if at >= 30 else stamp, names, row)
+        for at, (received, stamp, names, row) in enumerate(ARM)
+    ]
+    path = of_states(tmp_path / "back", states)
+    with pytest.raises(ValueError, match="--by-reception"):
+        read_states(Bag(path), NAMES)
+    found = read_states(Bag(path), NAMES, by_reception=True)
+    np.testing.assert_array_equal(found.q, Q)
+    np.testing.assert_array_equal(found.stamps, STAMPS + MS)
+    made, _ = editing.import_bag(Bag(path), tmp_path / "ours", NAMES, by_reception=True)
+    np.testing.assert_array_equal(read_states(Bag(made), NAMES).stamps, STAMPS + MS)
+
+
+@pytest.mark.parametrize("shift", [0, 1_300_000])
+def test_joints_of_two_publishers_are_joined(shift: int, tmp_path: Path) -> None:
+    q = np.linspace(0.0, 1.0, 60)[:, None] * [1.0, -1.0, 0.5]  # linear, as is the joining
+    states = []
+    for stamp, row in zip(STAMPS.tolist(), q, strict=True):
+        states.append((stamp, stamp, NAMES[:2], row[:2]))
+        late = row[2] + 0.5 / 59 * shift / PERIOD
+        states.append((stamp + shift + 1, stamp + shift, NAMES[2:], [late]))
+    path = of_states(tmp_path / "split", states)
+    found = read_states(Bag(path), NAMES)
+    first = 1 if shift else 0  # before the other publisher there is nothing to interpolate
+    np.testing.assert_allclose(found.q, q[first:], atol=1e-12)
+    np.testing.assert_array_equal(found.stamps, STAMPS[first:])
+    assert "states joined from messages of their own: wam_j1, wam_j2 and" in remarks(found)[0]
+    made, _ = editing.import_bag(Bag(path), tmp_path / "ours", NAMES)
+    np.testing.assert_array_equal(read_states(Bag(made), NAMES).q, found.q)
+
+
+def test_joints_are_not_joined_across_a_gap_of_one_publisher(tmp_path: Path) -> None:
+    states = by_reception(
+        [(r, s, NAMES[:2], row[:2]) for r, s, _, row in ARM]
+        + [(r + 1, s, NAMES[2:], row[2:]) for r, s, _, row in ARM[:20] + ARM[40:]]
+    )
+    found = read_states(Bag(of_states(tmp_path / "gap", states)), NAMES)
+    np.testing.assert_array_equal(found.stamps, np.r_[STAMPS[:20], STAMPS[40:]])
+
+
+def test_a_joint_in_messages_of_two_kinds_is_refused(tmp_path: Path) -> None:
+    states = [*ARM, (ARM[-1][0] + 1, ARM[-1][1] + MS, NAMES[:1], [0.0])]
+    with pytest.raises(ValueError, match="messages of several kinds"):
+        read_states(Bag(of_states(tmp_path / "both", states)), NAMES)
+
+
+def test_a_name_without_a_position_is_refused_and_nothing_is_written(tmp_path: Path) -> None:
+    states = [(r, s, (*names, "grip"), row) for r, s, names, row in ARM]
+    path = of_states(tmp_path / "theirs", states)
+    with pytest.raises(ValueError, match="3 positions for names"):
+        editing.import_bag(Bag(path), tmp_path / "ours", NAMES)
+    assert not (tmp_path / "ours").exists()
+
+
+def test_gaps_are_those_of_the_arm_whatever_else_is_on_its_topic(tmp_path: Path) -> None:
+    writer = BagWriter(tmp_path / "two")
+    writer.add("/joint_states", JOINT_STATE, [])
+    for received, stamp, names, row in by_reception(ARM + GRIPPER):
+        writer.write("/joint_states", received, joint_state(stamp, names, np.asarray(row)))
+    noted = writer.completeness({"joint_names": json.dumps(NAMES)})
+    assert (noted["rate"], json.loads(noted["missing"])) == ("250.0", {"/joint_states": 0})
+    assert takes.read(Bag(writer.close({})), NAMES).missing == {"/joint_states": 0}
+    cut = of_states(tmp_path / "cut", by_reception(ARM[:20] + ARM[25:] + GRIPPER))
+    assert takes.read(Bag(cut), NAMES).missing == {"/joint_states": 5}
+    fewer = of_states(tmp_path / "fewer", by_reception(ARM + GRIPPER[:20] + GRIPPER[25:]))
+    assert takes.read(Bag(fewer), NAMES).missing == {"/joint_states": 0}
+
+
+def test_a_part_is_counted_from_the_first_state_of_the_arm(tmp_path: Path) -> None:
+    early = [
+        (START - 40 * MS + i * MS, START - 40 * MS + i * MS, ("grip",), [0.0]) for i in range(9)
+    ]
+    path = of_states(tmp_path / "theirs", early + ARM)
+    made, _ = editing.trim(Bag(path), tmp_path / "part", 0.04, 0.08, NAMES)
+    np.testing.assert_array_equal(read_states(Bag(made), NAMES).stamps, STAMPS[10:21])
+
+
+def test_topics_of_unknown_types_are_left_out_and_named(tmp_path: Path) -> None:
+    paths = []
+    for name, part in (("a", ARM[:30]), ("b", ARM[30:])):
+        with Writer(tmp_path / name, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+            states = writer.add_connection("/joint_states", JOINT_STATE, typestore=TYPES)
+            bodies = writer.add_connection(
+                "/bodies", "mocap_msgs/msg/Bodies", msgdef="float64 x", rihs01="RIHS01_" + "0" * 64
+            )
+            for received, stamp, names, row in part:
+                writer.write(states, received, joint_state(stamp, names, row))
+                writer.write(bodies, received, b"\0\1\0\0" + bytes(8))
+        paths.append(tmp_path / name)
+    for made, said in (
+        editing.trim(Bag(paths[0]), tmp_path / "part", 0.0, 0.1, NAMES),
+        editing.merge([*map(Bag, paths)], tmp_path / "merged"),
+    ):
+        assert list(Bag(made).topics) == ["/joint_states"]
+        (remark,) = said
+        assert remark.text.startswith("/bodies left out: mocap_msgs/msg/Bodies")
+    whole(read_states(Bag(tmp_path / "merged"), NAMES))
+
+
+def test_what_cannot_be_read_again_is_not_left_behind(tmp_path: Path) -> None:
+    writer = BagWriter(tmp_path / "theirs")
+    writer.add("/joint_states", JOINT_STATE, [])
+    for received, stamp, names, row in ARM:
+        jumped = np.asarray(row) + (1.0 if stamp >= STAMPS[30] else 0.0)
+        writer.write("/joint_states", received, joint_state(stamp, names, jumped))
+    path = writer.close({"joint_names": json.dumps(NAMES)})
+    with pytest.raises(ValueError, match=r"part could not be read again and was removed.*jumps"):
+        editing.trim(Bag(path), tmp_path / "part", 0.0, 1.0)
+    assert [item.name for item in tmp_path.iterdir()] == ["theirs"]
+    editing.trim(Bag(path), tmp_path / "part", 0.0, 0.1)
+
+
+def test_an_import_keeps_the_identity_of_the_arm(tmp_path: Path) -> None:
+    arm = ArmIdentity("wam", NAMES, "0" * 64, "1" * 64)
+    writer = BagWriter(tmp_path / "theirs")
+    writer.add("/joint_states", JOINT_STATE, [])
+    for received, stamp, names, row in ARM:
+        writer.write("/joint_states", received, joint_state(stamp, names, row))
+    path = writer.close({"arm": to_json(arm)})
+    made, _ = editing.import_bag(Bag(path), tmp_path / "ours", NAMES)
+    assert Bag(made).arm == arm
+
+
+def test_the_library_of_mcap_reads_a_bag_of_ours_with_its_checksums(tmp_path: Path) -> None:
+    path = demonstration(tmp_path / "demo", Q)
+    with (path / "demo.mcap").open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        found = [(channel.topic, m.log_time, m.data) for _, channel, m in reader.iter_messages()]
+        summary = reader.get_summary()
+    bag = Bag(path)
+    assert found == [*bag.messages(bag.topics)]
+    assert summary is not None and summary.statistics is not None
+    assert summary.statistics.message_count == len(found) == 121
