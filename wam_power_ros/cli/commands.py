@@ -109,12 +109,6 @@ def learn(
         print(f"New session {folder}; Ctrl-C stops it, and it can be resumed.")
     signal.signal(signal.SIGTERM, interrupt)
 
-    def print_how_to_resume(text: str) -> None:
-        words = ["learn", "--session", str(short_path(folder))]
-        if not Session.exists(folder):  # the options are not on disk yet
-            words += asked.words
-        _print_command(f"{text} To resume:", [*words, *devices.words])
-
     try:
         parameters = devices.parameters(task, seed, folder)
         given = learner_parameters(folder, asked, seed, task)
@@ -129,15 +123,41 @@ def learn(
             practising = launcher.node(LEARNER, **taught)
             _follow(folder, launcher.processes, practising, bell)
     except KeyboardInterrupt:
-        print_how_to_resume(f"\nStopped. The session is in {short_path(folder)}.")
+        print("\nStopped.")
+        _print_how_to_go_on(folder, asked, devices)
         return INTERRUPTED
     except ProcessError as error:  # the advice comes last, below the end of the log
         print(f"wam-power: {pasteable(str(error))}", file=sys.stderr, flush=True)
-        print_how_to_resume(f"\nThe session is in {short_path(folder)}.")
+        _print_how_to_go_on(folder, asked, devices)
         return 2
     ended = read(folder)
     print(terminal.wrapped(terminal.summary(ended.records, ended.task)))
     return report(folder)
+
+
+def _print_how_to_go_on(folder: Path, asked: SessionOptions, devices: Devices) -> None:
+    """Print what a session that was stopped has on disk, and the command that goes on with it."""
+    from wam_power_ros.bags import series
+    from wam_power_ros.practice.session import Session, read
+    from wam_power_ros.reporting.terminal import counted
+
+    words, where = ["learn", "--session", str(short_path(folder))], short_path(folder)
+    if not Session.exists(folder):  # the options are not on disk yet
+        words += asked.words
+    try:
+        rollouts = len(read(folder).records) if Session.exists(folder) else 0
+        taught = len(series.read(folder / series.FILE))
+    except (ValueError, OSError) as error:
+        print(f"The session in {where} cannot be resumed: {error}")
+        return
+    if rollouts:
+        purpose = f"The session in {where} has {counted(rollouts, 'rollout')}. To resume:"
+    elif taught:
+        found = counted(taught, "demonstration")
+        purpose = f"No rollout yet, {found} in {where}. To continue with them:"
+    else:
+        purpose = f"Nothing has been recorded in {where}. To start again:"
+    _print_command(purpose, [*words, *devices.words])
 
 
 def _has_ended(session: Session) -> bool:
@@ -365,8 +385,17 @@ def _last_error(command: Sequence[str], gl: str) -> str | None:
 
 
 def config(devices: Devices, task: str | None) -> None:
-    """Print the parameters of every node."""
-    print(overlay.text(devices.parameters(task or DEFAULT_TASK)), end="")
+    """Print the parameters of every node, once each would accept its own."""
+    from hardware_sim.settings import OptitrackSimParams, WamSimParams
+    from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorderParams
+    from wam_power_ros.nodes.learner import LearnerParams
+
+    setup = devices.parameters(task or DEFAULT_TASK)
+    for node in (DemonstrationRecorderParams, LearnerParams):
+        node.of_setup(setup)
+    for stand_in in (WamSimParams, OptitrackSimParams) if devices.stand_ins else ():
+        stand_in.of_setup(setup)
+    print(overlay.text(setup), end="")
 
 
 def policy(config: Sequence[str], namespace: str) -> None:

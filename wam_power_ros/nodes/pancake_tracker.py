@@ -57,11 +57,6 @@ class PancakeTracker(Node):
     def __init__(self) -> None:
         super().__init__("pancake_tracker", automatically_declare_parameters_from_overrides=True)
         self._params = params = PancakeTrackerParams.of(self)
-        if bool(params.pose_topic) == bool(params.markers_topic):
-            raise ValueError(
-                f"set either pose_topic or markers_topic, not {params.pose_topic!r} and "
-                f"{params.markers_topic!r}"
-            )
         self._tracker = Tracker(params)
         namespace = self.get_namespace()
         self._frame = interface.frame(namespace, interface.BASE_FRAME)
