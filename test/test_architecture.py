@@ -63,7 +63,7 @@ BELOW = set(ALLOWED)
 ALLOWED["client"] = {"faults", "bags", "learning", "control", "tasks", "params", "ros"}
 ALLOWED["view"] = {*BELOW, "client"} - {"conformance"}
 ALLOWED["nodes"] = {*BELOW, "client"} - {"reporting"}
-ALLOWED["console"] = {*BELOW, "client"} - {"reporting", "practice", "tasks"}
+ALLOWED["console"] = {*BELOW, "client"} - {"reporting"}
 ALLOWED["hardware_sim"] = BELOW - {"bags", "practice", "conformance", "reporting"}
 ALLOWED["in_process"] = {*BELOW, "hardware_sim"} - {"ros"}
 ALLOWED["cli"] = {*BELOW, "nodes", "console", "view", "hardware_sim"}
@@ -81,15 +81,15 @@ BUDGET = {
     "practice": 2040,
     "conformance": 1060,
     "bags": 2010,
-    "params": 985,
-    "ros": 2615,
+    "params": 990,
+    "ros": 2630,
     "client": 1240,
     "nodes": 3010,
-    "console": 670,
+    "console": 830,
     "view": 1360,
     "reporting": 930,
     "in_process": 350,
-    "cli": 2460,
+    "cli": 2520,
     "hardware_sim": 2840,
     "launch": 260,
     "examples": 330,

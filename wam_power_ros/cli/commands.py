@@ -193,6 +193,8 @@ def replay(bag: Path, speed: float, folder: Path | None, devices: Devices) -> in
     from wam_power_ros.bags.bag import Bag
     from wam_power_ros.control import replay_trajectory
 
+    if bag.is_file() and bag.suffix == ".json":
+        raise UsageError(f"{bag} is not a bag; to execute a policy: wam-power run-policy {bag}")
     folder = (folder or Path("replays") / timestamp()).resolve()
     parameters = devices.parameters(folder=folder).changed({RECORDER: {"stem": "replay"}})
     arm = parameters.arm()
@@ -211,11 +213,55 @@ def replay(bag: Path, speed: float, folder: Path | None, devices: Devices) -> in
             arm=arm_identity.to_json(identity),
             person=not devices.stand_ins,
         )
-        while True:
-            try:
-                return launcher.processes.wait(replaying)
-            except KeyboardInterrupt:  # the script stops the arm before the nodes end
-                replaying.process.send_signal(signal.SIGINT)
+        return _end_of_motion(launcher, replaying)
+
+
+def run_policy(
+    policy: Path, rollouts: int, task: str | None, folder: Path | None, devices: Devices
+) -> int:
+    """Execute a saved policy with the arm, as often as asked."""
+    from wam_power_ros.console.run_policy import read_policy
+    from wam_power_ros.practice.session import Session, read
+
+    if policy.is_dir():
+        policy = policy / "policy.json"
+    beside = policy.resolve().parent
+    of_session = Session.exists(beside)
+    name = task or (read(beside).header.settings.task if of_session else DEFAULT_TASK)
+    used = str(beside) if of_session and name == read(beside).header.settings.task else ""
+    folder = (folder or Path("runs") / timestamp()).resolve()
+    parameters = devices.parameters(name, folder=folder)
+    if (arm := parameters.arm()) is None:
+        raise UsageError("the set-up has no URDF file of the arm: choose one with --config")
+    read_policy(policy, arm)
+    learner = parameters[LEARNER]
+    settings = ("scene_reset", "reset_faults", "service_timeout", "rollout_timeout", "patience")
+    model = ("urdf", "model_joint_names", "tool_frame")
+    signal.signal(signal.SIGTERM, interrupt)
+    plan = plan_of(folder, parameters, devices.stand_ins, also=[TRACKER], secure=secured())
+    with launch(plan) as launcher:
+        running = launcher.script(
+            "run_policy",
+            policy=str(policy.resolve()),
+            rollouts=rollouts,
+            session=used,
+            task=name,
+            person=not devices.stand_ins,
+            record_rollouts=True,
+            **{key: learner[key] for key in (*settings, *model)},
+        )
+        status = _end_of_motion(launcher, running)
+    print(f"Bags: {short_path(folder / 'bags')}")
+    return status
+
+
+def _end_of_motion(launcher: Launcher, script: Running) -> int:
+    """Exit status of a script that moves the arm, which it stops at Ctrl-C before the nodes end."""
+    while True:
+        try:
+            return launcher.processes.wait(script)
+        except KeyboardInterrupt:
+            script.process.send_signal(signal.SIGINT)
 
 
 def enable() -> int:
