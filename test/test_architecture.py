@@ -92,7 +92,7 @@ BUDGET = {
     "cli": 2520,
     "hardware_sim": 2840,
     "launch": 260,
-    "examples": 330,
+    "examples": 380,
     "reproduction": 3350,
     "benchmark": 4500,
 }
