@@ -63,10 +63,10 @@ BELOW = set(ALLOWED)
 ALLOWED["client"] = {"faults", "bags", "learning", "control", "tasks", "params", "ros"}
 ALLOWED["view"] = {*BELOW, "client"} - {"conformance"}
 ALLOWED["nodes"] = {*BELOW, "client"} - {"reporting"}
-ALLOWED["console"] = {*BELOW, "client"} - {"reporting", "practice", "tasks"}
+ALLOWED["console"] = {*BELOW, "client"} - {"reporting"}
 ALLOWED["hardware_sim"] = BELOW - {"bags", "practice", "conformance", "reporting"}
 ALLOWED["in_process"] = {*BELOW, "hardware_sim"} - {"ros"}
-ALLOWED["cli"] = {*BELOW, "nodes", "console", "view"}
+ALLOWED["cli"] = {*BELOW, "nodes", "console", "view", "hardware_sim"}
 ALLOWED["robot"] = {"client", "cli"}
 ALLOWED["reproduction"] = ALLOWED["in_process"] | {"in_process"}
 ALLOWED["benchmark"] = {*ALLOWED}
@@ -79,20 +79,20 @@ BUDGET = {
     "tracking": 590,
     "tasks": 2670,
     "practice": 2080,
-    "conformance": 1030,
+    "conformance": 1060,
     "bags": 2280,
-    "params": 940,
-    "ros": 2480,
+    "params": 990,
+    "ros": 2630,
     "client": 1240,
-    "nodes": 2940,
-    "console": 670,
+    "nodes": 3000,
+    "console": 830,
     "view": 1360,
     "reporting": 930,
     "in_process": 350,
-    "cli": 2410,
+    "cli": 2520,
     "hardware_sim": 2840,
     "launch": 260,
-    "examples": 330,
+    "examples": 380,
     "reproduction": 3350,
     "benchmark": 4500,
 }

@@ -15,11 +15,16 @@ from toss_task import demonstrated_policy, practice_of, toss
 
 from wam_power_ros import arm_identity
 from wam_power_ros.arm_identity import ArmIdentity
-from wam_power_ros.bags import layout
+from wam_power_ros.bags import layout, series
 from wam_power_ros.bags.writer import BagWriter
-from wam_power_ros.cli import main
+from wam_power_ros.cli import commands, main
 from wam_power_ros.cli.commands import _has_ended
-from wam_power_ros.cli.launcher import learner_is_running, pasteable, program_command
+from wam_power_ros.cli.launcher import (
+    Devices,
+    learner_is_running,
+    pasteable,
+    program_command,
+)
 from wam_power_ros.cli.session_options import SessionOptions
 from wam_power_ros.params import overlay
 from wam_power_ros.practice.session import Session, read
@@ -211,3 +216,31 @@ def test_a_set_up_whose_links_have_no_mass_is_not_printed(
     message = refusal("config", str(file))
     assert f"{tmp_path / 'arm.urdf'}: links ['wam_link1'," in message
     assert "'pan'] move without mass" in message
+
+
+def test_resuming_is_offered_only_for_what_is_on_disk(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, asked, devices = tmp_path / "s", SessionOptions(task="flip", trials=9), Devices()
+
+    def said() -> str:
+        commands._print_how_to_go_on(folder, asked, devices)
+        return capsys.readouterr().out
+
+    refused = said()
+    assert "Nothing has been recorded" in refused and "To start again:" in refused
+    assert "--trials 9" in refused and "resume" not in refused
+    folder.mkdir()
+    series.write(folder / series.FILE, [folder / "bags/a", folder / "bags/b"])
+    assert "No rollout yet, 2 demonstrations in" in (taught := said()) and "--trials 9" in taught
+    settings, policies = preset("flip", budget=9), [demonstrated_policy()]
+    with Session.begin(folder, settings, 0, policies) as session:
+        assert "To continue with them:" in said()
+        practice = practice_of(policies, settings, seed=0)
+        trial = practice.next_trial()
+        session.append(practice.learn_assessed(trial, toss(trial, practice.task.settings)))
+    resumed = said()
+    assert "has 1 rollout. To resume:" in resumed and "--trials" not in resumed
+    (folder / "rollouts.jsonl").unlink()
+    lost = said()
+    assert "cannot be resumed: " in lost and "To resume" not in lost

@@ -9,6 +9,8 @@ from wam_power_ros.conformance.topic_checks import Endpoint, Row, Verdict
 
 MS = 1_000_000  # [ns]
 STATE = "sensor_msgs/msg/JointState"
+SEE = "its publishers cannot be received: see the row on QoS"
+TEXT = "node 'driver' is of another type"
 START = 1_700_000_000_000 * MS
 
 
@@ -69,45 +71,55 @@ def test_late_messages_are_a_warning_and_never_a_failure() -> None:
 
 
 @pytest.mark.parametrize(
-    ("ends", "expected"),
+    ("ends", "unmatched", "expected"),
     [
-        ([Endpoint("driver", STATE, True, False)], Verdict.OK),
-        ([Endpoint("driver", STATE, False, False)], Verdict.OK),
-        ([Endpoint("driver", "std_msgs/msg/String", True, False)], Verdict.FAIL),
-        ([Endpoint(node, STATE, True, False) for node in ("left", "right")], Verdict.WARN),
-        ([], Verdict.UNCHECKED),
+        ([Endpoint("driver", True, False)], [], Verdict.OK),
+        ([Endpoint("driver", False, False)], [], Verdict.OK),
+        ([Endpoint("driver", True, False)], [TEXT], Verdict.FAIL),
+        ([Endpoint(node, True, False) for node in ("left", "right")], [], Verdict.WARN),
+        ([Endpoint(node, True, False) for node in ("left", "right")], [TEXT], Verdict.FAIL),
+        ([], [], Verdict.UNCHECKED),
     ],
 )
 def test_publishers_that_our_subscriptions_cannot_receive_fail(
-    ends: list[Endpoint], expected: Verdict
+    ends: list[Endpoint], unmatched: list[str], expected: Verdict
 ) -> None:
-    assert topic_checks.publishers("QoS", STATE, ends).verdict is expected
+    row = topic_checks.publishers("QoS", STATE, ends, unmatched)
+    assert row.verdict is expected
+    assert (row.found == TEXT) == bool(unmatched)
 
 
-DRIVER = Endpoint("driver", STATE, True, False)
-OTHER = Endpoint("teleop", STATE, True, False)
+def test_without_messages_publishers_that_cannot_be_received_change_the_advice() -> None:
+    ends = [Endpoint("driver", True, False)]
+    assert topic_checks.reception("states", "/states", 0, 5.0, ends, [TEXT]).advice == SEE
+    assert "start the driver" in topic_checks.reception("states", "/s", 0, 5.0, [], []).advice
+    assert topic_checks.reception("states", "/s", 9, 5.0, ends, [TEXT]).verdict is Verdict.OK
+
+
+DRIVER = Endpoint("driver", True, False)
+OTHER = Endpoint("teleop", True, False)
 
 
 @pytest.mark.parametrize(
-    ("drivers", "commanders", "count", "expected", "fragment"),
+    ("drivers", "commanders", "count", "unmatched", "expected", "fragment"),
     [
-        ([DRIVER], [], 0, Verdict.OK, "driver"),
-        ([], [], 0, Verdict.FAIL, "nobody"),
-        ([DRIVER], [OTHER], 0, Verdict.FAIL, "teleop may command"),
-        ([DRIVER], [], 7, Verdict.FAIL, "7 torques"),
-        ([DRIVER._replace(type="std_msgs/msg/String")], [], 0, Verdict.FAIL, "wants std_msgs"),
-        ([DRIVER._replace(latched=True)], [], 0, Verdict.FAIL, "latched"),
-        ([DRIVER, OTHER], [], 0, Verdict.WARN, "driver, teleop"),
+        ([DRIVER], [], 0, [], Verdict.OK, "driver"),
+        ([], [], 0, [], Verdict.FAIL, "nobody"),
+        ([DRIVER], [OTHER], 0, [], Verdict.FAIL, "teleop may command"),
+        ([DRIVER], [], 7, [], Verdict.FAIL, "7 torques"),
+        ([DRIVER], [], 0, [TEXT], Verdict.FAIL, TEXT),
+        ([DRIVER, OTHER], [], 0, [], Verdict.WARN, "driver, teleop"),
     ],
 )
 def test_a_command_path_has_one_driver_and_no_commander(
     drivers: list[Endpoint],
     commanders: list[Endpoint],
     count: int,
+    unmatched: list[str],
     expected: Verdict,
     fragment: str,
 ) -> None:
-    row = topic_checks.command_path("/commands", STATE, drivers, commanders, count)
+    row = topic_checks.command_path("/commands", STATE, drivers, commanders, count, unmatched)
     assert row.verdict is expected
     assert fragment in row.found
 

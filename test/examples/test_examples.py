@@ -11,7 +11,7 @@ import pytest
 from conftest import ROOT
 
 EXAMPLES = ROOT / "examples"
-OVER_DDS = "10_teach_learn_replay"
+OVER_DDS, DRIVER = "10_teach_learn_replay", "11_write_a_driver"
 PRINTS = {  # expressions of which each line of the output is to have one, in this order
     "01_fit_a_bag": [r"8 spring-dampers", r"reproduced within \d\d? mm"],
     "02_learn_a_reach": [r"demonstrated: 0\.[1-3]", r"learnt:       0\.[6-9]"],
@@ -48,7 +48,7 @@ def test_the_examples_are_ordered_by_their_page_and_all_tested() -> None:
     names = sorted(path.stem for path in EXAMPLES.glob("*.py"))
     listed = re.findall(r"^\| \[(\w+)\.py\]", (EXAMPLES / "README.md").read_text(), re.M)
     assert names == listed
-    others = {"05_practise_in_process", "06_resume_a_session", "08_use_your_arm", OVER_DDS}
+    others = {"05_practise_in_process", "06_resume_a_session", "08_use_your_arm", OVER_DDS, DRIVER}
     assert {*PRINTS, *others} == {*names}
 
 

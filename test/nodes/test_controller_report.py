@@ -22,7 +22,7 @@ STILL = Fault(FaultKind.STAMPS, "stamps stand")
 UNCONFIGURED = Condition(
     core=None,
     fault=None,
-    described=False,
+    undescribed="",
     autostart=False,
     active=False,
     missing_state="no joint state",
@@ -69,7 +69,7 @@ def active(fault: Fault | None = None) -> Condition:
         core.step(2_000_000, HOME, 0.0 * HOME)
         core.hold()
     return dataclasses.replace(
-        UNCONFIGURED, core=core, fault=fault, described=True, active=True, missing_state=None
+        UNCONFIGURED, core=core, fault=fault, undescribed=None, active=True, missing_state=None
     )
 
 
@@ -101,7 +101,7 @@ def test_another_fault_in_the_place_of_one_is_logged(
 def test_what_a_person_is_waited_for_is_logged_step_by_step(
     report: ControllerReport, beside: Preparation
 ) -> None:
-    described = dataclasses.replace(UNCONFIGURED, described=True)
+    described = dataclasses.replace(UNCONFIGURED, undescribed=None)
     configured = dataclasses.replace(described, core=PARAMS.controller(URDF))
     fit = dataclasses.replace(configured, missing_state=None)
     for condition in (UNCONFIGURED, described, configured, fit, active()):
@@ -120,7 +120,7 @@ def test_a_velocity_topic_without_messages_is_named_in_the_log(
 ) -> None:
     configured = dataclasses.replace(
         UNCONFIGURED,
-        described=True,
+        undescribed=None,
         core=PARAMS.controller(URDF),
         missing_state="no joint velocity on wam/velocity within the last second",
     )
@@ -131,7 +131,7 @@ def test_a_velocity_topic_without_messages_is_named_in_the_log(
 def test_a_controller_that_starts_itself_waits_for_no_person(
     report: ControllerReport, beside: Preparation
 ) -> None:
-    described = dataclasses.replace(UNCONFIGURED, described=True, autostart=True)
+    described = dataclasses.replace(UNCONFIGURED, undescribed=None, autostart=True)
     fit = dataclasses.replace(described, core=PARAMS.controller(URDF), missing_state=None)
     for condition in (described, fit):
         report.log_changes(condition)

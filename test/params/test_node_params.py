@@ -16,6 +16,7 @@ from rclpy.parameter import Parameter
 
 from hardware_sim.settings import OptitrackSimParams, WamSimParams
 from wam_power_ros.console.replay import ReplayParams
+from wam_power_ros.console.run_policy import RunPolicyParams
 from wam_power_ros.console.teach import TeachParams
 from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorderParams
 from wam_power_ros.nodes.learner import LearnerParams
@@ -161,6 +162,7 @@ PARAMS = (
     PancakeTrackerParams,
     DemonstrationRecorderParams,
     ReplayParams,
+    RunPolicyParams,
     TeachParams,
 )
 

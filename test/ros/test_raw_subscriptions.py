@@ -12,7 +12,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
-from std_msgs.msg import String
+from std_msgs.msg import Float64, String
 
 from wam_power_ros.ros import interface, node_runner
 from wam_power_ros.ros.raw_subscriptions import RawTopics
@@ -21,13 +21,21 @@ RELIABLE, BEST_EFFORT = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFOR
 LATCHED, VOLATILE = DurabilityPolicy.TRANSIENT_LOCAL, DurabilityPolicy.VOLATILE
 
 
+def _participant(node: Node) -> rclpy.Context:
+    """Context of another participant: one cannot have two types on a topic."""
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=node.context.get_domain_id())
+    return context
+
+
 class Recorder:
     """A node with raw subscriptions, and publishers to drive them."""
 
     def __init__(self) -> None:
         self.node, self.sender = Node("recorder"), Node("sender")
+        self.other = Node("other", context=_participant(self.node))
         self.received: list[tuple[str, str]] = []
-        self.topics = RawTopics(self.node, ["notes"], self._on_message)
+        self.topics = RawTopics(self.node, {"notes": ()}, self._on_message)
         self._executor = node_runner.executor_for(self.node)
 
     def _on_message(self, topic: str, cdr: bytes) -> None:
@@ -54,6 +62,7 @@ def recorder(domain_id: int) -> Iterator[Recorder]:
         recorder = Recorder()
         yield recorder
         recorder.sender.destroy_node()
+        rclpy.shutdown(context=recorder.other.context)
         recorder.node.destroy_node()
     finally:
         rclpy.shutdown()
@@ -104,3 +113,40 @@ def test_a_subscription_follows_publishers_that_offer_less(recorder: Recorder) -
     recorder.publish("second", BEST_EFFORT, VOLATILE)  # a reliable subscription would not match it
     assert recorder.node.count_subscribers("/notes") == 1
     assert len(recorder.topics.offered("/notes")) == 2
+
+
+def test_the_first_type_of_a_topic_is_recorded_and_every_other_is_named(
+    recorder: Recorder,
+) -> None:
+    recorder.publish("first", RELIABLE, VOLATILE)
+    recorder.other.create_publisher(Float64, "notes", QoSProfile(depth=1, reliability=BEST_EFFORT))
+    for _ in range(200):
+        recorder.topics.discover()
+        if "'other'" in str(recorder.topics.unmatched["/notes"]):
+            break
+        time.sleep(0.05)
+    (text,) = recorder.topics.unmatched["/notes"]
+    assert text.startswith("node 'other' publishes std_msgs/msg/Float64 (best effort, volatile)")
+    assert "not std_msgs/msg/String: messages of another type" in text
+    recorder.publish("next", RELIABLE, VOLATILE)
+    assert recorder.topics.msgtype("/notes") == "std_msgs/msg/String"
+    assert recorder.topics._subscribed["/notes"].reliable  # whatever the other type offers
+
+
+def test_a_topic_of_an_expected_type_waits_for_it(recorder: Recorder) -> None:
+    topics = RawTopics(recorder.node, {"count": ("std_msgs/msg/Float64",)}, recorder._on_message)
+    recorder.other.create_publisher(String, "count", 1)
+    for _ in range(200):
+        topics.discover()
+        if topics.unmatched.get("/count"):
+            break
+        time.sleep(0.05)
+    assert "not std_msgs/msg/Float64" in topics.unmatched["/count"][0]
+    assert recorder.node.count_subscribers("/count") == 0
+    later = recorder.sender.create_publisher(Float64, "count", 1)
+    for _ in range(200):
+        topics.discover()
+        if later.get_subscription_count():
+            break
+        time.sleep(0.05)
+    assert topics.msgtype("/count") == "std_msgs/msg/Float64"

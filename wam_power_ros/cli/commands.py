@@ -109,12 +109,6 @@ def learn(
         print(f"New session {folder}; Ctrl-C stops it, and it can be resumed.")
     signal.signal(signal.SIGTERM, interrupt)
 
-    def print_how_to_resume(text: str) -> None:
-        words = ["learn", "--session", str(short_path(folder))]
-        if not Session.exists(folder):  # the options are not on disk yet
-            words += asked.words
-        _print_command(f"{text} To resume:", [*words, *devices.words])
-
     try:
         parameters = devices.parameters(task, seed, folder)
         given = learner_parameters(folder, asked, seed, task)
@@ -129,15 +123,41 @@ def learn(
             practising = launcher.node(LEARNER, **taught)
             _follow(folder, launcher.processes, practising, bell)
     except KeyboardInterrupt:
-        print_how_to_resume(f"\nStopped. The session is in {short_path(folder)}.")
+        print("\nStopped.")
+        _print_how_to_go_on(folder, asked, devices)
         return INTERRUPTED
     except ProcessError as error:  # the advice comes last, below the end of the log
         print(f"wam-power: {pasteable(str(error))}", file=sys.stderr, flush=True)
-        print_how_to_resume(f"\nThe session is in {short_path(folder)}.")
+        _print_how_to_go_on(folder, asked, devices)
         return 2
     ended = read(folder)
     print(terminal.wrapped(terminal.summary(ended.records, ended.task)))
     return report(folder)
+
+
+def _print_how_to_go_on(folder: Path, asked: SessionOptions, devices: Devices) -> None:
+    """Print what a session that was stopped has on disk, and the command that goes on with it."""
+    from wam_power_ros.bags import series
+    from wam_power_ros.practice.session import Session, read
+    from wam_power_ros.reporting.terminal import counted
+
+    words, where = ["learn", "--session", str(short_path(folder))], short_path(folder)
+    if not Session.exists(folder):  # the options are not on disk yet
+        words += asked.words
+    try:
+        rollouts = len(read(folder).records) if Session.exists(folder) else 0
+        taught = len(series.read(folder / series.FILE))
+    except (ValueError, OSError) as error:
+        print(f"The session in {where} cannot be resumed: {error}")
+        return
+    if rollouts:
+        purpose = f"The session in {where} has {counted(rollouts, 'rollout')}. To resume:"
+    elif taught:
+        found = counted(taught, "demonstration")
+        purpose = f"No rollout yet, {found} in {where}. To continue with them:"
+    else:
+        purpose = f"Nothing has been recorded in {where}. To start again:"
+    _print_command(purpose, [*words, *devices.words])
 
 
 def _has_ended(session: Session) -> bool:
@@ -173,6 +193,8 @@ def replay(bag: Path, speed: float, folder: Path | None, devices: Devices) -> in
     from wam_power_ros.bags.bag import Bag
     from wam_power_ros.control import replay_trajectory
 
+    if bag.is_file() and bag.suffix == ".json":
+        raise UsageError(f"{bag} is not a bag; to execute a policy: wam-power run-policy {bag}")
     folder = (folder or Path("replays") / timestamp()).resolve()
     parameters = devices.parameters(folder=folder).changed({RECORDER: {"stem": "replay"}})
     arm = parameters.arm()
@@ -191,11 +213,55 @@ def replay(bag: Path, speed: float, folder: Path | None, devices: Devices) -> in
             arm=arm_identity.to_json(identity),
             person=not devices.stand_ins,
         )
-        while True:
-            try:
-                return launcher.processes.wait(replaying)
-            except KeyboardInterrupt:  # the script stops the arm before the nodes end
-                replaying.process.send_signal(signal.SIGINT)
+        return _end_of_motion(launcher, replaying)
+
+
+def run_policy(
+    policy: Path, rollouts: int, task: str | None, folder: Path | None, devices: Devices
+) -> int:
+    """Execute a saved policy with the arm, as often as asked."""
+    from wam_power_ros.console.run_policy import read_policy
+    from wam_power_ros.practice.session import Session, read
+
+    if policy.is_dir():
+        policy = policy / "policy.json"
+    beside = policy.resolve().parent
+    of_session = Session.exists(beside)
+    name = task or (read(beside).header.settings.task if of_session else DEFAULT_TASK)
+    used = str(beside) if of_session and name == read(beside).header.settings.task else ""
+    folder = (folder or Path("runs") / timestamp()).resolve()
+    parameters = devices.parameters(name, folder=folder)
+    if (arm := parameters.arm()) is None:
+        raise UsageError("the set-up has no URDF file of the arm: choose one with --config")
+    read_policy(policy, arm)
+    learner = parameters[LEARNER]
+    settings = ("scene_reset", "reset_faults", "service_timeout", "rollout_timeout", "patience")
+    model = ("urdf", "model_joint_names", "tool_frame")
+    signal.signal(signal.SIGTERM, interrupt)
+    plan = plan_of(folder, parameters, devices.stand_ins, also=[TRACKER], secure=secured())
+    with launch(plan) as launcher:
+        running = launcher.script(
+            "run_policy",
+            policy=str(policy.resolve()),
+            rollouts=rollouts,
+            session=used,
+            task=name,
+            person=not devices.stand_ins,
+            record_rollouts=True,
+            **{key: learner[key] for key in (*settings, *model)},
+        )
+        status = _end_of_motion(launcher, running)
+    print(f"Bags: {short_path(folder / 'bags')}")
+    return status
+
+
+def _end_of_motion(launcher: Launcher, script: Running) -> int:
+    """Exit status of a script that moves the arm, which it stops at Ctrl-C before the nodes end."""
+    while True:
+        try:
+            return launcher.processes.wait(script)
+        except KeyboardInterrupt:
+            script.process.send_signal(signal.SIGINT)
 
 
 def enable() -> int:
@@ -365,8 +431,17 @@ def _last_error(command: Sequence[str], gl: str) -> str | None:
 
 
 def config(devices: Devices, task: str | None) -> None:
-    """Print the parameters of every node."""
-    print(overlay.text(devices.parameters(task or DEFAULT_TASK)), end="")
+    """Print the parameters of every node, once each would accept its own."""
+    from hardware_sim.settings import OptitrackSimParams, WamSimParams
+    from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorderParams
+    from wam_power_ros.nodes.learner import LearnerParams
+
+    setup = devices.parameters(task or DEFAULT_TASK)
+    for node in (DemonstrationRecorderParams, LearnerParams):
+        node.of_setup(setup)
+    for stand_in in (WamSimParams, OptitrackSimParams) if devices.stand_ins else ():
+        stand_in.of_setup(setup)
+    print(overlay.text(setup), end="")
 
 
 def policy(config: Sequence[str], namespace: str) -> None:

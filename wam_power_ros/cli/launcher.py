@@ -29,6 +29,9 @@ from wam_power_ros.cli.plan import (
 from wam_power_ros.cli.processes import Processes, Running
 from wam_power_ros.console.prompt import ask, show
 from wam_power_ros.params import overlay
+from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
+from wam_power_ros.params.resources import share
+from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.ros import network
 from wam_power_ros.ros.domain import exported, hold, private_domain, shared
 
@@ -77,11 +80,25 @@ class Devices:
                 links that the set-up names.
         """
         setup = overlay.setup(self.config, self.simulate, task_setup(task) if task else "")
-        setup.arm()  # refuses what the controller would refuse
+        check(setup)
         setup = setup.changed({SIMULATION: {"seed": seed}})
         if folder is None:
             return setup
         return setup.changed({RECORDER: {"directory": str(folder / "bags")}})
+
+
+def check(setup: overlay.Setup) -> None:
+    """Refuse what controller and tracker would refuse, before anything starts.
+
+    Raises:
+        ValueError: A parameter is out of range or contradicts another, or the URDF lacks joints or
+            links that the set-up names.
+    """
+    controller = TorqueControllerParams.of_setup(setup)
+    if setup.arm() is not None:
+        controller.controller(share(controller.urdf).read_text())
+    if setup["pancake_tracker"]["body"]:
+        PancakeTrackerParams.of_setup(setup)
 
 
 @dataclass(frozen=True)

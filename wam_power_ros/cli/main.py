@@ -199,6 +199,19 @@ def _parser() -> argparse.ArgumentParser:
     replay.add_argument("--folder", type=Path, help="for the recording (default: replays/NOW)")
     _arm_options(replay)
 
+    run_policy = add(
+        "run-policy",
+        commands.run_policy,
+        "execute a saved policy with the arm, record it and print its return",
+        "Move the arm to the start of a policy and execute it; nothing is learnt; Ctrl-C stops the "
+        "arm.",
+    )
+    run_policy.add_argument("policy", type=Path, help="policy.json, or the folder of a session")
+    run_policy.add_argument("--rollouts", type=positive, default=1, help="number (default 1)")
+    task_option(run_policy)
+    run_policy.add_argument("--folder", type=Path, help="for the recordings (default: runs/NOW)")
+    _arm_options(run_policy)
+
     play = add(
         "play",
         commands.play,

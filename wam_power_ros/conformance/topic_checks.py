@@ -60,7 +60,6 @@ class Endpoint(NamedTuple):
     """Publisher or subscription of another node in the ROS graph."""
 
     node: str
-    type: str
     reliable: bool
     latched: bool
 
@@ -95,11 +94,28 @@ def verdict(rows: Sequence[Row]) -> tuple[Verdict, str]:
     return (WARN, f"CONFORMS as far as checked.{remarks}") if remarks else (OK, "CONFORMS.")
 
 
-def reception(name: str, topic: str, count: int, seconds: float, ends: Sequence[Endpoint]) -> Row:
-    """Whether messages arrive on a topic: `count` of them in `seconds` [s]."""
+def reception(
+    name: str,
+    topic: str,
+    count: int,
+    seconds: float,
+    ends: Sequence[Endpoint],
+    unmatched: Sequence[str],
+) -> Row:
+    """Whether messages arrive on a topic: `count` of them in `seconds` [s].
+
+    Args:
+        name: Name of the row.
+        topic: The topic.
+        count: Number of messages.
+        seconds: Duration [s].
+        ends: Publishers of the topic.
+        unmatched: Sentence on each of them from which nothing can be received.
+    """
     found = f"{count} messages in {seconds:.1f} s from {_nodes(ends)}"
     advice = "start the driver, or configure the topic it publishes; is it on this ROS_DOMAIN_ID? "
     advice += "check ROS_AUTOMATIC_DISCOVERY_RANGE and firewalls if it is on another machine"
+    advice = "its publishers cannot be received: see the row on QoS" if unmatched else advice
     result = (OK,) if count else (FAIL, advice)
     return Row(name, f"messages on {topic}", found, *result)
 
@@ -195,14 +211,22 @@ def clock(name: str, received_ns: np.ndarray, stamp_ns: np.ndarray) -> Row:
     return row(text, WARN, advice)
 
 
-def publishers(name: str, kind: str, ends: Sequence[Endpoint]) -> Row:
-    """Whether our best-effort subscription of a message type matches the publishers."""
+def publishers(name: str, kind: str, ends: Sequence[Endpoint], unmatched: Sequence[str]) -> Row:
+    """Whether our best-effort subscription of a message type matches the publishers.
+
+    Args:
+        name: Name of the row.
+        kind: The message type.
+        ends: Publishers of the topic.
+        unmatched: Sentence on each of them from which nothing can be received.
+    """
     row = partial(Row, name, f"{kind}, any reliability")
     text = ", ".join(sorted(f"{end.node}: {_qos(end)}" for end in ends)) or "no publisher"
     if not ends:
         return row(text, UNCHECKED)
-    if wrong := [f"{end.node}: {end.type}" for end in ends if end.type != kind]:
-        return row(", ".join(wrong), FAIL, "messages of another type cannot be received at all")
+    if unmatched:
+        advice = "configure the topic of a driver that publishes this type, or convert its messages"
+        return row("; ".join(unmatched), FAIL, advice)
     if len(ends) > 1:
         return row(text, WARN, "messages are used as from one device: does one belong to another?")
     return row(text, OK)
@@ -229,7 +253,12 @@ def service(name: str, kind: str, services: dict[str, str], configured: str) -> 
 
 
 def command_path(
-    topic: str, kind: str, drivers: Sequence[Endpoint], commanders: Sequence[Endpoint], count: int
+    topic: str,
+    kind: str,
+    drivers: Sequence[Endpoint],
+    commanders: Sequence[Endpoint],
+    count: int,
+    unmatched: Sequence[str],
 ) -> Row:
     """Whether one driver subscribes to torques and no node publishes them.
 
@@ -239,6 +268,7 @@ def command_path(
         drivers: Subscriptions of other nodes.
         commanders: Publishers of other nodes.
         count: Number of torques received.
+        unmatched: Sentence on each driver that cannot receive torques of this type and QoS.
     """
     expected = f"one driver subscribes to {topic}, {kind}; nobody publishes"
     row, text = partial(Row, "command path", expected), f"received by {_nodes(drivers)}"
@@ -251,12 +281,9 @@ def command_path(
     if not drivers:
         advice = "no driver receives torques: is its effort controller loaded and active?"
         return row(text, FAIL, advice)
-    if wrong := [end for end in drivers if end.type != kind]:
-        advice = "command_type of the configuration must match the driver's message type"
-        return row(f"{wrong[0].node} wants {wrong[0].type}", FAIL, advice)
-    if any(end.latched for end in drivers):
-        advice = "it requests transient-local durability, which torques do not have"
-        return row(f"{text}, latched", FAIL, advice)
+    if unmatched:
+        advice = "set command_type to the driver's message type; let it subscribe as volatile"
+        return row("; ".join(unmatched), FAIL, advice)
     if len(drivers) > 1:
         return row(text, WARN, "which of them drives the arm?")
     return row(text, OK)

@@ -26,7 +26,6 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rclpy.utilities import remove_ros_args
 from rich.console import Console
@@ -46,6 +45,7 @@ from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.ros import (
+    endpoints,
     interface,
     joint_messages,
     node_runner,
@@ -55,7 +55,7 @@ from wam_power_ros.ros import (
 from wam_power_ros.ros.interface import is_latched, is_reliable
 from wam_power_ros.ros.stamps import nanoseconds
 
-POSE_TYPE = "geometry_msgs/msg/PoseStamped"
+Input = tuple[str, tuple[str, ...], QoSProfile]  # topic, expected type, and QoS
 OWN_NODES = {"torque_controller", "demonstration_recorder", "check_driver"}  # not to be checked
 DISCOVERY_TIMEOUT = 5.0  # [s] for discovery, and for the next message
 DROP_ATTEMPTS = 3  # with the stand-in: a busy machine may miss frames of a fall
@@ -83,13 +83,13 @@ class CheckDriver(Node):
         self._send_torque: Callable[[StateSample], None] | None = None
         self._command_type = joint_messages.COMMAND_TYPES[arm.command_type]
         subscribe = self._subscribe
-        subscribe(JointState, arm.state_topic, self._on_state, interface.DEEP_IN)
+        self._state_input = subscribe(JointState, arm.state_topic, self._on_state)
         if arm.velocity_topic:
-            subscribe(JointState, arm.velocity_topic, self._on_velocity, interface.DEEP_IN)
+            self._velocity_input = subscribe(JointState, arm.velocity_topic, self._on_velocity)
         if mocap.markers_topic:
-            subscribe(PointCloud2, mocap.markers_topic, self._on_cloud, interface.DEEP_IN)
+            self._mocap_input = subscribe(PointCloud2, mocap.markers_topic, self._on_cloud)
         else:
-            subscribe(PoseStamped, mocap.pose_topic, self._on_pose, interface.DEEP_IN)
+            self._mocap_input = subscribe(PoseStamped, mocap.pose_topic, self._on_pose)
         if not arm.urdf:
             self.create_subscription(
                 String, interface.ROBOT_DESCRIPTION, self._on_urdf, interface.LATCHED
@@ -104,11 +104,10 @@ class CheckDriver(Node):
 
     # Callbacks, of the link's thread; messages count only while the check waits
 
-    def _subscribe(
-        self, kind: type, topic: str, then: Callable[[Any], None], qos: QoSProfile
-    ) -> Subscription:
+    def _subscribe(self, kind: type, topic: str, then: Callable[[Any], None]) -> Input:
         counted = lambda message: self._recording and then(message)  # noqa: E731
-        return self.create_subscription(kind, topic, counted, qos)
+        self.create_subscription(kind, topic, counted, interface.DEEP_IN)
+        return topic, (endpoints.type_name(kind),), interface.DEEP_IN
 
     def _on_state(self, message: JointState) -> None:
         q, qd, tau = (np.array(v) for v in (message.position, message.velocity, message.effort))
@@ -176,8 +175,10 @@ class CheckDriver(Node):
             f"Recording for {seconds:.0f} s: leave the arm at rest and the body still, in view."
         )
         self.wait(seconds)
-        if not (self.states or self.frames or self.clouds):
-            mocap_topic = self._mocap.markers_topic or self._mocap.pose_topic
+        inputs = self._state_input, self._mocap_input
+        found = any(endpoints.unmatched_publishers(self, *each) for each in inputs)
+        if not (self.states or self.frames or self.clouds or found):
+            mocap_topic = self._mocap_input[0]
             topics = " nor on ".join(
                 map(self.resolve_topic_name, (self._arm_params.state_topic, mocap_topic))
             )
@@ -186,10 +187,11 @@ class CheckDriver(Node):
                 "ROS_AUTOMATIC_DISCOVERY_RANGE as this check"
             )
         if not self._urdf:
+            described = interface.ROBOT_DESCRIPTION, ("std_msgs/msg/String",), interface.LATCHED
             topic = self.resolve_topic_name(interface.ROBOT_DESCRIPTION)
-            raise ValueError(
-                f"no message on {topic}: publish the URDF there, or set the parameter urdf"
-            )
+            unmatched = "; ".join(endpoints.unmatched_publishers(self, *described))
+            advice = unmatched or "publish the URDF there, or set the parameter urdf"
+            raise ValueError(f"no message on {topic}: {advice}")
         names, tool = self._arm_params.model_joint_names, self._arm_params.tool_frame
         arm = Arm(self._urdf, names, tool, guarded=())
         rows, record = self._arm_rows(arm, seconds)
@@ -202,26 +204,26 @@ class CheckDriver(Node):
 
     def _arm_rows(self, arm: Arm, seconds: float) -> tuple[list[Row], ArmRecord]:
         params = self._arm_params
-        ends = self._publisher_ends(params.state_topic)
+        received = self._reception("state", len(self.states), seconds, self._state_input)
+        velocity: list[Row] = []
         record, names = arm_checks.collect(self.states, params.joint_names)
-        received = topic_checks.reception(
-            "states", params.state_topic, len(self.states), seconds, ends
-        )
         if not len(record.q):
-            return [received, names] if self.states else [received], record
+            return [*received, names] if self.states else received, record
         if params.velocity_topic:
             received_ns, qd = (np.array([v[i] for v in self.velocities]) for i in (0, 1))
             record = arm_checks.with_velocity(record, received_ns, qd)
+            velocity = [self._match("velocity QoS", self._velocity_input)]
         return [
-            received,
+            received[0],
             names,
-            topic_checks.publishers("state QoS", "sensor_msgs/msg/JointState", ends),
+            received[1],
             topic_checks.rate("state rate", record.stamp_ns, 1.0 / params.period),
             topic_checks.jitter("state jitter", record.received_ns, params.period),
             topic_checks.stamps("state stamps", record.stamp_ns),
             topic_checks.stamp_jitter("stamp jitter", record.stamp_ns),
             topic_checks.clock("state clock", record.received_ns, record.stamp_ns),
             arm_checks.positions(record, arm),
+            *velocity,
             arm_checks.velocity(record, params.velocity_topic),
             arm_checks.effort(record),
             arm_checks.gravity(record, arm),
@@ -231,8 +233,10 @@ class CheckDriver(Node):
         topic = self.resolve_topic_name(self._arm_params.command_topic)
         drivers = _ends(self.get_subscriptions_info_by_topic(topic))
         commanders = _ends(self.get_publishers_info_by_topic(topic))
-        kind = f"{self._command_type.__module__.split('.')[0]}/msg/{self._command_type.__name__}"
-        return topic_checks.command_path(topic, kind, drivers, commanders, self._torque_count)
+        kind = endpoints.type_name(self._command_type)
+        unmatched, _ = endpoints.unmatched_subscriptions(self, topic, kind, interface.COMMAND)
+        count = self._torque_count
+        return topic_checks.command_path(topic, kind, drivers, commanders, count, unmatched)
 
     def _service(self) -> Row:
         services = {name: types[0] for name, types in self.get_service_names_and_types()}
@@ -243,20 +247,16 @@ class CheckDriver(Node):
 
     def _mocap_rows(self, arm: Arm, record: ArmRecord, seconds: float) -> list[Row]:
         params = self._mocap
-        topic = params.markers_topic or params.pose_topic
-        ends = self._publisher_ends(topic)
-        kind = "sensor_msgs/msg/PointCloud2" if params.markers_topic else POSE_TYPE
         samples = self.clouds or self.frames
-        reception = topic_checks.reception("mocap", topic, len(samples), seconds, ends)
+        reception = self._reception("mocap", len(samples), seconds, self._mocap_input)
         if not samples:
-            return [reception]
+            return reception
         received, stamp_ns = (np.array([sample[i] for sample in samples]) for i in (0, 1))
         age = float(np.median(record.received_ns - record.stamp_ns)) if len(record.q) else 0.0
         pan = arm.tool_pose(record.q[-1])[0] if len(record.q) else None
         offsets = params.latency_offset, params.clock_offset_max
         found = [
-            reception,
-            topic_checks.publishers("mocap QoS", kind, ends),
+            *reception,
             topic_checks.rate("mocap rate", stamp_ns, params.rate),
             topic_checks.jitter("mocap jitter", received, 1.0 / params.rate),
             topic_checks.stamps("mocap stamps", stamp_ns),
@@ -365,13 +365,26 @@ class CheckDriver(Node):
             q = moved().q[-1]
         return rows
 
-    def _publisher_ends(self, topic: str) -> list[Endpoint]:
-        return _ends(self.get_publishers_info_by_topic(self.resolve_topic_name(topic)), ())
+    def _reception(self, device: str, count: int, seconds: float, given: Input) -> list[Row]:
+        """Whether messages arrive, and whether all publishers of the topic are received."""
+        name = "states" if device == "state" else device
+        received = topic_checks.reception(
+            name, given[0], count, seconds, *self._publisher_ends(given)
+        )
+        return [received, self._match(f"{device} QoS", given)]
+
+    def _match(self, name: str, given: Input) -> Row:
+        return topic_checks.publishers(name, given[1][0], *self._publisher_ends(given))
+
+    def _publisher_ends(self, given: Input) -> tuple[list[Endpoint], list[str]]:
+        """Publishers of a topic, and those of them that are not received, as text."""
+        infos = self.get_publishers_info_by_topic(self.resolve_topic_name(given[0]))
+        return _ends(infos, ()), endpoints.unmatched_publishers(self, *given)
 
 
 def _ends(infos: Sequence[TopicEndpointInfo], but: Collection[str] = OWN_NODES) -> list[Endpoint]:
     return [
-        Endpoint(info.node_name, info.topic_type, is_reliable(info), is_latched(info))
+        Endpoint(info.node_name, is_reliable(info), is_latched(info))
         for info in infos
         if info.node_name not in but
     ]

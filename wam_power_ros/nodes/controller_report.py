@@ -30,7 +30,7 @@ class Condition:
 
     core: Controller | None  # None until the node is configured
     fault: Fault | None  # latched fault, also after a clean-up
-    described: bool  # the robot description is known
+    undescribed: str | None  # None if the robot description is known, else who does not send it
     autostart: bool  # the node configures and activates itself
     active: bool
     missing_state: str | None  # why the joint states do not suffice to hold the arm, else None
@@ -106,9 +106,9 @@ class ControllerReport:
         if now.active:
             return ""
         node = self._node.get_fully_qualified_name()
-        if not now.described:
+        if now.undescribed is not None:
             topic = self._node.resolve_topic_name(interface.ROBOT_DESCRIPTION)
-            return f"the robot description on {topic}"
+            return f"the robot description on {topic}{now.undescribed}"
         if now.core is None:
             return "" if now.autostart else f"ros2 lifecycle set {node} configure"
         if now.missing_state:

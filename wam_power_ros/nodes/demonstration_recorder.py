@@ -12,6 +12,7 @@ if __name__ == "__main__":  # before the other imports, which a signal may inter
 
     raise SystemExit(start("wam_power_ros.nodes.demonstration_recorder"))
 
+import itertools
 import json
 import math
 import shutil
@@ -42,6 +43,7 @@ from wam_power_ros.ros.diagnostics import component, diagnostics_message
 from wam_power_ros.ros.raw_subscriptions import RawTopics
 
 MEGABYTE = 1_000_000
+MOCAP_TYPES = ("geometry_msgs/msg/PoseStamped", "sensor_msgs/msg/PointCloud2")
 PATH_TIMEOUT = 1.0  # longest wait for the path of the body in a finished rollout [s]
 STATES_TIMEOUT = 5.0  # longest wait for states in lockstep; some DDS profiles repair in 3 s [s]
 DISK_CHECK_PERIOD = 0.1  # [s] between checks for write errors and free space
@@ -105,12 +107,15 @@ class DemonstrationRecorder(Node):
                 interface.rollout_topic(params.body),
             )
             self._body_path_topic = self.resolve_topic_name(body_topics[-1])
-        topics = dict.fromkeys((*devices, *params.topics, *body_topics, *params.latched_topics))
+        names = (*devices, *params.topics, *body_topics, *params.latched_topics)
+        topics: dict[str, tuple[str, ...]] = dict.fromkeys(names, ())
+        topics |= dict.fromkeys(params.mocap_topics, MOCAP_TYPES)
+        topics[params.state_topic] = (layout.JOINT_STATE,)
         topics.pop("", None)  # an empty list in ROS parameters is [""]
         self._sim_time = self.get_parameter("use_sim_time").value
         self._state_ns = 0  # stamp of the newest state, in lockstep
         if self._sim_time:
-            topics[interface.CLOCK] = None
+            topics[interface.CLOCK] = ()
         self._topics = RawTopics(self, topics, self._on_message)
         self.create_subscription(String, interface.POLICY, self._on_policy, interface.LATCHED)
         self._diagnostics = self.create_publisher(
@@ -278,14 +283,18 @@ class DemonstrationRecorder(Node):
         recording = self._recording
         counts = recording.counts if recording else {}
         level, text = "ok", f"recording {recording.path}" if recording else "idle"
+        unmatched = "; ".join(itertools.chain(*self._topics.unmatched.values()))
         if self._error:
             level, text = "error", self._error
         elif self._warning:
             level, text = "warn", self._warning
+        elif unmatched:
+            level, text = "warn", f"not recorded: {unmatched}"
         elif recording and self._state_topic not in recording:
             level, text = "warn", f"no message on {self._state_topic} yet"
         silent = [topic for topic in self._topics.names if topic not in counts]
         values = {**counts, "without a message": silent}
+        values["unmatched publishers"] = unmatched
         values["waiting for the disk"] = recording.waiting if recording else 0
         values["real-time scheduling"] = self._granted.scheduling
         name, now = component(self, "bag"), self.get_clock().now().to_msg()

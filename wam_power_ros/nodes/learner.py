@@ -18,7 +18,6 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path as FilePath
-from typing import Annotated
 
 import rclpy
 from pydantic import Field, model_validator
@@ -34,7 +33,7 @@ from wam_power_ros.client.rollouts import Executed, Rollouts, RolloutSettings
 from wam_power_ros.nodes.demonstrations import Demonstrations
 from wam_power_ros.nodes.markers import Markers
 from wam_power_ros.nodes.simulated_arm import SimulatedArm
-from wam_power_ros.params.node_params import Names, Params
+from wam_power_ros.params.node_params import Names, Params, Timeout
 from wam_power_ros.practice import plugins
 from wam_power_ros.practice.practice import RATING_MAX, Practice
 from wam_power_ros.practice.session import Session, read
@@ -50,10 +49,6 @@ from wam_power_ros.ros.node_runner import (
 )
 from wam_power_ros.ros.requests import Request, Server
 from wam_power_ros.tasks.task import Pose, Task
-
-Timeout = Annotated[
-    float, Field(ge=0.1, le=86_400.0, description="in s: an answer takes 0.1 s; at most a day")
-]
 
 
 class LearnerParams(Params):

@@ -27,7 +27,7 @@ from sensor_msgs.msg import PointCloud2
 
 from wam_power_ros.learning.rollout import BodyPath
 from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
-from wam_power_ros.ros import interface, node_runner, pose_messages
+from wam_power_ros.ros import endpoints, interface, node_runner, pose_messages
 from wam_power_ros.ros.diagnostics import component, diagnostics_message
 from wam_power_ros.tracking.tracker import (
     ClockOffset,
@@ -57,11 +57,6 @@ class PancakeTracker(Node):
     def __init__(self) -> None:
         super().__init__("pancake_tracker", automatically_declare_parameters_from_overrides=True)
         self._params = params = PancakeTrackerParams.of(self)
-        if bool(params.pose_topic) == bool(params.markers_topic):
-            raise ValueError(
-                f"set either pose_topic or markers_topic, not {params.pose_topic!r} and "
-                f"{params.markers_topic!r}"
-            )
         self._tracker = Tracker(params)
         namespace = self.get_namespace()
         self._frame = interface.frame(namespace, interface.BASE_FRAME)
@@ -85,9 +80,12 @@ class PancakeTracker(Node):
             DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
         )
         self._source = self.resolve_topic_name(params.markers_topic or params.pose_topic)
+        self._message_type, self._qos = PoseStamped, interface.MOCAP_BEST_EFFORT
         self._read, self._add = pose_messages.pose, self._tracker.add
         if params.markers_topic:
+            self._message_type = PointCloud2
             self._read, self._add = pose_messages.markers, self._tracker.add_markers
+        self._unmatched = ""  # publishers from which nothing is received, as text
         self._discovery = self.create_timer(DISCOVERY_PERIOD, self._discover, clock=steady)
         if not self._sim_time:
             self._subscribe_frames(interface.MOCAP_BEST_EFFORT)
@@ -102,15 +100,16 @@ class PancakeTracker(Node):
         A best-effort reader of an overloaded process loses frames, and the rollout would not be the
         same as on a quiet machine.
         """
+        kind = endpoints.type_name(self._message_type)
         infos = self.get_publishers_info_by_topic(self._source)
-        if infos:
+        if infos := [info for info in infos if info.topic_type == kind]:
             reliable = all(map(interface.is_reliable, infos))
             self._subscribe_frames(interface.MOCAP if reliable else interface.MOCAP_BEST_EFFORT)
 
     def _subscribe_frames(self, qos: QoSProfile) -> None:
         self._discovery.cancel()
-        message_type = PointCloud2 if self._params.markers_topic else PoseStamped
-        self.create_subscription(message_type, self._source, self._on_frame, qos)
+        self._qos = qos
+        self.create_subscription(self._message_type, self._source, self._on_frame, qos)
 
     def _on_frame(self, message: PoseStamped | PointCloud2) -> None:
         try:
@@ -207,8 +206,16 @@ class PancakeTracker(Node):
         self._problem = text
         self.get_logger().error(text)
 
+    def _find_unmatched(self) -> None:
+        kinds = (endpoints.type_name(self._message_type),)
+        found = "; ".join(endpoints.unmatched_publishers(self, self._source, kinds, self._qos))
+        if found and found != self._unmatched:
+            self.get_logger().error(found)
+        self._unmatched = found
+
     def _report(self) -> None:
         tracker = self._tracker
+        self._find_unmatched()
         level, text = LEVELS.get(tracker.validity, "error"), tracker.validity.value
         offset, offset_max = self._clock_offset.seconds, self._params.clock_offset_max
         if not tracker.latest_ns:
@@ -216,9 +223,12 @@ class PancakeTracker(Node):
         elif abs(offset) > 0.5 * offset_max:
             level = "error" if abs(offset) > offset_max else "warn"
             text = f"stamps {offset:.3f} s off: synchronise the clocks or set latency_offset"
+        if self._unmatched:
+            level, text = "warn" if level == "ok" else "error", self._unmatched
         values = {
             **tracker.counts,
             "clock offset [s]": f"{offset:.4f}",
+            "unmatched publishers": self._unmatched,
             "last problem": self._problem,
         }
         self._diagnostics.publish(

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String
@@ -39,7 +40,15 @@ from wam_power_ros.nodes.motion_requests import MotionRequests, attempt, fill
 from wam_power_ros.nodes.preparation import Preparation
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
-from wam_power_ros.ros import cdr, interface, joint_messages, node_runner, scheduling, security
+from wam_power_ros.ros import (
+    cdr,
+    endpoints,
+    interface,
+    joint_messages,
+    node_runner,
+    scheduling,
+    security,
+)
 from wam_power_ros.ros.command_guard import CommandGuard
 from wam_power_ros.ros.loop_statistics import LoopStatistics
 from wam_power_ros.ros.simulation_guard import SimulationGuard
@@ -83,7 +92,7 @@ class TorqueController(LifecycleNode):
         self._read = cdr.StateReader(self._reader)
         writer = joint_messages.TorqueWriter(params.joint_names, params.command_type)
         self._write = cdr.TorqueSerializer(writer)
-        qos = interface.DEEP if sim_time else interface.COMMAND
+        self._command_qos = qos = interface.DEEP if sim_time else interface.COMMAND
         self._commands = self.create_publisher(writer.message_type, params.command_topic, qos)
         self._preparation = Preparation(
             self.context.get_domain_id(),
@@ -127,7 +136,7 @@ class TorqueController(LifecycleNode):
         try:
             if not self._urdf:
                 topic = self.resolve_topic_name(interface.ROBOT_DESCRIPTION)
-                raise ValueError(f"no robot description on {topic} yet")
+                raise ValueError(f"no robot description on {topic} yet{self._undescribed()}")
             self._controller = self._params.controller(self._urdf, self._latched)
         except ValueError as error:
             self._report.refuse("configuration", error)
@@ -145,7 +154,7 @@ class TorqueController(LifecycleNode):
         In simulation it also requires that no node but a stand-in publishes states.
         """
         reason = self._missing_state() or self._stranger() or self._missing_realtime()
-        reason = reason or self._guard.begin()
+        reason = reason or self._unheard() or self._guard.begin()
         if reason is None and self._controller.mode is not Mode.FAULT:
             try:
                 self._controller.hold()
@@ -230,12 +239,32 @@ class TorqueController(LifecycleNode):
         super().destroy_node()
 
     def _missing_state(self) -> str | None:
-        now_ns = time.monotonic_ns()
+        now_ns, params = time.monotonic_ns(), self._params
         if now_ns - self._watchdog.arrived_ns >= STATE_AGE_MAX_NS:
-            return "no joint state within the last second"
-        if self._params.velocity_topic and now_ns - self._qd_ns >= STATE_AGE_MAX_NS:
-            return f"no joint velocity on {self._params.velocity_topic} within the last second"
+            unmatched = self._unmatched(params.state_topic, JointState, interface.STATE_IN)
+            return f"no joint state within the last second{unmatched}"
+        if params.velocity_topic and now_ns - self._qd_ns >= STATE_AGE_MAX_NS:
+            unmatched = self._unmatched(params.velocity_topic, JointState, interface.STATE_IN)
+            return f"no joint velocity on {params.velocity_topic} within the last second{unmatched}"
         return None
+
+    def _undescribed(self) -> str:
+        return self._unmatched(interface.ROBOT_DESCRIPTION, String, interface.LATCHED)
+
+    def _unmatched(self, topic: str, kind: type, qos: QoSProfile) -> str:
+        """Publishers from which nothing is received, as the end of a sentence; empty if none."""
+        types = (endpoints.type_name(kind),)
+        return "".join(
+            f"; {text}" for text in endpoints.unmatched_publishers(self, topic, types, qos)
+        )
+
+    def _unheard(self) -> str | None:
+        """Drivers that do not receive the torques, if no other node does either."""
+        kind = endpoints.type_name(self._commands.msg_type)
+        unmatched, matched = endpoints.unmatched_subscriptions(
+            self, self._commands.topic_name, kind, self._command_qos
+        )
+        return None if matched or not unmatched else "; ".join(unmatched)
 
     def _stranger(self) -> str | None:
         """Publisher of joint states that a simulation must not answer; None on an arm."""
@@ -440,6 +469,8 @@ class TorqueController(LifecycleNode):
             warning, fault = overload(statistics.share_missed, statistics.missed_in_row)
             if fault is not None and self._active and not self._params.allow_no_realtime:
                 self._controller.fault(fault)
+        if self._active and not self._commands.get_subscription_count():  # looked up only then
+            warning = self._unheard() or warning
         self._report.publish(self._condition(), figures, warning)
 
     def _condition(self) -> Condition:
@@ -447,7 +478,7 @@ class TorqueController(LifecycleNode):
         return Condition(
             core=core,
             fault=self._latched if core is None else core.latched,
-            described=bool(self._urdf),
+            undescribed=None if self._urdf else self._undescribed(),
             autostart=self._autostart,
             active=self._active,
             missing_state=self._missing_state(),

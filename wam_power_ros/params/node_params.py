@@ -25,6 +25,9 @@ if TYPE_CHECKING:  # in-process simulations read the same parameters without ROS
 
 P = TypeVar("P", bound="Params")
 Names = Annotated[tuple[str, ...], Field(max_length=64, description="at most 64 names")]
+Timeout = Annotated[
+    float, Field(ge=0.1, le=86_400.0, description="in s: an answer takes 0.1 s; at most a day")
+]
 SHOWN_LENGTH_MAX = 80  # characters of a refused value in its message
 
 

@@ -137,7 +137,7 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
     for file in files:
         for node, values in _read(file).items():
             _check(file, node, values, own)
-            given[node] |= values
+            given[node] |= _for_ros(values, own[node])
     chosen = {node: own[node] | given[node] for node in NODES}
     _name_body(chosen["pancake_tracker"], given["pancake_tracker"])
     derived = _derived(chosen["torque_controller"], chosen["pancake_tracker"])
@@ -223,6 +223,7 @@ def adopted(node: str, files: Sequence[Path], namespace: str = "/") -> dict[str,
         for source in SOURCES:
             values = _without_ros(sections.get(source, {}))
             _check(file, source, values, own)
+            values = _for_ros(values, own[source])
             changed = {name: value for name, value in values.items() if value != own[source][name]}
             given[source] = {k: v for k, v in given[source].items() if k not in values} | changed
             if source == "torque_controller" and values and file.resolve() != limits.resolve():
@@ -298,14 +299,30 @@ def _check(file: Path, node: str, values: Mapping[str, Any], own: Parameters) ->
 def _same_kind(value: object, default: object) -> bool:
     """Whether a value has the type of the default; an int may replace a float."""
     if isinstance(default, list):
-        return isinstance(value, list) and all(_same_kind(item, default[0]) for item in value)
+        if not isinstance(value, list) or not (value or isinstance(default[0], str)):
+            return False
+        return all(_same_kind(item, default[0]) for item in value)
     return type(value) is type(default) or (type(value) is int and type(default) is float)
+
+
+def _for_ros(values: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
+    """Values of the kinds of the own file, as ROS tells a whole number from a float.
+
+    A list of both, or an empty one, ends a node before it can say which parameter it is.
+    """
+    return {name: _of_kind(value, own[name]) for name, value in values.items()}
+
+
+def _of_kind(value: Any, default: Any) -> Any:  # noqa: ANN401 - of any kind
+    if isinstance(value, list):
+        return [_of_kind(item, default[0]) for item in value] or [""]
+    return float(value) if isinstance(default, float) else value
 
 
 def _kind(default: object) -> str:
     """Name of the kind of values that the default has, for messages."""
     if isinstance(default, list):
-        return f"a list, each {_kind(default[0])}"
+        return f"a list, each {_kind(default[0])}, not empty unless of text"
     return _KINDS[type(default)]
 
 

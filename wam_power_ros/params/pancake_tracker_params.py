@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from pydantic import Field
+from pydantic import Field, model_validator
+from typing_extensions import Self
 
 from wam_power_ros.params.node_params import Params
 from wam_power_ros.tracking.tracker import TrackerSettings
@@ -26,3 +27,12 @@ class PancakeTrackerParams(Params, TrackerSettings):
     clock_offset_max: float = Field(
         ge=0.001, le=10.0, description="in s: above the jitter; a clock never set is farther off"
     )
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if self.body and bool(self.pose_topic) == bool(self.markers_topic):
+            raise ValueError(
+                f"set either pose_topic or markers_topic, not {self.pose_topic!r} and "
+                f"{self.markers_topic!r}"
+            )
+        return self

@@ -45,6 +45,23 @@ class Loader(plain_yaml.LOADER):  # type: ignore[misc, valid-type]  # one of two
         return dict(super().construct_mapping(node, deep))
 
 
+class PlainLoader(Loader):
+    """Loads what ROS itself can read: every list of one kind."""
+
+    def construct_sequence(self, node: yaml.SequenceNode, deep: bool = False) -> list[Any]:
+        """Refuse a list of several kinds or none, as ROS does without naming file or parameter."""
+        if not node.value:
+            line = node.start_mark.line + 1
+            raise yaml.YAMLError(f'line {line}: ROS has no empty lists; write [""] for no names')
+        if len({item.tag for item in node.value}) > 1:
+            shown = ", ".join(str(getattr(item, "value", "...")) for item in node.value)
+            raise yaml.YAMLError(
+                f"line {node.start_mark.line + 1}: [{reprlib.repr(shown)[1:-1]}] must be of one "
+                "kind: write 2.0, not 2, in a list of decimal numbers"
+            )
+        return list(super().construct_sequence(node, deep))
+
+
 Loader.yaml_implicit_resolvers = {
     first: [pair for pair in pairs if pair[0] in (_TAG + "bool", _TAG + "null")]
     for first, pairs in yaml.SafeLoader.yaml_implicit_resolvers.items()
@@ -53,14 +70,18 @@ Loader.add_implicit_resolver(_TAG + "int", _INT, list("-+0123456789"))
 Loader.add_implicit_resolver(_TAG + "float", _FLOAT, list("-+.0123456789"))
 
 
-def read(file: Path) -> dict[str, dict[str, Any]]:
+def read(file: Path, loader: type = Loader) -> dict[str, dict[str, Any]]:
     """Read the parameters by node from one file; names of nodes include their namespace.
+
+    Args:
+        file: Parameter file.
+        loader: `PlainLoader` for a file that ROS itself is to read.
 
     Raises:
         ValueError: The file is not a regular file, too large, not YAML, or does not contain
             parameters by node. The message names the file and, for a duplicate key, both lines.
     """
-    nodes = plain_yaml.read(file, Loader)
+    nodes = plain_yaml.read(file, loader)
     try:
         return dict(_sections(nodes or {}))
     except ValueError as error:

@@ -43,8 +43,11 @@ def init(context: Context | None = None, domain: int | None = None) -> None:
         domain: DDS domain; that of ROS_DOMAIN_ID by default.
 
     Raises:
-        ValueError: ROS_DOMAIN_ID is not a domain, or security is enforced without keys.
+        ValueError: ROS_DOMAIN_ID is not a domain, security is enforced without keys, or a
+            parameter file is malformed.
     """
+    for file in parameter_file.given(sys.argv):
+        parameter_file.read(file, parameter_file.PlainLoader)
     domain = exported(os.environ) if domain is None else domain
     security.check_keystore(os.environ, sys.argv)
     network.confine(os.environ)

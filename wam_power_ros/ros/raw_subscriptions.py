@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -16,7 +16,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rosbags.interfaces import Qos
 
 from wam_power_ros.bags import layout
-from wam_power_ros.ros import interface
+from wam_power_ros.ros import endpoints, interface
 from wam_power_ros.ros.interface import is_latched, is_reliable
 
 DISCOVERY_PERIOD = 0.25  # [s] between looks at the graph
@@ -38,11 +38,22 @@ class RawTopics:
     """
 
     def __init__(
-        self, node: Node, topics: Iterable[str], on_message: Callable[[str, bytes], None]
+        self,
+        node: Node,
+        topics: Mapping[str, Sequence[str]],
+        on_message: Callable[[str, bytes], None],
     ) -> None:
-        """Subscribe to `topics`; `on_message` gets the resolved topic and bytes of each message."""
+        """Subscribe to topics.
+
+        Args:
+            node: Node of the subscriptions.
+            topics: Expected message types by topic, none for any: that of the first publisher.
+            on_message: Gets the resolved topic and the bytes of each message.
+        """
         self._node, self._on_message = node, on_message
         self._topics = {node.resolve_topic_name(topic): topic for topic in topics}
+        self._types = {node.resolve_topic_name(topic): topics[topic] for topic in topics}
+        self.unmatched: dict[str, list[str]] = {}  # topic -> publishers that are not received
         self._subscribed: dict[str, _Subscribed] = {}
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(DISCOVERY_PERIOD, self.discover, clock=steady)
@@ -69,8 +80,21 @@ class RawTopics:
         """Subscribe to every topic that has a publisher."""
         for name in self._topics:
             infos = self._node.get_publishers_info_by_topic(name)
-            if infos:
-                self._subscribe(name, infos)
+            if not infos:
+                self.unmatched.pop(name, None)
+                continue
+            known = self._subscribed.get(name)
+            types = (known.msgtype,) if known else self._types[name] or (infos[0].topic_type,)
+            usable = [info for info in infos if info.topic_type in types]
+            if usable:
+                self._subscribe(name, [i for i in usable if i.topic_type == usable[0].topic_type])
+            self._find_unmatched(name, types)
+
+    def _find_unmatched(self, name: str, types: Sequence[str]) -> None:
+        found = endpoints.unmatched_publishers(self._node, name, types)
+        for text in set(found) - set(self.unmatched.get(name, ())):
+            self._node.get_logger().error(f"not recorded: {text}")
+        self.unmatched[name] = found
 
     def take(self) -> None:
         """Pass on the messages that have arrived but were not dispatched yet.

@@ -78,6 +78,12 @@ TABLE: dict[str, dict[str, str]] = {
         "subscribes": "CONTROLLER_ANSWER",
         "calls": "STOP RECORD",
     },
+    "running_policy": {
+        "publishes": "CONTROLLER_REQUEST SCENE_REQUEST",
+        "subscribes": "CONTROLLER_ANSWER SCENE_ANSWER ROLLOUT_END_EFFECTOR state rollout truth "
+        "DIAGNOSTICS",
+        "calls": "STOP RESET RECORD",
+    },
     "activation": {"subscribes": "DIAGNOSTICS", "calls": "lifecycle"},
     "enabling_switch": {"publishes": "ENABLE"},
     "feedback": {
@@ -108,7 +114,16 @@ LIFECYCLE_NODES = {"torque_controller"}
 BODY_NODES = {"pancake_tracker", "optitrack_sim"}  # run only for a task with a tracked body
 PROCESSES = {  # node -> process whose enclave it shares; every other node has its own
     **dict.fromkeys(
-        ("teaching", "replaying", "activation", "enabling_switch", "feedback", "view"), "operator"
+        (
+            "teaching",
+            "replaying",
+            "running_policy",
+            "activation",
+            "enabling_switch",
+            "feedback",
+            "view",
+        ),
+        "operator",
     ),
     "optitrack_sim": "wam_sim",
     "torque_controller_preparation": "torque_controller",  # its two processes

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command `run-policy` on the stand-in: executed, recorded, scored; refused; stopped."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from conftest import ROOT, lift
+from toss_task import demonstrated_policy
+
+from wam_power_ros.arm_identity import ArmIdentity
+from wam_power_ros.bags import layout
+from wam_power_ros.cli import main
+from wam_power_ros.console.run_policy import task_of
+from wam_power_ros.learning.policy import to_json
+from wam_power_ros.practice.session import Session
+from wam_power_ros.practice.settings import preset
+
+
+@pytest.fixture
+def saved(tmp_path: Path) -> Path:
+    file = tmp_path / "policy.json"
+    file.write_text(to_json(lift("lift")))
+    return file
+
+
+def running(*arguments: object) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "wam_power_ros.cli", "run-policy", *map(str, arguments)]
+    pipe = subprocess.PIPE
+    return subprocess.Popen(command, cwd=ROOT, stdout=pipe, stderr=subprocess.STDOUT, text=True)
+
+
+def test_a_policy_is_executed_as_often_as_asked_and_each_return_is_that_of_its_bag(
+    saved: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    process = running(saved, "--rollouts", 2, "--folder", tmp_path / "run")
+    said = process.communicate(timeout=900.0)[0]
+    assert process.returncode == 0, said
+    lines = re.findall(r"^(\d) of 2: return ([\d.]+), .*recorded: (\w+)$", said, re.M)
+    assert [line[0] for line in lines] == ["1", "2"], said
+    for _, ret, bag in lines:
+        assert main.main(["score", str(tmp_path / "run/bags" / bag)]) == 0
+        assert f"return {ret}, " in capsys.readouterr().out
+
+
+def test_a_policy_that_is_stopped_leaves_the_arm_holding_and_its_bag_closed(
+    saved: Path, tmp_path: Path
+) -> None:
+    process = running(saved, "--rollouts", 100, "--folder", tmp_path / "run")
+    for line in process.stdout:
+        if line.startswith("1 of 100"):
+            break
+    time.sleep(0.5)
+    process.send_signal(signal.SIGINT)
+    said = process.stdout.read()
+    assert process.wait(600.0) == 130, said
+    assert "Stopped: the arm holds." in said
+    bags = [bag.name for bag in (tmp_path / "run/bags").iterdir()]
+    assert bags and not [name for name in bags if name.endswith(layout.UNFINISHED)]
+
+
+def test_what_is_no_policy_of_this_arm_is_refused_before_any_node_starts(
+    refusal: Callable[..., str], saved: Path, tmp_path: Path
+) -> None:
+    assert "No such file" in refusal("run-policy", "none.json")
+    (tmp_path / "text.json").write_text("{}")
+    assert "text.json is not a policy: " in refusal("run-policy", "text.json")
+    (tmp_path / "text.json").write_bytes(b"\xff\xfe")
+    assert "text.json is not a policy: " in refusal("run-policy", "text.json")
+    theirs = ArmIdentity("other", tuple("abcdefg"), "0" * 64, "0" * 64)
+    saved.write_text(to_json(dataclasses.replace(lift("lift"), arm=theirs)))
+    assert "policy lift belongs to another arm" in refusal("run-policy", "policy.json")
+
+
+def test_replay_names_the_command_for_a_policy(refusal: Callable[..., str], saved: Path) -> None:
+    assert "to execute a policy: " in (said := refusal("replay", "policy.json"))
+    assert "run-policy policy.json" in said and "recover" not in said
+
+
+def test_the_task_is_that_of_the_session_else_of_its_first_preset(tmp_path: Path) -> None:
+    settings = preset("flip", "paper", budget=3)
+    Session.begin(tmp_path / "s", settings, 0, [demonstrated_policy()]).close()
+    task, why = task_of(str(tmp_path / "s"), "reach")
+    assert (task.name, task.settings, why) == ("flip", settings.task_settings, "")
+    assert task_of("", "flip")[0].settings == preset("flip").task_settings
+    task, why = task_of("", "reach")  # measures by its demonstrations
+    assert task is None and "run the policy in its folder" in why
