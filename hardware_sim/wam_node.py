@@ -28,7 +28,6 @@ from wam_power_ros.control.arm import Arm
 from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.ros.diagnostics import component, diagnostics_message
 
-
 TORQUE_PER_CURRENT = 12.0  # [N m/A] of a motor and its gear, where effort is its current
 
 
@@ -101,6 +100,9 @@ class WamSim(Node):
         names = params.joint_names if params.state_order == ("",) else params.state_order
         self._write = joint_messages.JointStateWriter(names)
         self._order = np.array([params.joint_names.index(name) for name in names])
+        if params.deactivates:  # like a forwarder of ros2_control, which has these parameters
+            self.declare_parameter("joints", list(params.joint_names))
+            self.declare_parameter("interface_name", "effort")
         message_type = joint_messages.COMMAND_TYPES[params.command_type]
         self.create_subscription(
             message_type, params.command_topic, self._on_torque, interface.COMMAND

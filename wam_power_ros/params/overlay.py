@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from wam_power_ros.params import parameter_file
-from wam_power_ros.params.resources import share
+from wam_power_ros.params.resources import robot_description, share
 
 if TYPE_CHECKING:
     from wam_power_ros.control.arm import Arm
@@ -82,7 +82,7 @@ class Setup(Mapping[str, dict[str, Any]]):
         controller = self["torque_controller"]
         if not controller["urdf"]:
             return None
-        urdf = share(controller["urdf"]).read_text()
+        urdf = robot_description(controller["urdf"])
         points = (controller[f"guarded_{part}"] for part in ("names", "links", "points"))
         names, tool = controller["model_joint_names"], controller["tool_frame"]
         try:
