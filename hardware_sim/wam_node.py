@@ -97,7 +97,8 @@ class WamSim(Node):
         self._diagnostics = self.create_publisher(
             DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
         )
-        names = params.joint_names if params.state_order == ("",) else params.state_order
+        is_sorted = params.state_order == "sorted"
+        names = sorted(params.joint_names) if is_sorted else list(params.joint_names)
         self._write = joint_messages.JointStateWriter(names)
         self._order = np.array([params.joint_names.index(name) for name in names])
         if params.deactivates:  # like a forwarder of ros2_control, which has these parameters

@@ -83,7 +83,7 @@ BUDGET = {
     "bags": 2010,
     "params": 1030,
     "ros": 2480,
-    "client": 1240,
+    "client": 1260,
     "nodes": 2970,
     "console": 670,
     "view": 1360,

@@ -61,7 +61,7 @@ def _require_moving(name: str, joint: ElementTree.Element, known: list[str]) -> 
 def _require_limits(name: str, joint: ElementTree.Element) -> None:
     limit = joint.find("limit")
     given = {} if limit is None else dict(limit.items())
-    values = {}
+    values: dict[str, float] = {}
     for attribute in ("lower", "upper", "velocity", "effort"):
         if attribute not in given:
             raise ValueError(

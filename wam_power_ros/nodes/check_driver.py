@@ -24,7 +24,6 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
-from rcl_interfaces.srv import GetParameters
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
@@ -244,13 +243,8 @@ class CheckDriver(Node):
             if info.node_name in OWN_NODES:
                 continue
             driver = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
-            asked = self.create_client(GetParameters, f"{driver}/get_parameters")
-            self.wait(DISCOVERY_TIMEOUT, asked.service_is_ready)
-            if not asked.service_is_ready():
-                continue
-            future = asked.call_async(GetParameters.Request(names=["joints", "interface_name"]))
-            self.wait(DISCOVERY_TIMEOUT, future.done)
-            if future.done() and len(values := future.result().values) == 2:
+            values = self.link.parameters(driver, ("joints", "interface_name"), DISCOVERY_TIMEOUT)
+            if len(values) == 2:
                 joints, interface = values[0].string_array_value, values[1].string_value
                 return topic_checks.torque_order(driver, joints, interface, params.joint_names)
         return topic_checks.torque_order("the driver", (), "", params.joint_names)
