@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
-from conftest import ROOT
+from conftest import ROOT, Processes
 from test_session_over_dds import ended, wam_power
 
 from hardware_sim.scenes.reach import reach
@@ -96,3 +97,22 @@ def test_a_ur_teaches_replays_and_learns_to_reach_over_dds(tmp_path: Path) -> No
     rows = [json.loads(line) for line in (tmp_path / "s/rollouts.jsonl").read_text().splitlines()]
     assert [row["kind"] for row in rows[:2]] == ["reproduction", "explore"]
     assert all(len(row["truth"]["peak_qd"]) == 6 and row["ret"] > 0.0 for row in rows)
+
+
+def test_check_driver_says_of_a_ur_what_it_cannot_tell(
+    processes: Processes, tmp_path: Path
+) -> None:
+    file = tmp_path / "setup.yaml"
+    file.write_text(overlay.text(overlay.setup(["ur"], simulated=True)))
+    command = [sys.executable, "-m", "wam_power_ros.cli", "run"]
+    processes.start([*command, "wam_sim", "--ros-args", "--params-file", str(file)])
+    answers = ("--seconds", "2", "--active", "--json", str(tmp_path / "rows.json"))
+    check = processes.start([*command, "check_driver", "--config", "ur", *answers])
+    assert check.wait(120) == 0, processes.output(check)
+    table = json.loads((tmp_path / "rows.json").read_text())["rows"]
+    rows = {row["name"]: (row["verdict"], row["found"]) for row in table}
+    assert "in another order, matched by name" in rows["joint names"][1]
+    assert rows["torque order"][0] == "ok" and "/wam_sim: shoulder_pan" in rows["torque order"][1]
+    assert rows["effort"][0] == "ok" and rows["effort"][1].endswith(" A of the motors")
+    assert rows["gravity"][0] == "not checked" and "signs agree at" in rows["gravity"][1]
+    assert rows["watchdog"][0] == "not checked" and "no torque" in rows["watchdog"][1]
