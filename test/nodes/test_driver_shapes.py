@@ -59,7 +59,7 @@ class Rehearsal:
         return pose_messages.path(message)
 
 
-@pytest.mark.parametrize("name", ["geodude", "libbarrett", "franka"])
+@pytest.mark.parametrize("name", ["geodude", "libbarrett"])
 def test_a_rollout_is_the_same_through_every_driver(
     name: str, probe: Probe, processes: Processes, tmp_path: Path
 ) -> None:
