@@ -30,7 +30,7 @@ SET_UPS = (
     (),
     ("geodude", "natnet_ros2", "full_speed"),
     ("libbarrett", "vrpn_mocap", "full_speed"),
-    ("franka", "mocap_optitrack", "full_speed"),
+    ("geodude", "mocap_optitrack", "full_speed"),
     ("geodude", "motion_capture_tracking", "full_speed"),
 )
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.params import overlay
-from wam_power_ros.params.resources import share
+from wam_power_ros.params.resources import robot_description
 
 # A set-up overrides parameters of config/*.yaml; this one limits the speed of a shipped set-up.
 Path("slow.yaml").write_text(
@@ -15,7 +15,7 @@ Path("slow.yaml").write_text(
 )
 setup = overlay.setup(["cobot", "slow.yaml"])["torque_controller"]
 names = setup["model_joint_names"]
-arm = Arm(share(setup["urdf"]).read_text(), names, setup["tool_frame"], guarded=())
+arm = Arm(robot_description(setup["urdf"]), names, setup["tool_frame"], guarded=())
 
 q = np.full(arm.n, 0.3)
 position, _ = arm.tool_pose(q)

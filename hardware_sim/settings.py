@@ -14,7 +14,11 @@ from hardware_sim.sensors import MocapSettings
 from hardware_sim.wam import JOINTS
 from wam_power_ros.control.arm import GuardedPoint, guarded_points
 from wam_power_ros.params.node_params import Names, Params
-from wam_power_ros.params.torque_controller_params import JOINTS_MAX, Joints
+from wam_power_ros.params.torque_controller_params import (
+    JOINTS_MAX,
+    Joints,
+    require_same_joints,
+)
 from wam_power_ros.regions import Region, region_of
 from wam_power_ros.tracking.tracker import WorldToBase
 
@@ -167,7 +171,8 @@ class WamSimParams(Params, WorldSettings):
     other_joints: Names
     state_topic: str
     velocity: Sent
-    effort: Sent
+    effort: Literal["current", "filled", "empty", "nan"]
+    state_order: Literal["joint_names", "sorted"]
     velocity_topic: str
     command_topic: str
     command_type: Literal["multiarray", "joint_state"]
@@ -183,11 +188,7 @@ class WamSimParams(Params, WorldSettings):
 
     @model_validator(mode="after")
     def _fit_the_driver(self) -> Self:
-        if len(self.model_joint_names) != len(self.joint_names):
-            raise ValueError(
-                f"model_joint_names {self.model_joint_names} must be as many as joint_names "
-                f"{self.joint_names}"
-            )
+        require_same_joints(self.joint_names, self.model_joint_names)
         return self
 
 

@@ -28,9 +28,13 @@ from wam_power_ros.control.arm import Arm
 from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.ros.diagnostics import component, diagnostics_message
 
+TORQUE_PER_CURRENT = 12.0  # [N m/A] of a motor and its gear, where effort is its current
+
 
 def _sent(values: np.ndarray, how: str) -> Sequence[float] | np.ndarray:
-    """Values of a joint state as a driver sends them: see `WamSimParams.velocity`."""
+    """Values of a joint state as a driver sends them: see config/wam_sim.yaml."""
+    if how == "current":
+        return values / TORQUE_PER_CURRENT
     return values if how == "filled" else np.full(len(values), np.nan) if how == "nan" else ()
 
 
@@ -93,7 +97,13 @@ class WamSim(Node):
         self._diagnostics = self.create_publisher(
             DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
         )
-        self._write = joint_messages.JointStateWriter(params.joint_names)
+        is_sorted = params.state_order == "sorted"
+        names = sorted(params.joint_names) if is_sorted else list(params.joint_names)
+        self._write = joint_messages.JointStateWriter(names)
+        self._order = np.array([params.joint_names.index(name) for name in names])
+        if params.deactivates:  # like a forwarder of ros2_control, which has these parameters
+            self.declare_parameter("joints", list(params.joint_names))
+            self.declare_parameter("interface_name", "effort")
         message_type = joint_messages.COMMAND_TYPES[params.command_type]
         self.create_subscription(
             message_type, params.command_topic, self._on_torque, interface.COMMAND
@@ -135,9 +145,10 @@ class WamSim(Node):
 
     def state(self) -> JointState:
         """Current state as a message: the same object every time."""
-        sample = self.world.joint_state()
-        qd = _sent(sample.qd, self.params.velocity)
-        return self._write(self.stamp_ns, sample.q, qd, _sent(sample.tau, self.params.effort))
+        sample, order = self.world.joint_state(), self._order
+        qd = _sent(sample.qd[order], self.params.velocity)
+        tau = _sent(sample.tau[order], self.params.effort)
+        return self._write(self.stamp_ns, sample.q[order], qd, tau)
 
     def publish(self, message: JointState) -> None:
         """Publish a state, those of other devices, and in lockstep the clock."""

@@ -26,7 +26,7 @@ from hardware_sim.settings import OptitrackSimParams, WamSimParams, WorldSetting
 from hardware_sim.wam import PERIOD, PERIOD_NS, WATCHDOG_TICKS
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.joint_references import MinJerk
-from wam_power_ros.params.resources import share
+from wam_power_ros.params.resources import robot_description
 from wam_power_ros.tracking.marker_fit import LAYOUT
 
 QUIET = "-quiet"  # suffix of the id of a rollout without wind, offset and variation of the arm
@@ -84,7 +84,7 @@ class World:
         mocap = mocap or MocapSettings()
         self._make_scene = make_scene
         self.seed = seed
-        self.urdf = share(settings.urdf).read_text()
+        self.urdf = robot_description(settings.urdf)
         names, tool, guarded = settings.model_joint_names, settings.tool_frame, settings.guarded
         self._arm = Arm(self.urdf, names, tool, guarded=guarded)  # driver's model
         self.n = self._arm.n

@@ -229,3 +229,42 @@ def test_the_lag_of_the_velocity_of_a_moved_joint_is_measured(lag: float, expect
     assert row.found == expected
     assert (row.verdict is Verdict.OK) is (lag < 0.016)
     assert arm_checks.velocity_lag(record(samples), 3).verdict is Verdict.UNCHECKED
+
+
+def currents(q: np.ndarray = POSTURE, signs: np.ndarray | float = 1.0) -> ArmRecord:
+    """States of a driver whose effort is the current of motors that carry the arm."""
+    return record([s._replace(tau=signs * s.tau / 12.0) for s in at_rest(q)])
+
+
+def test_motor_currents_are_not_taken_for_torques() -> None:
+    assert arm_checks.effort(currents(), "current").verdict is Verdict.OK
+    row = arm_checks.gravity(currents(), model(), "current")
+    assert row.verdict is Verdict.UNCHECKED
+    assert "signs agree at wam_j2, wam_j4" in row.found
+    assert "order, zero and payload do not show" in row.advice
+    as_torque = arm_checks.gravity(currents(), model())
+    assert as_torque.verdict is Verdict.FAIL
+
+
+def test_a_reversed_current_of_a_loaded_joint_fails_and_of_an_unloaded_one_does_not() -> None:
+    for joint, verdict in ((3, Verdict.FAIL), (6, Verdict.UNCHECKED)):
+        signs = np.where(np.arange(7) == joint, -1.0, 1.0)
+        row = arm_checks.gravity(currents(signs=signs), model(), "current")
+        assert row.verdict is verdict
+        assert (f"reversed at {NAMES[joint]}" in row.advice) == (verdict is Verdict.FAIL)
+
+
+def test_motors_without_current_and_an_unloaded_arm_show_nothing() -> None:
+    idle = arm_checks.gravity(currents(signs=0.0), model(), "current")
+    assert (idle.verdict, "brakes" in idle.advice) == (Verdict.UNCHECKED, True)
+    upright = arm_checks.gravity(currents(np.zeros(7)), model(), "current")
+    assert (upright.verdict, "stretch" in upright.advice) == (Verdict.UNCHECKED, True)
+
+
+def test_a_driver_without_effort_is_as_its_set_up_says_or_not() -> None:
+    without = record([s._replace(tau=np.empty(0)) for s in at_rest()])
+    assert arm_checks.effort(without, "none").verdict is Verdict.OK
+    assert arm_checks.gravity(without, model(), "none").verdict is Verdict.UNCHECKED
+    for quantity in ("torque", "current"):
+        assert arm_checks.effort(without, quantity).verdict is Verdict.WARN
+    assert "set effort" in arm_checks.effort(record(at_rest()), "none").advice

@@ -165,3 +165,17 @@ def test_the_jitter_of_stamps_is_measured_around_their_rate(
     row = topic_checks.stamp_jitter("stamp jitter", np.delete(jittered, [500, 501, 900]))
     assert row.verdict is expected
     assert float(row.found.split()[0]) == pytest.approx(jitter_ms, abs=0.05)
+
+
+def test_the_order_of_a_forwarder_is_that_of_the_torques() -> None:
+    names = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
+    row = topic_checks.torque_order("/forwarder", names, "effort", names)
+    assert row.verdict is Verdict.OK
+    row = topic_checks.torque_order("/forwarder", sorted(names), "effort", names)
+    assert (row.verdict, "set joints" in row.advice) == (Verdict.FAIL, True)
+    assert "/forwarder: elbow_joint" in row.found
+    row = topic_checks.torque_order("/forwarder", names, "position", names)
+    assert (row.verdict, "interface_name" in row.advice) == (Verdict.FAIL, True)
+    group = topic_checks.torque_order("/group", names, "", names)  # has no interface_name
+    assert group.verdict is Verdict.OK
+    assert topic_checks.torque_order("/bridge", (), "", names).verdict is Verdict.UNCHECKED

@@ -30,6 +30,7 @@ def run_check(
     delay: int = 3,
     slip: float = 0.0,
     ignores: bool = False,
+    order: np.ndarray | None = None,
     period_ns: int = TICK,
 ) -> tuple[Row, list[np.ndarray]]:
     """Run the test on a simulated driver; returns the row and the torques sent.
@@ -46,6 +47,8 @@ def run_check(
         arrived = in_transit.pop(0)
         silent = 0 if arrived is not None else silent + 1
         command = command if arrived is None else arrived
+        if arrived is not None and order is not None:
+            command = arrived[order]
         own = command is None or ignores or (watchdog is not None and silent > watchdog)
         tau = gravity if own else command + (gravity if adds else 0.0)
         q = q + (0.0 if own else slip)
@@ -120,3 +123,10 @@ def test_without_friction_in_the_urdf_nothing_is_sent() -> None:
     text = (ROOT / "urdf/wam7.urdf").read_text().replace('friction="', 'friction="0" was="')
     with pytest.raises(ValueError, match="no friction"):
         CommandCheck(Arm(text, NAMES), NAMES, False, Q, np.zeros(7))
+
+
+def test_torques_that_act_on_other_joints_are_named() -> None:
+    row, _ = run_check(adds=True, order=np.array([2, 1, 0, 3, 4, 5, 6]))
+    assert row.verdict is Verdict.FAIL
+    assert row.found == "sent to wam_j1, reported of wam_j3"
+    assert "joint_names" in row.advice

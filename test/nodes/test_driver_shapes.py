@@ -59,7 +59,7 @@ class Rehearsal:
         return pose_messages.path(message)
 
 
-@pytest.mark.parametrize("name", ["geodude", "libbarrett", "franka"])
+@pytest.mark.parametrize("name", ["geodude", "libbarrett"])
 def test_a_rollout_is_the_same_through_every_driver(
     name: str, probe: Probe, processes: Processes, tmp_path: Path
 ) -> None:
@@ -158,7 +158,7 @@ def led_to(arm: Arm, home: np.ndarray, way: np.ndarray, arc: np.ndarray) -> np.n
 def test_another_arm_reaches_by_urdf_and_yaml_alone(
     driver: tuple[str, ...], probe: Probe, processes: Processes, tmp_path: Path
 ) -> None:
-    bench = Rehearsal(probe, processes, tmp_path, "cobot", *driver)
+    bench = Rehearsal(probe, processes, tmp_path, *driver, "cobot")
     set_up = bench.setup["torque_controller"]
     urdf = share(set_up["urdf"]).read_text()
     arm = Arm(urdf, set_up["model_joint_names"], set_up["tool_frame"], guarded=())

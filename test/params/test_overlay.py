@@ -303,3 +303,18 @@ def test_no_set_up_makes_a_simulation_of_an_arm_or_lets_its_controller_start_its
         read(itself, "torque_controller", tmp_path)
     for name in overlay.known():
         assert not overlay.setup([name])["torque_controller"]["autostart"]
+
+
+def test_what_an_arm_needs_for_a_task_is_beside_its_set_up(tmp_path: Path) -> None:
+    section = "torque_controller: {ros__parameters: {tool_speed_max: %s}}"
+    arm = write(tmp_path, "arm", section % 1.0)
+    write(tmp_path, "arm.reach", section % 2.0)
+    limit = lambda *names, task="": overlay.setup(names, task=task)["torque_controller"]  # noqa: E731
+    assert limit(arm)["tool_speed_max"] == limit(arm, task="flip")["tool_speed_max"] == 1.0
+    assert limit(arm, task="reach")["tool_speed_max"] == 2.0
+    later = write(tmp_path, "later", section % 3.0)
+    assert limit(arm, later, task="reach")["tool_speed_max"] == 3.0
+    assert limit("openarm", task="reach")["guarded_region"][3] == 0.07
+    assert "openarm.reach" not in overlay.known()
+    files = overlay.setup([arm], task="reach")["learner"]["controller"]
+    assert files[-1].endswith("arm.reach.yaml")

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files of the package are found in a checkout and in an installation."""
 
+import os
 import shutil
 import subprocess
 import sys
@@ -9,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from wam_power_ros.params import resources
+from wam_power_ros.params.resources import robot_description, share
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -36,3 +38,51 @@ def test_an_installed_package_uses_the_files_of_its_own_prefix(tmp_path: Path) -
 def test_a_missing_file_is_named_with_the_searched_folders() -> None:
     with pytest.raises(FileNotFoundError, match=r"'config/none\.yaml'.*looked in"):
         resources.share("config/none.yaml")
+
+
+PACKAGE_XML = "<package format='3'><name>lab_description</name></package>"
+MACRO = """<robot xmlns:xacro="http://www.ros.org/wiki/xacro">
+<xacro:macro name="tool" params="mass"><link name="tool"><inertial><mass value="${2 * mass}"/>
+</inertial><visual><geometry><mesh filename="package://not_here/tool.stl"/></geometry></visual></link>
+</xacro:macro></robot>"""
+ARM = """<robot name="lab" xmlns:xacro="http://www.ros.org/wiki/xacro">
+<xacro:include filename="$(find lab_description)/tool.xacro"/><xacro:tool mass="0.3"/></robot>"""
+
+
+def lab(folder: Path) -> Path:
+    """A xacro file, and beside it the folder of the package that it includes."""
+    package = folder / "checkout_of_the_vendor"
+    package.mkdir()
+    (package / "package.xml").write_text(PACKAGE_XML)
+    (package / "tool.xacro").write_text(MACRO)
+    file = folder / "arm.urdf.xacro"
+    file.write_text(ARM)
+    return file
+
+
+def test_a_xacro_file_is_expanded_with_the_packages_beside_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("xacro")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", "/opt/elsewhere")
+    text = robot_description(str(lab(tmp_path)))
+    assert '<mass value="0.6"/>' in text
+    assert "package://not_here" in text  # meshes are ignored
+    assert os.environ["AMENT_PREFIX_PATH"] == "/opt/elsewhere"
+
+
+def test_a_package_that_a_xacro_file_does_not_find_is_named_with_the_remedy(tmp_path: Path) -> None:
+    pytest.importorskip("xacro")
+    file = lab(tmp_path)
+    (tmp_path / "checkout_of_the_vendor/package.xml").unlink()
+    with pytest.raises(ValueError, match=r"(?s)'lab_description' not found.*package\.xml"):
+        robot_description(str(file))
+
+
+def test_without_xacro_the_remedy_is_to_install_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "xacro", None)
+    with pytest.raises(ValueError, match=r"arm\.urdf\.xacro .* pip install xacro"):
+        robot_description(str(lab(tmp_path)))
+    assert robot_description("urdf/wam7.urdf") == share("urdf/wam7.urdf").read_text()

@@ -9,7 +9,8 @@ import rclpy
 import yaml
 from rclpy.parameter import Parameter
 
-from wam_power_ros.params import parameter_file
+from hardware_sim.settings import WamSimParams
+from wam_power_ros.params import overlay, parameter_file
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.regions import Region
@@ -159,3 +160,13 @@ def test_guarded_points_may_have_any_name_or_be_empty(tmp_path: Path) -> None:
 def test_the_model_must_have_as_many_joint_names_as_the_driver(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="model_joint_names"):
         params(tmp_path, model_joint_names=["wam_j1"]).controller(URDF)
+
+
+def test_names_of_the_driver_in_another_order_than_the_models_are_refused() -> None:
+    setup = overlay.setup(["ur"])
+    names = setup["torque_controller"]["joint_names"]
+    for params in (TorqueControllerParams, WamSimParams):
+        node = params.file.removesuffix(".yaml")
+        with pytest.raises(ValueError, match="'elbow_joint' in the place of 'shoulder_pan_joint'"):
+            params.of_setup(setup.changed({node: {"joint_names": sorted(names)}}))
+        assert params.of_setup(setup.changed({node: {"joint_names": [f"l_{n}" for n in names]}}))

@@ -31,15 +31,16 @@ MODULES = {
 }
 FILES = sorted(path.stem for path in (ROOT / "config").glob("*.yaml"))
 SETUPS = [name for name in FILES if name not in overlay.NODES]
-DRIVERS = ("geodude", "libbarrett", "franka")  # of arms
+DRIVERS = ("geodude", "libbarrett", "ur", "franka", "openarm")  # of arms
 ARMS = ("cobot", "full_speed", "reach", "simulation")  # other files with parameters of an arm
 AT_ONCE = 6  # nodes, each in a namespace beside a driver of its own
 OBSERVED = 1.5  # [s] after a node has reported: an active controller sends 100 torques in it
 JOINTS = [
     f"{stem}{number}"
-    for stem in ("wam_j", "right_j", "q", "fr3_joint", "cobot_joint")
+    for stem in ("wam_j", "right_j", "q", "fr3_joint", "cobot_joint", "openarm_joint")
     for number in range(1, 8)
 ]
+JOINTS += overlay.setup(["ur"]).joint_names
 # Real time, 100 states a second with the joints of every set-up; says how many torques have come.
 DRIVER = f"""
 import sys, time
@@ -61,12 +62,16 @@ for place in sys.argv[1:]:
         name = f"{{place}}/{{topic}}"
         states.append(node.create_publisher(JointState, name, interface.STATE_OUT))
     qos = interface.COMMAND
-    node.create_subscription(Float64MultiArray, f"{{place}}/effort_controller/commands", count, qos)
+    for forwarder in ("effort_controller", "forward_effort_controller"):
+        topic = f"{{place}}/{{forwarder}}/commands"
+        node.create_subscription(Float64MultiArray, topic, count, qos)
     node.create_subscription(JointState, f"{{place}}/joint_torque_commands", count, qos)
 names = {JOINTS!r}
-home = [0.0, 0.35, 0.0, 2.0, 0.0, -0.47, 0.0] * 5
+count_of_joints = len(names)
+home = ([0.0, 0.35, 0.0, 2.0, 0.0, -0.47, 0.0] * 7)[:count_of_joints]
+still = [0.0] * count_of_joints
 def send():
-    message = JointState(name=names, position=home, velocity=[0.0] * 35, effort=[0.0] * 35)
+    message = JointState(name=names, position=home, velocity=still, effort=still)
     message.header.stamp = node.get_clock().now().to_msg()
     for publisher in states:
         publisher.publish(message)

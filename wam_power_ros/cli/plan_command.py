@@ -30,7 +30,7 @@ from wam_power_ros.cli.session_options import (
     chosen,
     learner_parameters,
 )
-from wam_power_ros.params.resources import share
+from wam_power_ros.params.resources import robot_description, share
 from wam_power_ros.ros.domain import exported, hold, lock_files, shared
 
 NAMESPACE = re.compile(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
@@ -162,7 +162,7 @@ def arm_description(plan: Plan) -> dict[str, object] | None:
     if not arm["urdf"] or arm["joint_names"] != arm["model_joint_names"]:
         return None
     return {
-        "robot_description": share(arm["urdf"]).read_text(),
+        "robot_description": robot_description(arm["urdf"]),
         "frame_prefix": f"{plan.namespace}/".lstrip("/"),
         "use_sim_time": bool(arm.get("use_sim_time", False)),
     }

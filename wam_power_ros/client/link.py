@@ -11,13 +11,15 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any
 
 import rclpy
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.msg import ParameterValue
+from rcl_interfaces.srv import GetParameters
 from rclpy.client import Client
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
@@ -299,6 +301,23 @@ class Link:
             if time.monotonic() > end:
                 raise ServiceError(f"{self._full(name)} refused: {answer.text}", answer)
             self.sleep(RETRY_PERIOD)
+
+    def parameters(self, node: str, names: Sequence[str], timeout: float) -> list[ParameterValue]:
+        """Ask a node for parameters, those that it lacks are not set; [] without an answer.
+
+        Args:
+            node: Full name of the node.
+            names: Names of the parameters.
+            timeout: Longest wait for the node, and for its answer [s of wall time].
+        """
+        client = self.node.create_client(GetParameters, f"{node}/get_parameters")
+        if not self.until(client.service_is_ready, timeout=timeout):
+            return []
+        self.sleep(DISCOVERY)
+        future = client.call_async(GetParameters.Request(names=names))
+        future.add_done_callback(self._notify)
+        self.until(future.done, timeout=timeout)
+        return list(future.result().values) if future.done() else []
 
 
 def unanswered(node: Node, name: str, qos: QoSProfile) -> Callable[[], object]:

@@ -30,7 +30,7 @@ from wam_power_ros.control import replay_trajectory
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.params import overlay
-from wam_power_ros.params.resources import share
+from wam_power_ros.params.resources import robot_description
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer, ServiceError
 from wam_power_ros.ros.joint_messages import JointMovement, JointStateReader, movement_message
@@ -327,7 +327,7 @@ def connected(
     controller, context = setup["torque_controller"], Context()
     if not controller["urdf"]:
         raise ValueError("the set-up names no urdf: give the one of the nodes")
-    urdf = share(controller["urdf"]).read_text()
+    urdf = robot_description(controller["urdf"])
     make = lambda: rclpy.create_node("robot", namespace=namespace, context=context)  # noqa: E731
     with participant(make, domain, context, on_loopback) as node, Link(node) as link:
         yield Robot(

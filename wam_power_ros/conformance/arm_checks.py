@@ -29,6 +29,7 @@ LIMIT_TOLERANCE = 0.05  # [rad] beyond a position limit: zeros are set by hand
 GRAVITY_SHARE = 0.15  # relative tolerance for gravity torques: models of drivers differ
 GRAVITY_FLOOR = 0.15  # [N m] absolute tolerance, added to it
 GRAVITY_MIN = 3.0  # [N m] without a larger gravity torque the comparison shows nothing
+CURRENT_MIN = 0.05  # [A] below which motors carry nothing
 PERMUTED_MAX = 8  # joints; of at most as many, every order is tried: 40 320
 
 
@@ -226,26 +227,43 @@ def velocity_lag(record: ArmRecord, joint: int) -> Row:
     return row(text, WARN, f"{advice} differentiate (no velocity in the states)")
 
 
-def effort(record: ArmRecord) -> Row:
-    """Whether the driver reports torques."""
-    row = partial(Row, "effort", "N m in every state")
+def effort(record: ArmRecord, quantity: str = "torque") -> Row:
+    """Whether the driver reports the effort that the set-up says: torque, current or none."""
+    unit = {"torque": "N m", "current": "A of the motors"}.get(quantity)
+    row = partial(Row, "effort", f"{unit} in every state" if unit else "none")
     if record.tau is None or not np.isfinite(record.tau).all():
         advice = "without it gravity, joint order and watchdog cannot be checked at rest"
-        return row("no effort", WARN, advice)
-    return row(f"{_listed(record.tau.mean(axis=0))} N m", OK)
+        return row("no effort", WARN if unit else OK, advice if unit else "")
+    found = _listed(record.tau.mean(axis=0))
+    if not unit:
+        return row(found, WARN, "the driver reports one: set effort to torque or current")
+    return row(f"{found} {unit}", OK)
 
 
-def gravity(record: ArmRecord, arm: Arm) -> Row:
-    """Whether the reported torques at rest are g(q); if not, which mistake explains them.
+def gravity(record: ArmRecord, arm: Arm, quantity: str = "torque") -> Row:
+    """Whether the reported effort at rest is that of g(q); if not, which mistake explains it.
 
     Drivers of torque-controlled arms report the command, gravity included, or a measured torque.
+    Of motor currents only the signs can be compared, so that no such row is OK.
+
+    Args:
+        record: Record of an arm at rest.
+        arm: Model of the arm.
+        quantity: What the effort is: torque, current or none.
     """
+    by_hand = "move each joint when asked instead"
     expected = "effort at rest is g(q): order, signs, zero and payload as in the URDF"
+    if quantity == "current":
+        expected = "current at rest has the signs of g(q)"
     row = partial(Row, "gravity", expected)
+    if quantity == "none":
+        return row("no effort, as the set-up says", UNCHECKED, by_hand)
     if record.tau is None or not np.isfinite(record.tau).all() or not len(record.q):
-        return row("no effort", UNCHECKED, "move each joint when asked instead")
+        return row("no effort", UNCHECKED, by_hand)
     if not record.still:
         return row("the arm moves", UNCHECKED, "keep the arm at rest")
+    if quantity == "current":
+        return _current(row, record, arm)
     q, tau = record.q.mean(axis=0), record.tau.mean(axis=0)
     g = arm.gravity(q)
     text = f"{_listed(tau)} N m, g(q) {_listed(g)} N m"
@@ -260,6 +278,25 @@ def gravity(record: ArmRecord, arm: Arm) -> Row:
         advice = "the driver is idle or reports torques without gravity; move each joint when asked"
         return row(text, UNCHECKED, advice)
     return row(text, FAIL, mistake)
+
+
+def _current(row: partial[Row], record: ArmRecord, arm: Arm) -> Row:
+    """Row about motor currents: their signs, at the joints that friction alone cannot hold."""
+    assert record.tau is not None
+    current, g = record.tau.mean(axis=0), arm.gravity(record.q.mean(axis=0))
+    text = f"{_listed(current)} A, g(q) {_listed(g)} N m"
+    loaded = np.flatnonzero(np.abs(g) > np.maximum(GRAVITY_MIN, 2.0 * arm.friction))
+    names = ", ".join(record.joint_names[i] for i in loaded)
+    if not len(loaded):
+        return row(text, UNCHECKED, "stretch the arm out, so that gravity loads its joints")
+    if np.abs(current).max() < CURRENT_MIN:
+        advice = "no current: are the brakes released? move each joint when asked instead"
+        return row(text, UNCHECKED, advice)
+    if wrong := [record.joint_names[i] for i in loaded if current[i] * g[i] < 0.0]:
+        advice = f"reversed at {', '.join(wrong)}: wrong sign, order, zero, mounting or URDF"
+        return row(text, FAIL, advice)
+    advice = "currents have no scale here, so that order, zero and payload do not show: move each "
+    return row(f"{text}; signs agree at {names}", UNCHECKED, f"{advice}joint when asked")
 
 
 def _mistake(q: np.ndarray, tau: np.ndarray, arm: Arm, names: Sequence[str]) -> str | None:

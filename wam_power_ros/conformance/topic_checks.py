@@ -287,3 +287,27 @@ def command_path(
     if len(drivers) > 1:
         return row(text, WARN, "which of them drives the arm?")
     return row(text, OK)
+
+
+def torque_order(
+    driver: str, joints: Sequence[str], interface: str, joint_names: Sequence[str]
+) -> Row:
+    """Whether a ros2_control forwarder passes on torques, in the order in which they are sent.
+
+    Args:
+        driver: Name of the node that receives the torques.
+        joints: Its parameter `joints`; empty if it has none.
+        interface: Its parameter `interface_name`; empty if it has none.
+        joint_names: Order in which torques are sent.
+    """
+    row = partial(Row, "torque order", f"{' '.join(joint_names)}, as effort")
+    if not joints:
+        advice = "not a forwarder of ros2_control: compare the driver's order with joint_names"
+        return row(f"{driver} has no parameter joints", UNCHECKED, advice)
+    text = f"{driver}: {' '.join(joints)}{f', as {interface}' if interface else ''}"
+    if tuple(joints) != tuple(joint_names):
+        advice = "torques would act on other joints: set joints of that controller to joint_names"
+        return row(text, FAIL, advice)
+    if interface not in ("", "effort"):
+        return row(text, FAIL, "set interface_name of that controller to effort")
+    return row(text, OK)

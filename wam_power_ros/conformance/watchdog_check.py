@@ -103,6 +103,11 @@ class CommandCheck:
                 torque[self._joint] += self._offset
                 return torque
             if not self._reported:
+                shown = int(np.argmax(tau - self._rest))
+                if tau[shown] - self._rest[shown] > 0.5 * self._offset:
+                    sent, found = self._names[self._joint], self._names[shown]
+                    advice = "wrong order of torques: the order of the driver must be joint_names"
+                    return self._end(_row(f"sent to {sent}, reported of {found}", FAIL, advice))
                 advice = "is the arm activated, its effort controller running? does it report "
                 text = "commands do not show in the reported effort"
                 return self._end(_row(text, UNCHECKED, f"{advice}torques?"))

@@ -19,6 +19,7 @@ import pinocchio as pin
 
 from wam_power_ros.arm_identity import ArmIdentity
 from wam_power_ros.control.inertia import require_physical
+from wam_power_ros.control.urdf_joints import require_usable
 
 FRICTION_SPEED = 0.02  # [rad/s] width of the tanh that smooths Coulomb friction at standstill
 _AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED  # origin of the tool, axes of the base
@@ -152,13 +153,18 @@ class Arm:
         tool_frame: str = "pan",
         guarded: Sequence[GuardedPoint] = WAM_GUARDED_POINTS,
     ) -> None:
+        self.joint_names = tuple(joint_names)
+        refusal = "the robot description is not a URDF"
+        try:
+            tree = ElementTree.fromstring(urdf)
+        except ElementTree.ParseError as error:
+            raise ValueError(f"{refusal}: {error}") from None
+        require_usable(tree, self.joint_names)
         try:
             full = pin.buildModelFromXML(urdf)
-            tree = ElementTree.fromstring(urdf)
-        except (ValueError, RuntimeError, ElementTree.ParseError) as error:
-            raise ValueError(f"the robot description is not a URDF: {error}") from None
+        except (ValueError, RuntimeError) as error:
+            raise ValueError(f"{refusal}: {error}") from None
         self.name = tree.get("name", "")
-        self.joint_names = tuple(joint_names)
         self.model = _chain(full, self.joint_names)
         require_physical(tree, self.model)
         self.n = self.model.nv
@@ -173,12 +179,6 @@ class Arm:
         self.tau_max = self.model.effortLimit.copy()
         self.friction = self.model.friction.copy()
         self.damping = self.model.damping.copy()
-        for name, limit in (("velocity", self.qd_max), ("effort", self.tau_max)):
-            if not np.all(limit > 0.0):
-                raise ValueError(f"{name} limits {limit.tolist()} of the joints must be positive")
-        if not np.all(self.q_min < self.q_max):
-            lower, upper = self.q_min.tolist(), self.q_max.tolist()
-            raise ValueError(f"lower position limits {lower} must be below the upper ones {upper}")
 
         self._data = self.model.createData()
         self._tool = self._frame(tool_frame)
@@ -341,19 +341,11 @@ class _Point:
 def _chain(full: pin.Model, joint_names: tuple[str, ...]) -> pin.Model:
     """Reduce the model to the named joints; the others are locked at zero."""
     known = [name for name in full.names if name != "universe"]
-    missing = [name for name in joint_names if name not in known]
-    if missing or not joint_names:
-        raise ValueError(f"joints {missing} are not in the robot description; known: {known}")
     chain_order = tuple(name for name in known if name in joint_names)
     if chain_order != joint_names:
         raise ValueError(f"joint names {joint_names} must be, base to tip, {chain_order}")
     locked = [full.getJointId(name) for name in known if name not in joint_names]
-    model = pin.buildReducedModel(full, locked, pin.neutral(full))
-    if model.nq != len(joint_names) or model.nv != len(joint_names):
-        raise ValueError(
-            f"joints {joint_names} must be revolute or prismatic with limits (not continuous)"
-        )
-    return model
+    return pin.buildReducedModel(full, locked, pin.neutral(full))
 
 
 def _armature(tree: ElementTree.Element, joint_name: str) -> float:

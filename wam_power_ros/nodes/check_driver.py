@@ -42,7 +42,7 @@ from wam_power_ros.control.arm import Arm
 from wam_power_ros.nodes import check_console
 from wam_power_ros.params import overlay
 from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
-from wam_power_ros.params.resources import share
+from wam_power_ros.params.resources import robot_description
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.ros import (
     endpoints,
@@ -78,7 +78,7 @@ class CheckDriver(Node):
         self.frames: list[FrameSample] = []
         self.clouds: list[CloudSample] = []
         self._refused_clouds: Counter[str] = Counter()  # by reason
-        self._urdf = share(arm.urdf).read_text() if arm.urdf else ""
+        self._urdf = robot_description(arm.urdf) if arm.urdf else ""
         self._torque_count = 0
         self._send_torque: Callable[[StateSample], None] | None = None
         self._command_type = joint_messages.COMMAND_TYPES[arm.command_type]
@@ -197,7 +197,8 @@ class CheckDriver(Node):
         rows, record = self._arm_rows(arm, seconds)
         path = self._command_path()
         mocap = self._mocap_rows(arm, record, seconds)
-        rows += [path, self._watchdog(arm, record, path, active), self._service()]
+        order = [self._torque_order()] if self._arm_params.command_type == "multiarray" else []
+        rows += [path, *order, self._watchdog(arm, record, path, active), self._service()]
         frozen = any(row.name == "mocap frozen" and row.verdict is Verdict.FAIL for row in mocap)
         fall = [] if frozen or not (self.frames or self.clouds) else [self._fall()]
         return [*rows, *mocap, *fall, *self._by_hand(arm, record)]
@@ -225,8 +226,8 @@ class CheckDriver(Node):
             arm_checks.positions(record, arm),
             *velocity,
             arm_checks.velocity(record, params.velocity_topic),
-            arm_checks.effort(record),
-            arm_checks.gravity(record, arm),
+            arm_checks.effort(record, params.effort),
+            arm_checks.gravity(record, arm, params.effort),
         ], record
 
     def _command_path(self) -> Row:
@@ -237,6 +238,20 @@ class CheckDriver(Node):
         unmatched, _ = endpoints.unmatched_subscriptions(self, topic, kind, interface.COMMAND)
         count = self._torque_count
         return topic_checks.command_path(topic, kind, drivers, commanders, count, unmatched)
+
+    def _torque_order(self) -> Row:
+        """Row about the order of the driver, asked for its parameters if it is a forwarder."""
+        params = self._arm_params
+        infos = self.get_subscriptions_info_by_topic(self.resolve_topic_name(params.command_topic))
+        for info in infos:
+            if info.node_name in OWN_NODES:
+                continue
+            driver = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+            values = self.link.parameters(driver, ("joints", "interface_name"), DISCOVERY_TIMEOUT)
+            if len(values) == 2:
+                joints, interface = values[0].string_array_value, values[1].string_value
+                return topic_checks.torque_order(driver, joints, interface, params.joint_names)
+        return topic_checks.torque_order("the driver", (), "", params.joint_names)
 
     def _service(self) -> Row:
         services = {name: types[0] for name, types in self.get_service_names_and_types()}
@@ -279,6 +294,8 @@ class CheckDriver(Node):
             return unchecked("see the command path")
         if not record.still or record.tau is None:
             return unchecked("the arm moves, or the driver reports no effort")
+        if self._arm_params.effort != "torque":  # the test ends on what the driver reports
+            return unchecked("effort is no torque: a torque that is held would not show")
         q, tau = record.q.mean(axis=0), record.tau.mean(axis=0)
         params, names = self._arm_params, self._arm_params.joint_names
         try:

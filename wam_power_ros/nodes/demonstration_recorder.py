@@ -36,7 +36,7 @@ from wam_power_ros.bags.writer import header_stamp
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning import policy
 from wam_power_ros.params.node_params import Names, Params
-from wam_power_ros.params.resources import share
+from wam_power_ros.params.resources import robot_description
 from wam_power_ros.ros import interface, node_runner, scheduling
 from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.diagnostics import component, diagnostics_message
@@ -86,7 +86,7 @@ class DemonstrationRecorder(Node):
         self._params = params = DemonstrationRecorderParams.of(self)
         self._arm = ""  # identity of the arm, as JSON
         if params.urdf:
-            urdf = share(params.urdf).read_text()
+            urdf = robot_description(params.urdf)
             arm = Arm(urdf, params.model_joint_names, params.tool_frame, guarded=())
             self._arm = arm_identity.to_json(arm.identity())
         self._directory = Path(params.directory).expanduser().absolute()

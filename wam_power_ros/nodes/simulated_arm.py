@@ -11,7 +11,7 @@ from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.feasibility import simulate_policy, speed_margin
 from wam_power_ros.faults import Fault
 from wam_power_ros.learning.policy import Policy, to_json, with_id
-from wam_power_ros.params.resources import share
+from wam_power_ros.params.resources import robot_description, share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 
 
@@ -38,7 +38,7 @@ class SimulatedArm:
         Raises:
             ValueError: A parameter is not valid.
         """
-        urdf = share(urdf).read_text()
+        urdf = robot_description(urdf)
         self.kinematics = Arm(urdf, joint_names, tool_frame, guarded=())
         self.identity = self.kinematics.identity()
         own, *over = (share(file) for file in controller)

@@ -38,7 +38,7 @@ from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.nodes.controller_report import Condition, ControllerReport
 from wam_power_ros.nodes.motion_requests import MotionRequests, attempt, fill
 from wam_power_ros.nodes.preparation import Preparation
-from wam_power_ros.params.resources import share
+from wam_power_ros.params.resources import robot_description
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.ros import (
     cdr,
@@ -73,7 +73,7 @@ class TorqueController(LifecycleNode):
             self.get_logger().warning(exposed)
         self._frame = interface.frame(self.get_namespace(), params.base_frame)
         self._autostart = params.autostart
-        self._urdf = share(params.urdf).read_text() if params.urdf else ""
+        self._urdf = robot_description(params.urdf) if params.urdf else ""
         self._controller: Controller | None = None
         self._active = False
         self._qd: np.ndarray | None = None  # from the velocity topic [rad/s]

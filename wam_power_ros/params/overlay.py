@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from wam_power_ros.params import parameter_file
-from wam_power_ros.params.resources import share
+from wam_power_ros.params.resources import robot_description, share
 
 if TYPE_CHECKING:
     from wam_power_ros.control.arm import Arm
@@ -82,7 +82,7 @@ class Setup(Mapping[str, dict[str, Any]]):
         controller = self["torque_controller"]
         if not controller["urdf"]:
             return None
-        urdf = share(controller["urdf"]).read_text()
+        urdf = robot_description(controller["urdf"])
         points = (controller[f"guarded_{part}"] for part in ("names", "links", "points"))
         names, tool = controller["model_joint_names"], controller["tool_frame"]
         try:
@@ -99,7 +99,8 @@ class Setup(Mapping[str, dict[str, Any]]):
 def known() -> list[str]:
     """Names of the set-ups in config/."""
     files = sorted(share("config").glob("*.yaml"))
-    return [file.stem for file in files if file.stem not in (*NODES, SIMULATION)]
+    stems = [file.stem for file in files if "." not in file.stem]  # openarm.reach is for a task
+    return [stem for stem in stems if stem not in (*NODES, SIMULATION)]
 
 
 def find(name: str) -> Path:
@@ -124,7 +125,8 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
         simulated: Whether stand-ins with the same interfaces replace the devices of these set-ups,
             in real time. Without any set-up the stand-ins are as their own files describe them.
         task: Set-up of the learnt task, which the others override: the path of a file, or the name
-            of the task, for config/TASK.yaml if that exists.
+            of the task, for config/TASK.yaml if that exists. What an arm needs for it is beside the
+            arm's set-up NAME.yaml in NAME.TASK.yaml.
 
     Raises:
         ValueError: A file cannot be found or read, names an unknown node or parameter, gives a
@@ -133,7 +135,10 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
     own = _own()
     given: Parameters = {node: {} for node in NODES}
     of_task = [task] if task in known() or task.endswith(".yaml") else []
-    files = [find(name) for name in (*of_task, *names)]
+    files = [find(name) for name in of_task]
+    for file in map(find, names):
+        for_task = file.with_suffix(f".{Path(task).stem}.yaml")  # such as openarm.reach.yaml
+        files += [file, for_task] if task and for_task.is_file() else [file]
     for file in files:
         for node, values in _read(file).items():
             _check(file, node, values, own)
@@ -357,6 +362,7 @@ def _derived(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Parameters:
             **{name: arm[name] for name in (*model, *driver, *world)},
             "driver_compensates_gravity": arm["driver_compensates_gravity"],
             "velocity": "empty" if arm["velocity_topic"] else "filled",
+            "effort": {"torque": "filled", "none": "empty"}.get(arm["effort"], arm["effort"]),
         },
         "optitrack_sim": {name: mocap[name] for name in (*cameras, "rate")},
     }

@@ -6,9 +6,13 @@ They are beside the package in a checkout, and under `<prefix>/share/wam_power_r
 the same copy, whatever other workspaces are sourced.
 """
 
+import os
+import tempfile
 from pathlib import Path
+from xml.etree import ElementTree
 
 PACKAGE = "wam_power_ros"
+_LEVELS = 4  # folders above a xacro file in which packages are looked for
 
 
 def share(relative: str) -> Path:
@@ -29,3 +33,59 @@ def share(relative: str) -> Path:
             return folder / relative
     searched = ", ".join(map(str, folders))
     raise FileNotFoundError(f"{relative!r} is not part of {PACKAGE}; looked in: {searched}")
+
+
+def robot_description(urdf: str) -> str:
+    """Read a URDF; a file that ends in .xacro is expanded.
+
+    Packages that the file names are those of the sourced workspaces, and folders with a
+    package.xml beside the file or above it: a vendor's description without ROS.
+
+    Args:
+        urdf: Path, absolute or as for `share`.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: A xacro file cannot be expanded; the message says what is missing.
+    """
+    file = share(urdf)
+    return _expanded(file.resolve()) if file.suffix == ".xacro" else file.read_text()
+
+
+def _expanded(file: Path) -> str:
+    try:
+        import xacro
+    except ImportError:
+        raise ValueError(
+            f"{file} is a xacro file, and Python has no xacro to expand it: pip install xacro, or "
+            "apt install ros-jazzy-xacro"
+        ) from None
+    path = os.environ.get("AMENT_PREFIX_PATH", "")
+    with tempfile.TemporaryDirectory() as prefix:
+        _add_packages(file, Path(prefix))
+        os.environ["AMENT_PREFIX_PATH"] = os.pathsep.join(filter(None, (prefix, path)))
+        try:
+            return str(xacro.process_file(str(file)).toxml())
+        except Exception as error:  # also what an expression in the file raises
+            cause = getattr(error, "exc", None) or error
+            raise ValueError(
+                f"{file} cannot be expanded by xacro: {cause}. A package that it names must be in "
+                "a sourced workspace, or in a folder beside the file, with its package.xml"
+            ) from None
+        finally:
+            os.environ["AMENT_PREFIX_PATH"] = path
+
+
+def _add_packages(file: Path, prefix: Path) -> None:
+    """Make the packages beside and above a file known below an ament prefix."""
+    index = prefix / "share/ament_index/resource_index/packages"
+    index.mkdir(parents=True)
+    for folder in file.parents[:_LEVELS]:
+        for found in (folder / "package.xml", *sorted(folder.glob("*/package.xml"))):
+            try:
+                name = ElementTree.parse(found).findtext("name", "").strip()
+            except (OSError, ElementTree.ParseError):
+                continue
+            if name and "/" not in name and not (index / name).exists():
+                (index / name).touch()
+                (prefix / "share" / name).symlink_to(found.parent)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
@@ -39,6 +40,27 @@ STIFFNESS_MAX = 2800.0  # [1/s^2] stable with 8 ms of delay and a damping of 32 
 TORQUE_RATE_MAX = 2000.0  # [N m/s] enough for any toss; see `safety.Limits`
 
 
+def require_same_joints(joint_names: Sequence[str], model_joint_names: Sequence[str]) -> None:
+    """Refuse names of the driver that are not those of the model's joints, one by one.
+
+    Raises:
+        ValueError: Their numbers differ, or a name stands at another joint of the model that has
+            the same name: the driver's joints would be taken for each other.
+    """
+    if len(model_joint_names) != len(joint_names):
+        raise ValueError(
+            f"model_joint_names {tuple(model_joint_names)} must have one name for each of "
+            f"joint_names {tuple(joint_names)}"
+        )
+    for name, model in zip(joint_names, model_joint_names, strict=True):
+        if name != model and name in model_joint_names:
+            raise ValueError(
+                f"joint_names has {name!r} in the place of {model!r} of model_joint_names: both go "
+                "base to tip. The order in the joint states does not matter, they are matched by "
+                "name; torques are sent in this order"
+            )
+
+
 class TorqueControllerParams(Params, MotionSettings):
     """Parameters of config/torque_controller.yaml, whose comments explain them."""
 
@@ -54,6 +76,7 @@ class TorqueControllerParams(Params, MotionSettings):
     velocity_topic: str
     command_topic: str = Field(min_length=1)
     command_type: Literal["multiarray", "joint_state"]
+    effort: Literal["torque", "current", "none"]
     allow_no_realtime: bool
     idle_service: str
     urdf: str
@@ -115,11 +138,7 @@ class TorqueControllerParams(Params, MotionSettings):
     @model_validator(mode="after")
     def _together(self) -> Self:
         """Check combinations of parameters, and the stricter bounds on a real arm."""
-        if len(self.model_joint_names) != len(self.joint_names):
-            raise ValueError(
-                f"model_joint_names {self.model_joint_names} must have one name for each of "
-                f"joint_names {self.joint_names}"
-            )
+        require_same_joints(self.joint_names, self.model_joint_names)
         if not self.simulation:
             if self.autostart:
                 raise ValueError(

@@ -25,7 +25,7 @@ from wam_power_ros.client.link import Data, Link
 from wam_power_ros.client.robot import Robot
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.params.resources import share
+from wam_power_ros.params.resources import robot_description
 from wam_power_ros.ros import interface, pose_messages
 from wam_power_ros.ros.answers import Answer, Code, ServiceError
 from wam_power_ros.ros.joint_messages import JointStateReader
@@ -73,7 +73,7 @@ class View(Node):
     def __init__(self, controller: Mapping[str, Any], body: str, namespace: str = "") -> None:
         super().__init__("view", namespace=namespace)
         self.state = LiveState()
-        self.urdf = share(controller["urdf"]).read_text() if controller["urdf"] else ""
+        self.urdf = robot_description(controller["urdf"]) if controller["urdf"] else ""
         self._reader = JointStateReader(controller["joint_names"])
         self.model_joint_names = tuple(controller["model_joint_names"])
         self.link = link = Link(self, APPEAR_TIMEOUT)

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Set-ups of the arms that labs own: complete, and rehearsed over DDS with a driver's shape."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from conftest import ROOT, Processes
+from test_session_over_dds import ended, wam_power
+
+from hardware_sim.scenes.reach import reach
+from hardware_sim.settings import WamSimParams
+from wam_power_ros.bags import layout
+from wam_power_ros.bags.bag import Bag
+from wam_power_ros.params import overlay
+from wam_power_ros.params.torque_controller_params import TorqueControllerParams
+
+ARMS = {"ur": 6, "franka": 7, "openarm": 7}
+WAMS = ("geodude", "libbarrett")
+
+
+@pytest.mark.parametrize("arm", [*ARMS, *WAMS])
+def test_a_set_up_of_an_arm_is_complete_and_its_reach_lies_within_its_limits(arm: str) -> None:
+    setup = overlay.setup([arm], simulated=True, task="reach")
+    params, driver = TorqueControllerParams.of_setup(setup), WamSimParams.of_setup(setup)
+    text = (ROOT / f"config/{arm}.yaml").read_text()
+    own = yaml.safe_load(text)["/**/torque_controller"]["ros__parameters"]
+    assert {"joint_names", "driver_compensates_gravity", "torque_share"} <= own.keys()
+    assert driver.driver_compensates_gravity == params.driver_compensates_gravity
+    if arm in ARMS:
+        assert {"urdf", "guarded_links", "plane", "workspace_max", "base_frame"} <= own.keys()
+        assert (driver.watchdog, driver.deactivates, driver.drives) == (False, True, "direct")
+        assert f"docs/arms/{arm}.md" in text
+    assert "JointGroupEffortController" not in text
+    model = setup.arm()
+    assert model is not None and model.n == ARMS.get(arm, 7)
+    assert 0.3 < params.torque_share * model.tau_max.min()
+    if driver.drives == "wam":  # its scene knows where it begins
+        return
+    q = np.array(driver.home)
+    position, rotation = model.tool_pose(q)
+    assert rotation[2, 2] > 0.999  # a level pan
+    region = params.region
+    assert region is not None
+    script = reach(np.random.default_rng(0), driver.goal, spread=0.0)
+    path = np.array([script.target(t, position, rotation).position for t in np.arange(0, 3, 0.02)])
+    assert np.linalg.norm(path - region.centre, axis=1).min() < 0.3 * region.radius  # in the way
+    for end in path[[0, -1]]:
+        assert np.linalg.norm(end - region.centre) > 1.5 * region.radius
+    assert np.all((params.workspace_min < path) & (path < params.workspace_max))
+    for point in path:  # inverse kinematics with a constant orientation
+        for _ in range(5):
+            found = model.tool_pose(q)
+            turn = [0.5 * np.cross(found[1][:, i], rotation[:, i]) for i in range(3)]
+            error = np.concatenate([point - found[0], np.sum(turn, axis=0)])
+            q = q + np.linalg.pinv(model.jacobian(q), rcond=1e-3) @ error
+        assert np.linalg.norm(point - model.tool_pose(q)[0]) < 0.002
+        assert np.all((model.q_min + 0.05 < q) & (q < model.q_max - 0.05))
+        assert np.all(np.abs(model.gravity(q)) < 0.8 * params.torque_share * model.tau_max)
+
+
+def test_the_driver_of_a_ur_is_rehearsed_in_its_shape() -> None:
+    setup = overlay.setup(["ur"], simulated=True)
+    driver = WamSimParams.of_setup(setup)
+    assert (driver.effort, driver.command_topic) == (
+        "current",
+        "forward_effort_controller/commands",
+    )
+    assert driver.state_order == "sorted"
+    assert overlay.setup(["franka"], simulated=True)["wam_sim"]["effort"] == "filled"
+
+
+def test_a_ur_teaches_replays_and_learns_to_reach_over_dds(tmp_path: Path) -> None:
+    lockstep = tmp_path / "lockstep.yaml"
+    lockstep.write_text("wam_sim: {ros__parameters: {pace: lockstep}}")
+    simulated = ("--config", "ur", "--config", str(lockstep), "--simulate")
+
+    def done(*arguments: str) -> str:
+        status, output = ended(wam_power(tmp_path, *arguments, *simulated))
+        assert status == 0, output
+        return output
+
+    done("teach", "--config", "reach", "--demonstrations", "1", "--folder", "taught")
+    (bag,) = (tmp_path / "taught/bags").iterdir()
+    (_, _, cdr), *_ = Bag(bag).messages([layout.STATES])
+    state = layout.decoded(cdr, layout.JOINT_STATE)
+    assert list(state.name) == sorted(state.name)
+    gravity = np.array(state.effort)
+    assert np.abs(gravity).max() < 4.0  # [A]; g(q) is up to 27 N m here
+    assert "tool: rms" in done("replay", str(bag), "--folder", "replayed")
+    done("learn", "--task", "reach", "--bags", str(bag), "--trials", "2", "--session", "s")
+    rows = [json.loads(line) for line in (tmp_path / "s/rollouts.jsonl").read_text().splitlines()]
+    assert [row["kind"] for row in rows[:2]] == ["reproduction", "explore"]
+    assert all(len(row["truth"]["peak_qd"]) == 6 and row["ret"] > 0.0 for row in rows)
+
+
+def test_check_driver_says_of_a_ur_what_it_cannot_tell(
+    processes: Processes, tmp_path: Path
+) -> None:
+    file = tmp_path / "setup.yaml"
+    file.write_text(overlay.text(overlay.setup(["ur"], simulated=True)))
+    command = [sys.executable, "-m", "wam_power_ros.cli", "run"]
+    processes.start([*command, "wam_sim", "--ros-args", "--params-file", str(file)])
+    answers = ("--seconds", "2", "--active", "--json", str(tmp_path / "rows.json"))
+    check = processes.start([*command, "check_driver", "--config", "ur", *answers])
+    assert check.wait(120) == 0, processes.output(check)
+    table = json.loads((tmp_path / "rows.json").read_text())["rows"]
+    rows = {row["name"]: (row["verdict"], row["found"]) for row in table}
+    assert "in another order, matched by name" in rows["joint names"][1]
+    assert rows["torque order"][0] == "ok" and "/wam_sim: shoulder_pan" in rows["torque order"][1]
+    assert rows["effort"][0] == "ok" and rows["effort"][1].endswith(" A of the motors")
+    assert rows["gravity"][0] == "not checked" and "signs agree at" in rows["gravity"][1]
+    assert rows["watchdog"][0] == "not checked" and "no torque" in rows["watchdog"][1]
