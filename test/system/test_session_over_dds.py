@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from conftest import ROOT, Probe, Process, Processes
+from conftest import ROOT, Probe, Process, Processes, python_path
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from nav_msgs.msg import Path as PathMessage
@@ -56,7 +56,7 @@ def wam_power(folder: Path, *arguments: str) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [sys.executable, "-m", "wam_power_ros.cli", *arguments],
         cwd=folder,
-        env=os.environ | {"PYTHONPATH": str(ROOT), "MUJOCO_GL": "disable"},
+        env=os.environ | {"PYTHONPATH": python_path(), "MUJOCO_GL": "disable"},
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,

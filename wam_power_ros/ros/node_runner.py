@@ -76,7 +76,7 @@ def started(
         if exposed := [each for each in opened if not each.startswith("127.")]:
             raise ValueError(
                 f"sockets at {', '.join(exposed)} are open to the network: Fast DDS has not "
-                f"applied the profile {os.environ.get(network.PROFILE)}"
+                f"applied the profile {os.environ.get(network.profile().variable)}"
             )
     return node
 
