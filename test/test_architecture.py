@@ -73,7 +73,7 @@ ALLOWED["benchmark"] = {*ALLOWED}
 # Lines that a folder may have, docstrings and blanks included. Needing more is a reason to look for
 # what can go; where nothing can, the commit that raises a figure says why.
 BUDGET = {
-    "ground": 780,  # the modules of wam_power_ros/ itself
+    "ground": 790,  # the modules of wam_power_ros/ itself
     "learning": 2330,
     "control": 3950,
     "tracking": 590,
@@ -81,11 +81,11 @@ BUDGET = {
     "practice": 2040,
     "conformance": 1030,
     "bags": 2010,
-    "params": 940,
+    "params": 950,
     "ros": 2540,
     "client": 1240,
     "nodes": 2940,
-    "console": 670,
+    "console": 770,
     "view": 1360,
     "reporting": 930,
     "in_process": 350,

@@ -179,9 +179,9 @@ def parameter_file_hint() -> str:
     if parameter_file.given(sys.argv):
         return ""
     return (
-        "\nStarted without a parameter file. `wam-power config NAME > parameters.yaml` prints one "
-        "for all nodes on the arm of set-up NAME, without NAME for the simulation; pass it with "
-        "--ros-args --params-file parameters.yaml"
+        "\nStarted without a parameter file, with the values of config/. `wam-power config NAME > "
+        "parameters.yaml` prints one for all nodes on the arm of set-up NAME, without NAME for the "
+        "simulation; pass it with --ros-args --params-file parameters.yaml"
     )
 
 
