@@ -12,8 +12,8 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 # The rclpy wheels record in this variable that their libraries are on the path, which is true for this .venv only.
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-# A sourced ROS 2 Jazzy provides rclpy, NumPy 1 and Pinocchio; otherwise everything comes from PyPI.
-ifeq ($(ROS_DISTRO),jazzy)
+# A sourced ROS 2 Jazzy or Kilted provides rclpy, NumPy 1 and Pinocchio; otherwise everything comes from PyPI.
+ifneq ($(filter jazzy kilted,$(ROS_DISTRO)),)
 VENV_FLAGS := --system-site-packages
 EXTRAS := sim,view,reproduce,cluster,completion,test,browser,dev
 CONSTRAIN = echo 'numpy<2' > $(VENV)/constraints.txt

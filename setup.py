@@ -60,6 +60,7 @@ setup(
             f"learner = {NAME}.entry:learner",
             f"check_driver = {NAME}.entry:check_driver",
             f"wam_sim = {NAME}.entry:wam_sim",
+            f"replay = {NAME}.entry:replay",
             f"wam-power = {NAME}.entry:wam_power",
         ],
         f"{NAME}.scenes": [

@@ -23,10 +23,11 @@ from benchmark.nodes import ROOT
 
 START_TIMEOUT = 600.0  # [s]
 WORKERS = 2
+PATH = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
 
 
 @contextmanager
-def local_cluster(folder: Path, path: str = str(ROOT)) -> Iterator[str]:
+def local_cluster(folder: Path, path: str = PATH) -> Iterator[str]:
     """Start a Dask scheduler and `WORKERS` workers as processes; yield the scheduler's address.
 
     Args:
@@ -69,7 +70,7 @@ def main() -> int:
     parser.add_argument("--only", nargs="+", metavar="STUDY", help="only these studies")
     only = parser.parse_args().only
     arguments = ["--quick", *(["--only", *only] if only else [])]
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    environment = os.environ | {"PYTHONPATH": PATH, "OMP_NUM_THREADS": "1"}
     with tempfile.TemporaryDirectory() as name, local_cluster(Path(name)) as address:
         folder = Path(name)
         for place, option in (("cluster", ["--scheduler", address]), ("here", [])):

@@ -80,7 +80,7 @@ def learn_killed(
         others = Processes(folder / "logs", environment(domain))
         learners = Processes(folder / "logs", environment(domain))
         with others, learners:
-            others.start("wam_sim", node_command("wam_sim", "optitrack_sim", seed=seed))
+            others.start("wam_sim", node_command("wam_sim", pace="lockstep", seed=seed))
             for name in ("torque_controller", "pancake_tracker"):
                 others.start(name, node_command(name, "simulation", use_sim_time=True))
             directory = str(folder / "bags")

@@ -66,8 +66,14 @@ class DriverWatch:
         """Wait until discovery is complete.
 
         Raises:
-            ValueError: A robot, or a stand-in in the same namespace, is in this domain.
+            ValueError: A robot, or a stand-in in the same namespace, is in this domain; or the
+                middleware cannot be confined to this machine, nor its participants be counted.
         """
+        if unconfined := network.unconfined_middleware():
+            raise ValueError(
+                f"the middleware is {unconfined}: a simulation might reach a robot; run it with "
+                f"RMW_IMPLEMENTATION={network.MIDDLEWARE}"
+            )
         domain = exported(os.environ)
         loopback_only = network.wider_reach(os.environ) is None
         complete_since = math.inf

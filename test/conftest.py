@@ -46,6 +46,12 @@ Process = subprocess.Popen[bytes] | forked.Forked
 ROOT = Path(__file__).resolve().parents[1]
 
 
+def python_path(*first: Path) -> str:
+    """PYTHONPATH of a process: these folders, or the root, before those of a sourced ROS."""
+    folders = map(str, first or (ROOT,))
+    return os.pathsep.join(filter(None, [*folders, os.environ.get("PYTHONPATH", "")]))
+
+
 # Folders whose tests take longest, longest first; the rest takes seconds a file.
 SLOW = (
     "system",
@@ -226,7 +232,7 @@ class Processes:
         self.environment = {
             **os.environ,
             **shared(domain_id),
-            "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
+            "PYTHONPATH": python_path(),
             "PYTHONUNBUFFERED": "1",
         }
         self.started: list[tuple[Process, Path]] = []

@@ -73,7 +73,7 @@ ALLOWED["benchmark"] = {*ALLOWED}
 # Lines that a folder may have, docstrings and blanks included. Needing more is a reason to look for
 # what can go; where nothing can, the commit that raises a figure says why.
 BUDGET = {
-    "ground": 780,  # the modules of wam_power_ros/ itself
+    "ground": 790,  # the modules of wam_power_ros/ itself
     "learning": 2340,
     "control": 4030,
     "tracking": 590,
@@ -81,16 +81,16 @@ BUDGET = {
     "practice": 2080,
     "conformance": 1130,
     "bags": 2280,
-    "params": 1080,
-    "ros": 2630,
+    "params": 1090,
+    "ros": 2690,
     "client": 1260,
     "nodes": 3020,
-    "console": 830,
+    "console": 930,
     "view": 1360,
     "reporting": 930,
     "in_process": 350,
     "cli": 2520,
-    "hardware_sim": 2850,
+    "hardware_sim": 2860,
     "launch": 260,
     "examples": 380,
     "reproduction": 3350,

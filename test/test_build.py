@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import ROOT
+from conftest import ROOT, python_path
 
 LINKED = ("setup.py", "setup.cfg", "wam_power_ros", "hardware_sim")  # by --symlink-install
 needs_colcon = pytest.mark.skipif(
@@ -51,7 +51,7 @@ def test_plugins_of_ros_that_this_pytest_cannot_load_are_left_out(tmp_path: Path
     lines = [f"{plugin} = a_plugin_for_another_pytest" for plugin in plugins]
     (info / "entry_points.txt").write_text("\n".join(["[pytest11]", *lines]))
     (tmp_path / "a_plugin_for_another_pytest.py").write_text("raise RuntimeError('was loaded')")
-    path = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
+    path = python_path(tmp_path)
     command = (sys.executable, "-m", "pytest", "--collect-only", "-q", "test/test_rotations.py")
     assert "test_rotations" in run(*command, folder=ROOT, PYTHONPATH=path)
 

@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import ROOT
+from conftest import ROOT, python_path
 
 from wam_power_ros import entry
 
@@ -55,7 +55,7 @@ def test_every_executable_and_every_module_with_a_main_is_asked() -> None:
 def test_a_signal_during_the_imports_ends_a_process_without_a_word(
     way: str, number: int, slow: Path
 ) -> None:
-    path = os.pathsep.join([str(slow), str(ROOT), os.environ.get("PYTHONPATH", "")])
+    path = python_path(slow, ROOT)
     process = subprocess.Popen(
         [sys.executable, *WAYS[way]],
         cwd=slow,
@@ -81,7 +81,7 @@ def test_a_signal_that_is_ignored_stays_ignored(tmp_path: Path) -> None:
         "import signal; from wam_power_ros import entry;"
         "signal.signal(signal.SIGINT, signal.SIG_IGN); raise SystemExit(entry.start('imported'))"
     )
-    path = os.pathsep.join([str(tmp_path), str(ROOT), os.environ.get("PYTHONPATH", "")])
+    path = python_path(tmp_path, ROOT)
     ended = subprocess.run([sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": path})
     assert ended.returncode == 7
 
@@ -92,7 +92,7 @@ def test_linear_algebra_has_one_thread_whatever_the_machine_says(tmp_path: Path)
         "def main(): return len(seen) if set(seen) == {'1'} else 0\n"
     )
     code = "from wam_power_ros import entry; raise SystemExit(entry.start('imported'))"
-    path = os.pathsep.join([str(tmp_path), str(ROOT), os.environ.get("PYTHONPATH", "")])
+    path = python_path(tmp_path, ROOT)
     environment = {**os.environ, "PYTHONPATH": path, "OMP_NUM_THREADS": "4"}
     ended = subprocess.run([sys.executable, "-c", code], env=environment)
     assert ended.returncode == len(entry.ONE_THREAD)

@@ -51,6 +51,7 @@ pancake_tracker = partial(start, "wam_power_ros.nodes.pancake_tracker")
 learner = partial(start, "wam_power_ros.nodes.learner")
 check_driver = partial(start, "wam_power_ros.nodes.check_driver", INTERRUPTED)
 wam_sim = partial(start, "hardware_sim.main")
+replay = partial(start, "wam_power_ros.console.replay_running", INTERRUPTED)
 wam_power = partial(start, "wam_power_ros.cli.main", INTERRUPTED)
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from conftest import ROOT, Probe
+from conftest import ROOT, Probe, python_path
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
@@ -40,7 +40,7 @@ def terminal(words: list[str], folder: Path, **environment: str) -> subprocess.P
         return subprocess.Popen(
             words,
             cwd=folder,
-            env=os.environ | {"PYTHONPATH": str(ROOT), "MUJOCO_GL": "disable"} | environment,
+            env=os.environ | {"PYTHONPATH": python_path(), "MUJOCO_GL": "disable"} | environment,
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=subprocess.STDOUT,
@@ -94,7 +94,7 @@ def domain_in_use(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     with private_domain() as free:
         pass
     command = [sys.executable, "-c", HOLDING, str(free)]
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    environment = os.environ | {"PYTHONPATH": python_path()}
     with subprocess.Popen(
         command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE
     ) as holding:

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from conftest import python_path
 
 from wam_power_ros.cli.processes import ProcessError, Processes
 
@@ -80,10 +81,8 @@ def test_processes_end_when_their_parent_is_killed(command: list[str], tmp_path:
         f"one = Processes(Path({str(tmp_path)!r}), {{}}).start('child', {command!r})\n"
         "print(one.process.pid, flush=True); time.sleep(60)"
     )
-    root = str(Path(__file__).resolve().parents[2])
-    parent = subprocess.Popen(
-        [sys.executable, "-c", code], stdout=subprocess.PIPE, env={**os.environ, "PYTHONPATH": root}
-    )
+    environment = os.environ | {"PYTHONPATH": python_path()}
+    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, env=environment)
     assert parent.stdout is not None
     child = int(parent.stdout.readline())
     assert alive(child)

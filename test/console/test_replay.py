@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import Probe, Processes
+from stand_ins import Hardware
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
@@ -56,6 +57,37 @@ def test_a_shipped_bag_is_replayed_and_its_tracking_error_reported(
     _, done = reader.read_demonstration(made, NAMES)
     np.testing.assert_allclose(done[-1], wanted[-1], atol=0.03)
     assert np.abs(done - wanted[0]).max(axis=1).min() < 0.03  # at the start
+
+
+def test_on_running_nodes_their_arm_replays_and_nothing_else_is_started_or_recorded(
+    probe: Probe, processes: Processes, tmp_path: Path
+) -> None:
+    hardware = Hardware(probe, processes, "lockstep")
+    hardware.control()
+    module = "wam_power_ros.console.replay_running"
+    command = [sys.executable, "-m", module, str(REACH), "--speed", "2"]
+    process = processes.start(command)
+    process.wait(600.0)  # a busy machine
+    said = processes.output(process)
+    assert process.returncode == 0, said
+    assert "tool: rms" in said and "recorded:" not in said
+    probe.until(lambda: bool(hardware.messages), "the arm, which goes on")
+    _, wanted = reader.read_demonstration(REACH, NAMES)
+    hardware.messages.clear()
+    probe.until(lambda: bool(hardware.messages), "a state")
+    state = dict(zip(hardware.messages[-1].name, hardware.messages[-1].position, strict=True))
+    np.testing.assert_allclose([state[name] for name in NAMES], wanted[-1], atol=0.03)
+
+
+def test_without_nodes_a_replay_on_them_says_what_to_do(processes: Processes, probe: Probe) -> None:
+    code = """
+from wam_power_ros.console import replay_running
+replay_running.APPEAR_TIMEOUT = 1.0
+raise SystemExit(replay_running.main())
+"""
+    process = processes.start([sys.executable, "-c", code, str(REACH)])
+    assert process.wait(60.0) == 2
+    assert "no node torque_controller in this domain" in processes.output(process)
 
 
 @pytest.mark.parametrize("speed", [0.5, 2.0])

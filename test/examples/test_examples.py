@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import ROOT
+from conftest import ROOT, python_path
 
 EXAMPLES = ROOT / "examples"
 OVER_DDS, DRIVER = "10_teach_learn_replay", "11_write_a_driver"
@@ -35,7 +35,7 @@ def output(name: str, folder: Path) -> list[str]:
     done = subprocess.run(
         [sys.executable, str(EXAMPLES / f"{name}.py")],
         cwd=folder,
-        env=os.environ | {"PYTHONPATH": str(ROOT), "MUJOCO_GL": "disable"},
+        env=os.environ | {"PYTHONPATH": python_path(), "MUJOCO_GL": "disable"},
         capture_output=True,
         text=True,
         timeout=600.0,  # a busy machine

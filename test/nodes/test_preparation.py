@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import ROOT, Probe, Processes, lift
+from conftest import ROOT, Probe, Processes, lift, python_path
 from played_arm import HOME, NAMES, PlayedArm
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
@@ -200,7 +200,7 @@ def test_a_request_that_a_process_died_of_is_refused_and_another_process_is_star
 ) -> None:
     monkeypatch.setattr(preparation, "MODULE", "dying_preparation")
     monkeypatch.setattr(preparation, "RESTART_PERIOD", 0.0)
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), str(ROOT / "test")]))
+    monkeypatch.setenv("PYTHONPATH", python_path(ROOT, ROOT / "test"))
     lost: list[tuple[str, str]] = []
     beside = Preparation(0, _never, _never, lambda *request: lost.append(request))
     beside.configure(None, ())

@@ -87,6 +87,8 @@ def test_without_a_set_up_every_node_has_the_parameters_of_its_own_file_in_simul
             own["controller"] = [*own["controller"], "config/simulation.yaml"]
         if node == "torque_controller":  # in lockstep
             own |= {"move_speed": overlay.MOVE_SPEED, "realtime_priority": 0}
+        if node == "wam_sim":
+            own |= {"pace": "lockstep", "realtime_priority": 0}
         assert {name: setup[node][name] for name in own} == own
         assert setup[node].get("use_sim_time", False) == (node not in overlay.STAND_INS)
 
@@ -262,6 +264,28 @@ def test_plain_files_say_to_a_node_what_the_overlay_says(node: str, names: tuple
 
 def _text(file: str) -> str:
     return (ROOT / file).read_text()
+
+
+@pytest.mark.parametrize("node", overlay.NODES)
+def test_without_a_file_a_node_has_its_own_which_fit_together(node: str) -> None:
+    own = parameter_file.of_nodes(ROOT / f"config/{node}.yaml")[node]
+    values = {name: value for name, (_, value) in overlay.adopted(node, []).items()}
+    assert values == own
+    if node == "wam_sim":  # without use_sim_time the other nodes have the time of the wall
+        assert values["pace"] == "real_time"
+
+
+def test_optitrack_sim_needs_no_file_beside_that_of_wam_sim(tmp_path: Path) -> None:
+    files = [ROOT / "config/wam_sim.yaml", ROOT / "config/motion_capture_tracking.yaml"]
+    values = {name: value for name, (_, value) in overlay.adopted("optitrack_sim", files).items()}
+    values = parameter_file.of_nodes(files[1])["optitrack_sim"] | values
+    simulated = overlay.setup(["motion_capture_tracking"], simulated=True)["optitrack_sim"]
+    assert values == simulated
+    given = Path(write(tmp_path, "noise", "optitrack_sim: {ros__parameters: {noise: 0.1}}"))
+    assert "noise" not in overlay.adopted("optitrack_sim", [*files, given])  # ROS passes it
+    complete = [ROOT / f"config/{name}.yaml" for name in ("wam_sim", "optitrack_sim")]
+    assert overlay.adopted("optitrack_sim", complete) == {}
+    assert overlay.adopted("wam_sim", complete) == {}
 
 
 @pytest.mark.requirement("S-101")

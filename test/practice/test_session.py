@@ -17,6 +17,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from conftest import python_path
 from disk_flushes import record_flushes
 from toss_task import ANY_ARM, demonstrated_policy, practice_in, practice_of, toss
 
@@ -153,7 +154,7 @@ def test_kill_9_loses_no_acknowledged_rollout(tmp_path: Path) -> None:
     settings = preset("flip", budget=3000, confirm=0)
     folder = tmp_path / "s"
     Session.begin(folder, settings, 0, CANDIDATES).close()
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(HERE.parent), str(HERE)])}
+    environment = os.environ | {"PYTHONPATH": python_path(HERE.parent, HERE)}
     rng = random.Random(1)
     acknowledged = 0
     for _ in range(4):

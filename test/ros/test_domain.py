@@ -14,6 +14,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+from conftest import ROOT, python_path
 
 from wam_power_ros.ros import domain
 from wam_power_ros.ros.domain import (
@@ -25,7 +26,6 @@ from wam_power_ros.ros.domain import (
     shared,
 )
 
-ROOT = Path(__file__).resolve().parents[2]
 HOLD = """
 import sys
 from wam_power_ros.ros.domain import hold
@@ -40,7 +40,7 @@ def holder(number: int, **environment: str) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [sys.executable, "-c", HOLD, str(number)],
         cwd=ROOT,
-        env=os.environ | {"PYTHONPATH": str(ROOT)} | environment,
+        env=os.environ | {"PYTHONPATH": python_path()} | environment,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,

@@ -17,11 +17,12 @@ from conftest import Probe, Process, Processes
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Int64
 
+from wam_power_ros.params.overlay import STAND_INS
 from wam_power_ros.params.resources import share
 from wam_power_ros.ros import network
-from wam_power_ros.ros.network import PROFILE, RANGE, bound_addresses, confine, wider_reach
+from wam_power_ros.ros.network import RANGE, bound_addresses, confine, wider_reach
 
-OURS = str(share(network.LOOPBACK))
+PROFILE, PROFILE_HERE, OURS = *network.profile()[:2], network.profile().path
 MEMORY = Path("/dev/shm")
 SERVE = """
 from rclpy.node import Node
@@ -128,7 +129,7 @@ def test_where_nothing_is_asked_for_the_loopback_interface_is_chosen(given: dict
         ({RANGE: "LOCALHOST", "ROS_STATIC_PEERS": "10.0.0.7"}, "ROS_STATIC_PEERS=10.0.0.7"),
         ({"ROS_DISCOVERY_SERVER": "10.0.0.7:11811"}, "ROS_DISCOVERY_SERVER"),
         ({PROFILE: "/etc/mine.xml"}, "/etc/mine.xml"),
-        ({"RMW_IMPLEMENTATION": "rmw_zenoh_cpp"}, "rmw_zenoh_cpp"),
+        ({network.FAST_DDS_2.variable: "/etc/old.xml"}, "/etc/old.xml"),
         ({RANGE: "SUBNET", network.TRANSPORTS: "DEFAULT"}, "SUBNET"),
     ],
 )
@@ -147,10 +148,46 @@ def test_a_profile_in_the_working_directory_wins_and_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    (tmp_path / network.PROFILE_HERE).write_text("<dds/>")
+    (tmp_path / PROFILE_HERE).write_text("<dds/>")
     environment: dict[str, str] = {}
     confine(environment)
-    assert network.PROFILE_HERE in (wider_reach(environment) or "")
+    assert PROFILE_HERE in (wider_reach(environment) or "")
+
+
+@pytest.mark.requirement("S-56")
+def test_another_middleware_is_named_whatever_the_environment_says(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(network, "middleware", lambda: "rmw_zenoh_cpp")
+    environment = {"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}
+    confine(environment)
+    assert PROFILE not in environment
+    assert "rmw_zenoh_cpp" in (wider_reach(environment) or "")
+
+
+@pytest.mark.requirement("S-56")
+def test_a_simulation_refuses_a_middleware_that_cannot_be_confined(processes: Processes) -> None:
+    code = """
+from wam_power_ros.ros import network
+network.middleware = lambda: "rmw_zenoh_cpp"
+from hardware_sim.main import main
+raise SystemExit(main())
+"""
+    files = [word for name in STAND_INS for word in ("--params-file", share(f"config/{name}.yaml"))]
+    process = processes.start([sys.executable, "-c", code, "--ros-args", *map(str, files)])
+    assert process.wait(60.0) == 2
+    said = processes.output(process)
+    assert "rmw_zenoh_cpp" in said and "RMW_IMPLEMENTATION=rmw_fastrtps_cpp" in said
+
+
+@pytest.mark.requirement("S-56")
+def test_the_profiles_of_both_versions_differ_in_one_word() -> None:
+    second, third = (
+        share(version.ours).read_text().partition("<dds")[2]
+        for version in (network.FAST_DDS_2, network.FAST_DDS_3)
+    )
+    assert "heartbeatPeriod" in second
+    assert second.replace("heartbeatPeriod", "heartbeat_period") == third
 
 
 def served(processes: Processes, *before: str, **environment: str) -> Process:
@@ -179,7 +216,8 @@ def test_a_node_uses_no_shared_memory_of_the_middleware(processes: Processes, as
     def segments(**environment: str) -> set[str]:
         process = served(processes, **{RANGE: asked}, **environment)
         words = Path(f"/proc/{process.pid}/maps").read_text().split()
-        return {word for word in words if word.startswith(str(MEMORY / "fastrtps"))}
+        names = tuple(str(MEMORY / name) for name in ("fastrtps", "fastdds"))
+        return {word for word in words if word.startswith(names)}
 
     assert segments() == set()
     if asked == "SUBNET":  # a person who asks for it gets it
@@ -210,7 +248,11 @@ def test_a_node_whose_profile_is_not_applied_refuses_to_run(
 ) -> None:
     broken = tmp_path / "broken.xml"
     broken.write_text("<dds/>")
-    code = f"from wam_power_ros.ros import network; network.LOOPBACK = {str(broken)!r}\n" + SERVE
+    code = f"""
+from wam_power_ros.ros import network
+own = network.profile()._replace(ours={str(broken)!r})
+network.profile = lambda: own
+{SERVE}"""
     nothing_chosen = {RANGE: "", PROFILE: ""}
     process = processes.start([sys.executable, "-c", code], **nothing_chosen)
     assert process.wait(60.0) == 2
@@ -281,9 +323,9 @@ def test_lost_messages_are_sent_again_sooner_than_by_the_default(
     processes: Processes, tmp_path: Path
 ) -> None:
     default = tmp_path / "default.xml"  # the same without the heartbeats
-    text = share(network.LOOPBACK).read_text()
+    text = Path(OURS).read_text()
     default.write_text(re.sub(r"<data_writer.*</data_writer>", "", text, flags=re.DOTALL))
-    assert "heartbeatPeriod" in text and "heartbeatPeriod" not in default.read_text()
+    assert "heartbeat" in text and "heartbeat" not in default.read_text()
     waited = []  # [s] in all, until the reader has what was sent while it was stopped
     for asked in ({RANGE: "LOCALHOST"}, {RANGE: "SYSTEM_DEFAULT", PROFILE: str(default)}):
         reader = processes.start([sys.executable, "-c", READ], **asked)

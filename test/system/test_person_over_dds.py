@@ -47,9 +47,8 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
     folder, candidate = tmp_path / "session", fitted(TAUGHT)
     Session.begin(folder, SETTINGS, SEED, [candidate]).close()
     sim = {"use_sim_time": True}
-    processes.node(
-        "hardware_sim.main", "wam_sim.yaml", "optitrack_sim.yaml", **{"wam_sim:seed": SEED}
-    )
+    given = {"wam_sim:pace": "lockstep", "wam_sim:seed": SEED}
+    processes.node("hardware_sim.main", "wam_sim.yaml", **given)
     quick = {"move_speed": overlay.MOVE_SPEED}
     controller = "wam_power_ros.nodes.torque_controller"
     processes.node(controller, "torque_controller.yaml", "simulation.yaml", **sim, **quick)

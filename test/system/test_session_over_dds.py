@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from conftest import ROOT, Probe, Process, Processes
+from conftest import ROOT, Probe, Process, Processes, python_path
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from nav_msgs.msg import Path as PathMessage
@@ -56,7 +56,7 @@ def wam_power(folder: Path, *arguments: str) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [sys.executable, "-m", "wam_power_ros.cli", *arguments],
         cwd=folder,
-        env=os.environ | {"PYTHONPATH": str(ROOT), "MUJOCO_GL": "disable"},
+        env=os.environ | {"PYTHONPATH": python_path(), "MUJOCO_GL": "disable"},
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -252,9 +252,8 @@ SIM = {"use_sim_time": True}
 
 def all_but_the_learner(processes: Processes, folder: Path) -> Process:
     """Start the nodes of a session; returns the controller."""
-    processes.node(
-        "hardware_sim.main", "wam_sim.yaml", "optitrack_sim.yaml", **{"wam_sim:seed": SEED}
-    )
+    given = {"wam_sim:pace": "lockstep", "wam_sim:seed": SEED}
+    processes.node("hardware_sim.main", "wam_sim.yaml", **given)
     processes.node("wam_power_ros.nodes.pancake_tracker", "pancake_tracker.yaml", **SIM)
     recorder = "demonstration_recorder"
     directory = {"directory": folder / "bags"}

@@ -16,6 +16,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from conftest import python_path
 
 from wam_power_ros.params.resources import share
 
@@ -63,7 +64,7 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     (source / "lab_carry/wam_cup.urdf").write_text(urdf)
     command += ["--no-build-isolation", "--target", str(place), str(source)]
     subprocess.run(command, check=True, cwd=place)
-    path = os.pathsep.join([str(place), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
+    path = python_path(place)
     return os.environ | {"PYTHONPATH": path, "ROS_DOMAIN_ID": "", "MUJOCO_GL": "disable"}
 
 

@@ -212,6 +212,7 @@ def replay(bag: Path, speed: float, folder: Path | None, devices: Devices) -> in
             joint_names=parameters.joint_names,
             arm=arm_identity.to_json(identity),
             person=not devices.stand_ins,
+            running=False,
         )
         return _end_of_motion(launcher, replaying)
 

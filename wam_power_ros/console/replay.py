@@ -13,6 +13,7 @@ if __name__ == "__main__":  # before the other imports, which a signal may inter
     raise SystemExit(start("wam_power_ros.console.replay", INTERRUPTED))
 
 import shutil
+from contextlib import nullcontext
 from pathlib import Path
 
 from pydantic import Field
@@ -48,6 +49,7 @@ class ReplayParams(Params):
         joint_names: Joint names of the driver.
         arm: Identity of the arm as JSON text; "" if unknown.
         person: True to ask the person beside a real arm before it moves.
+        running: True if the nodes go on afterwards: nothing is recorded, and the arm is held.
     """
 
     bag: str
@@ -59,6 +61,7 @@ class ReplayParams(Params):
     joint_names: tuple[str, ...] = Field(min_length=1, max_length=16)
     arm: str
     person: bool
+    running: bool
 
 
 class Replaying(Node):
@@ -69,40 +72,40 @@ class Replaying(Node):
         self.params = ReplayParams.of(self)
 
 
-def replay(node: Replaying) -> int:
+def replay(link: Link, params: ReplayParams) -> int:
     """Replay once; returns the exit status.
 
     Raises:
         ValueError: The bag is not acceptable.
         ServiceError: A service does not appear, does not answer in time, or refuses.
     """
-    params = node.params
     recorded = reader.read_demonstration(params.bag, params.joint_names, arm=from_json(params.arm))
     t, q = replay_trajectory.movement(*recorded, params.speed)
     movement = f"{Path(params.bag).name} at {params.speed:g} times its speed, {t[-1]:.1f} s"
-    with Link(node, log_period=LOG_AFTER) as link:
-        robot = Robot(link, joint_names=params.joint_names)
-        robot.stop()  # succeeds once the controller is active
-        if params.person:
-            ask(f"The arm will move to the start of {movement}. Press Enter: ")
-        show(f"Replaying {movement}; Ctrl-C stops the arm")
-        with robot.record() as bag:
-            try:
-                answer = Answer(Code.DONE, robot.follow(t, q))
-            except Stopped as stopped:
-                answer = stopped.answer or Answer(Code.STOPPED, "stopped")
-                link.sleep(SETTLE_TIME)
-            except ServiceError as error:
-                answer = error.answer or Answer(Code.UNKNOWN, str(error))
+    robot = Robot(link, joint_names=params.joint_names)
+    robot.stop()  # succeeds once the controller is active
+    if params.person:
+        ask(f"The arm will move to the start of {movement}. Press Enter: ")
+    show(f"Replaying {movement}; Ctrl-C stops the arm")
+    with nullcontext() if params.running else robot.record() as bag:
+        try:
+            answer = Answer(Code.DONE, robot.follow(t, q))
+        except Stopped as stopped:
+            answer = stopped.answer or Answer(Code.STOPPED, "stopped")
+            link.sleep(SETTLE_TIME)
+        except ServiceError as error:
+            answer = error.answer or Answer(Code.UNKNOWN, str(error))
     show(with_possible_speed(answer, params.speed))
-    if answer.code in NO_MOTION_CODES:
-        shutil.rmtree(bag)
-        show("The arm has not moved; nothing was recorded.")
-    else:
+    moved = answer.code not in NO_MOTION_CODES
+    if bag and moved:
         show(f"recorded: {bag}")
+    elif bag:
+        shutil.rmtree(bag)
+    if not moved:
+        show("The arm has not moved; nothing was recorded.")
     if answer.code is Code.STOPPED:
         show("Stopped: the arm holds.")
-    if params.person:
+    if params.person and not params.running:
         ask("The arm holds. Support it, then press Enter to let it go: ")
     if answer.success:
         return 0
@@ -126,4 +129,9 @@ def with_possible_speed(answer: Answer, speed: float) -> str:
 
 def main() -> int:
     """Run `python -m wam_power_ros.console.replay`."""
-    return run_script(Replaying, replay)
+
+    def work(node: Replaying) -> int:
+        with Link(node, log_period=LOG_AFTER) as link:
+            return replay(link, node.params)
+
+    return run_script(Replaying, work)

@@ -151,10 +151,10 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
         rules = [f"config/{SIMULATION}.yaml"] if in_simulation else []
         limits = [*own["learner"]["controller"], *rules, *map(str, files)]
         derived["learner"]["controller"] = limits
-    if names or simulated:  # stand-ins like the drivers of these devices
-        derived["wam_sim"] |= {"pace": "real_time", "realtime_priority": 70}
-    elif not chosen["pancake_tracker"]["markers_topic"]:
-        del derived["optitrack_sim"]["markers_topic"]  # the stand-in's own publishes both
+    if not (names or simulated):  # otherwise stand-ins like the drivers of these devices
+        derived["wam_sim"] |= {"pace": "lockstep", "realtime_priority": 0}
+        if not chosen["pancake_tracker"]["markers_topic"]:
+            del derived["optitrack_sim"]["markers_topic"]  # the stand-in's own publishes both
     parameters = {node: own[node] | derived.get(node, {}) | given[node] for node in NODES}
     if not in_simulation and parameters["torque_controller"]["simulation"]:
         raise ValueError(
@@ -190,7 +190,8 @@ def adopted(node: str, files: Sequence[Path], namespace: str = "/") -> dict[str,
     """Compute what `setup` would change in the parameters of a node that is given plain files.
 
     ROS itself passes to a node only its own sections: those of the arm and of the motion capture
-    would not reach a recorder.
+    would not reach a recorder. Without any file a node has its own file of config/; where the files
+    of its process, that of wam_sim, leave parameters of optitrack_sim out, it has its own for them.
 
     Args:
         node: Name of the node, one of `NODES`.
@@ -206,6 +207,14 @@ def adopted(node: str, files: Sequence[Path], namespace: str = "/") -> dict[str,
             parameter or a value of another kind than the node's own file.
     """
     own = _own()
+    named = {name for file in files for name in _read(file, namespace).get(node, {})}
+    if not files or (node == "optitrack_sim" and own[node].keys() - named):
+        changed = adopted(node, [share(f"config/{node}.yaml"), *files], namespace)
+        left_out = {name: (None, own[node][name]) for name in own[node].keys() - named}
+        return left_out | {
+            name: (plain if name in named else None, value)
+            for name, (plain, value) in changed.items()
+        }
     given: Parameters = {source: {} for source in SOURCES}
     limits = share("config/torque_controller.yaml")
     controller = list(own["learner"]["controller"])

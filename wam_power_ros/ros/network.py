@@ -9,7 +9,9 @@ adds its own transports on every interface.
 
 Fast DDS 2.14 also has shared memory, which is left out: a process that stood still for a second,
 beside others that come and are killed, can stay deaf to one sender for good, although both run on
-(5 of 331 times; with UDP alone, 0 of 307). This module imports no rclpy.
+(5 of 331 times; with UDP alone, 0 of 307).
+
+rclpy is imported only where it is asked which middleware it has loaded: `domain` needs none.
 """
 
 from __future__ import annotations
@@ -18,15 +20,68 @@ import socket
 import struct
 from collections.abc import Mapping, MutableMapping
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 from wam_power_ros.params.resources import share
 
-RANGE, PROFILE = "ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE"
-PROFILE_HERE = "DEFAULT_FASTRTPS_PROFILES.xml"  # also read by Fast DDS, in the working directory
-LOOPBACK = "security/loopback.xml"
+RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 ON_LOOPBACK = {RANGE: "LOCALHOST", "ROS_STATIC_PEERS": "", "ROS_DISCOVERY_SERVER": ""}
 TRANSPORTS = "FASTDDS_BUILTIN_TRANSPORTS"  # where no profile names them
+MIDDLEWARE = "rmw_fastrtps_cpp"  # the only one with a profile here
+
+
+class Profile(NamedTuple):
+    """How a version of Fast DDS gets its profile.
+
+    Attributes:
+        variable: Environment variable with the path of a file.
+        here: File that is also read, in the working directory.
+        ours: File of the loopback interface alone; one word of it differs between the versions.
+    """
+
+    variable: str
+    here: str
+    ours: str
+
+    @property
+    def path(self) -> str:
+        """Path of our file."""
+        return str(share(self.ours))
+
+
+FAST_DDS_2 = Profile(  # Jazzy
+    "FASTRTPS_DEFAULT_PROFILES_FILE", "DEFAULT_FASTRTPS_PROFILES.xml", "security/loopback.xml"
+)
+FAST_DDS_3 = Profile(  # Kilted
+    "FASTDDS_DEFAULT_PROFILES_FILE",
+    "DEFAULT_FASTDDS_PROFILES.xml",
+    "security/loopback_fast_dds_3.xml",
+)
+
+
+@cache
+def profile() -> Profile:
+    """Profile of the version of Fast DDS that rclpy has loaded."""
+    middleware()  # loads it
+    third = "/libfastdds.so" in Path("/proc/self/maps").read_text()
+    return FAST_DDS_3 if third else FAST_DDS_2
+
+
+def middleware() -> str:
+    """Identifier of the middleware that rclpy has loaded, whatever the environment names."""
+    from rclpy.utilities import get_rmw_implementation_identifier
+
+    identifier: str = get_rmw_implementation_identifier()
+    return identifier
+
+
+def unconfined_middleware() -> str | None:
+    """Middleware that cannot be confined to the loopback interface, as text; None if it can."""
+    if (loaded := middleware()) == MIDDLEWARE:
+        return None
+    return f"{loaded}, for which there is no profile of the loopback interface here"
 
 
 def confine(environment: MutableMapping[str, str]) -> None:
@@ -35,9 +90,9 @@ def confine(environment: MutableMapping[str, str]) -> None:
     Args:
         environment: Variables of a process that has not initialised rclpy yet; changed.
     """
-    profile = str(share(LOOPBACK))
-    if environment.get(PROFILE) == profile:  # set by a parent process
-        del environment[PROFILE]
+    own = profile()
+    if environment.get(own.variable) == own.path:  # set by a parent process
+        del environment[own.variable]
         if environment.get(RANGE) == "SYSTEM_DEFAULT":
             environment[RANGE] = "LOCALHOST"
     if not environment.get(RANGE):
@@ -45,12 +100,15 @@ def confine(environment: MutableMapping[str, str]) -> None:
     if wider_reach(environment):
         environment.setdefault(TRANSPORTS, "UDPv4")
     else:
-        environment |= {RANGE: "SYSTEM_DEFAULT", PROFILE: profile}
+        environment |= {RANGE: "SYSTEM_DEFAULT", own.variable: own.path}
 
 
 def wider_reach(environment: Mapping[str, str]) -> str | None:
     """Setting that opens more than the loopback interface, as text; None without one."""
-    if environment.get(PROFILE) == str(share(LOOPBACK)):
+    if unconfined := unconfined_middleware():
+        return unconfined
+    own = profile()
+    if environment.get(own.variable) == own.path:
         return None
     reach = environment.get(RANGE) or "SUBNET"
     if reach != "LOCALHOST":
@@ -59,12 +117,11 @@ def wider_reach(environment: Mapping[str, str]) -> str | None:
         addresses = [address for address in environment.get(name, "").split(";") if address]
         if not all(address.startswith(("127.", "localhost")) for address in addresses):
             return f"{name}={environment[name]}"
-    profile = environment.get(PROFILE) or (PROFILE_HERE if Path(PROFILE_HERE).exists() else "")
-    if profile:
-        return f"sockets set by the profile {profile}"
-    middleware = environment.get("RMW_IMPLEMENTATION") or "rmw_fastrtps_cpp"
-    if middleware != "rmw_fastrtps_cpp":
-        return f"{middleware}, for which there is no profile of the loopback interface here"
+    for variable in (own.variable, FAST_DDS_2.variable):  # rmw_fastrtps of Kilted reads both
+        if given := environment.get(variable):
+            return f"sockets set by the profile {given}"
+    if Path(own.here).exists():
+        return f"sockets set by the profile {own.here}"
     return None
 
 

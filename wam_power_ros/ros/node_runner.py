@@ -79,7 +79,7 @@ def started(
         if exposed := [each for each in opened if not each.startswith("127.")]:
             raise ValueError(
                 f"sockets at {', '.join(exposed)} are open to the network: Fast DDS has not "
-                f"applied the profile {os.environ.get(network.PROFILE)}"
+                f"applied the profile {os.environ.get(network.profile().variable)}"
             )
     return node
 
@@ -182,9 +182,9 @@ def parameter_file_hint() -> str:
     if parameter_file.given(sys.argv):
         return ""
     return (
-        "\nStarted without a parameter file. `wam-power config NAME > parameters.yaml` prints one "
-        "for all nodes on the arm of set-up NAME, without NAME for the simulation; pass it with "
-        "--ros-args --params-file parameters.yaml"
+        "\nStarted without a parameter file, with the values of config/. `wam-power config NAME > "
+        "parameters.yaml` prints one for all nodes on the arm of set-up NAME, without NAME for the "
+        "simulation; pass it with --ros-args --params-file parameters.yaml"
     )
 
 

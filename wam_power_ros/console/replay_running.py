@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Replay a bag on the nodes that run: `ros2 run wam_power_ros replay BAG`.
+
+In the domain and namespace of this terminal. Joint names, model and rules of the arm are those of
+the running controller. Nothing is started or recorded; /recorder/record records.
+"""
+
+from __future__ import annotations
+
+if __name__ == "__main__":  # before the other imports, which a signal may interrupt
+    from wam_power_ros.entry import INTERRUPTED, start
+
+    raise SystemExit(start("wam_power_ros.console.replay_running", INTERRUPTED))
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.parameter import parameter_value_to_python
+from rclpy.parameter_client import AsyncParameterClient
+from rclpy.utilities import remove_ros_args
+
+from wam_power_ros.arm_identity import to_json
+from wam_power_ros.client.link import DISCOVERY, LOG_AFTER, TIMEOUT, Link
+from wam_power_ros.console.replay import ReplayParams, replay
+from wam_power_ros.control.arm import Arm
+from wam_power_ros.params.resources import share
+from wam_power_ros.ros.answers import ServiceError
+from wam_power_ros.ros.node_runner import run_script
+
+CONTROLLER = "torque_controller"  # node
+APPEAR_TIMEOUT = 15.0  # [s of wall time] for its services to be discovered
+NAMES = ("joint_names", "model_joint_names", "urdf", "tool_frame", "simulation")
+
+
+def controller_parameters(link: Link) -> dict[str, Any]:
+    """Ask the running controller for its parameters `NAMES`.
+
+    Raises:
+        ServiceError: None answers.
+    """
+    client = AsyncParameterClient(link.node, CONTROLLER)
+    if not link.until(client.services_are_ready, f"node {CONTROLLER}", APPEAR_TIMEOUT):
+        raise ServiceError(
+            f"no node {CONTROLLER} in this domain (ROS_DOMAIN_ID) and namespace: start the nodes, "
+            "or use `wam-power replay`, which starts its own"
+        )
+    link.sleep(DISCOVERY)
+    asked = client.get_parameters(list(NAMES))
+    if not link.until(asked.done, f"parameters of {CONTROLLER}"):
+        raise ServiceError(f"{CONTROLLER} did not answer in {TIMEOUT:.0f} s")
+    values = map(parameter_value_to_python, asked.result().values)
+    return dict(zip(NAMES, values, strict=True))
+
+
+def replay_running(link: Link, bag: Path, speed: float) -> int:
+    """Replay a bag on the running nodes; returns the exit status.
+
+    Raises:
+        ValueError: The bag is not acceptable, or of another arm.
+        ServiceError: A service does not appear, does not answer in time, or refuses.
+    """
+    found = controller_parameters(link)
+    identity = None
+    if found["urdf"]:
+        urdf = share(found["urdf"]).read_text()
+        identity = Arm(urdf, found["model_joint_names"], found["tool_frame"]).identity()
+    params = ReplayParams(
+        bag=str(bag),
+        speed=speed,
+        joint_names=tuple(found["joint_names"]),
+        arm=to_json(identity),
+        person=not found["simulation"],
+        running=True,
+    )
+    return replay(link, params)
+
+
+def main() -> int:
+    """Entry point of `ros2 run wam_power_ros replay`."""
+    parser = argparse.ArgumentParser("replay", description=__doc__.partition("\n")[0])
+    parser.add_argument("bag", type=Path, help="bag with the movement")
+    parser.add_argument("--speed", type=float, default=1.0, help="relative to the recording")
+    asked = parser.parse_args(remove_ros_args()[1:])
+
+    def work(node: Node) -> int:
+        with Link(node, log_period=LOG_AFTER) as link:
+            return replay_running(link, asked.bag, asked.speed)
+
+    return run_script(lambda: Node("replaying"), work)
