@@ -73,9 +73,9 @@ ALLOWED["benchmark"] = {*ALLOWED}
 # Lines that a folder may have, docstrings and blanks included. Needing more is a reason to look for
 # what can go; where nothing can, the commit that raises a figure says why.
 BUDGET = {
-    "ground": 780,  # the modules of wam_power_ros/ itself
+    "ground": 785,  # the modules of wam_power_ros/ itself
     "learning": 2330,
-    "control": 3950,
+    "control": 4000,
     "tracking": 590,
     "tasks": 2670,
     "practice": 2040,
