@@ -57,13 +57,23 @@ class Loop:
     Attributes:
         falsify: Changes a state before the controller receives it; returns None for silence.
         speeds: Speed of the tool in every period [m/s].
+
+    Args:
+        delay: Periods until a torque acts.
+        hidden: Deviations of the arm from its model.
+        make: Makes the controller.
     """
 
-    def __init__(self, delay: int, hidden: HiddenArm | None = None) -> None:
+    def __init__(
+        self,
+        delay: int,
+        hidden: HiddenArm | None = None,
+        make: Callable[[Arm], Controller] = Controller,
+    ) -> None:
         hidden = hidden or HiddenArm()
         self._world, self._zeros = hidden.world(delay), hidden.zeros
         self._arm = Arm(self._world.urdf, JOINTS)
-        self.controller = Controller(Arm(self._world.urdf, JOINTS))
+        self.controller = make(Arm(self._world.urdf, JOINTS))
         self.policy = taught()
         self.controller.load(self.policy)
         self._world.reset("moments", self.policy.q_start - hidden.zeros)

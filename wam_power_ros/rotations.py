@@ -41,6 +41,11 @@ def exp(rotation_vector: np.ndarray) -> np.ndarray:
     return matrix
 
 
+def log_of_one(matrix: np.ndarray) -> tuple[float, float, float]:
+    """Rotation vector [rad] of one rotation matrix (3, 3) as plain floats, see `log`."""
+    return _vector_of_one(*_quat_of_one(*matrix.ravel().tolist()))
+
+
 def log(matrix: np.ndarray) -> np.ndarray:
     """Rotation vectors (..., 3) [rad] of rotation matrices (..., 3, 3).
 

@@ -206,7 +206,7 @@ def test_the_spring_that_holds_the_braked_arm_is_bounded(offset: float) -> None:
     brake.observe(MODEL, HOME, np.zeros(7))
     state = JointState(0, HOME, np.zeros(7), 0.002, 0.002)
     np.testing.assert_array_equal(brake.torque(state, 0.002), gravity)
-    spring = brake.torque(state._replace(q=HOME + offset), 0.002) - gravity
+    spring = brake.torque(state.moved(HOME + offset, state.qd), 0.002) - gravity
     bound = 2.0 * MODEL.friction + 0.05 * MODEL.tau_max
     pulled = -(25.0**2) * mass @ np.full(7, offset)
     np.testing.assert_allclose(spring, np.clip(pulled, -bound, bound), atol=1e-12)

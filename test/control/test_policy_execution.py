@@ -11,6 +11,7 @@ from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.joint_control import TrackingLost
 from wam_power_ros.control.policy_execution import Execution
 from wam_power_ros.control.prepared_policy import prepare
+from wam_power_ros.control.state_checks import JointState
 from wam_power_ros.learning.policy import Basis, Policy
 from wam_power_ros.params.resources import share
 from wam_power_ros.regions import Region
@@ -43,7 +44,7 @@ def execution(policy: Policy = POLICY, settings: ControllerSettings = SETTINGS) 
 
 def answer(rollout: Execution, tick: float, q: np.ndarray = HOME) -> np.ndarray | None:
     stamp_ns = START_NS + round(tick * PERIOD_NS)
-    return rollout.torque(stamp_ns, q, STILL, ARM.motion(q, STILL))
+    return rollout.torque(JointState(stamp_ns, q, STILL, 0.002, 0.002), ARM.motion(q, STILL))
 
 
 def test_a_rollout_includes_the_settling_time_and_is_sampled_at_100_hz() -> None:

@@ -13,6 +13,7 @@ from wam_power_ros.control import safety
 from wam_power_ros.control.arm import Arm, Motion, Speeds
 from wam_power_ros.control.modes import Mode
 from wam_power_ros.control.safety import Limits
+from wam_power_ros.control.state_checks import JointState
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.params.resources import share
 
@@ -313,11 +314,11 @@ def test_at_its_limits_an_arm_is_not_beyond_them() -> None:
 
 def test_three_states_in_a_row_beyond_a_limit_of_the_mode_are_a_fault() -> None:
     check = safety.MotionCheck(safety.limits_of(ARM, teaching_tool_speed=0.5), ARM.guarded)
-    still = np.zeros(7)
+    state = JointState(0, Q, np.zeros(7), 0.002, 0.002)
 
     def faults(mode: Mode, *motions: Motion | Speeds) -> list[FaultKind | None]:
         check.begin()
-        found = [check.fault(mode, Q, still, motion) for motion in motions]
+        found = [check.fault(mode, state, motion) for motion in motions]
         return [fault and fault.kind for fault in found]
 
     fast, slow = moving(tool_speed=5.0), moving()

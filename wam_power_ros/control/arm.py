@@ -242,13 +242,19 @@ class Arm:
         pin.forwardKinematics(self.model, self._data, q, qd)
         return Speeds([point.speed() for point in self._guarded], self._tool_point.speed())
 
-    def dynamics(self, q: np.ndarray, qd: np.ndarray) -> Dynamics:
-        """Jacobian, inverse mass matrix and bias torque of one state; arguments as for `motion`."""
+    def dynamics(self, q: np.ndarray, qd: np.ndarray, bias: np.ndarray | None = None) -> Dynamics:
+        """Jacobian, inverse mass matrix and bias torque of one state.
+
+        Args:
+            q: Joint positions [rad]. Shape (n,).
+            qd: Joint speeds [rad/s]. Shape (n,).
+            bias: Bias torque, if it has been computed for this state [N m]. Shape (n,).
+        """
         model, data = self.model, self._data
         return Dynamics(
             jacobian=pin.computeFrameJacobian(model, data, q, self._tool, _AXES),
             inverse_mass=pin.computeMinverse(model, data, q),
-            bias=pin.nonLinearEffects(model, data, q, qd),
+            bias=self.bias(q, qd) if bias is None else bias,
         )
 
     def tool_pose(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -325,8 +331,13 @@ class _Point:
     def position(self) -> list[float]:
         """Position in the base frame [m]: three numbers."""
         x, y, z = self._offset
-        rows = zip(self._origin.tolist(), self._rotation.tolist(), strict=True)
-        return [origin + a * x + b * y + c * z for origin, (a, b, c) in rows]
+        x0, y0, z0 = self._origin.tolist()
+        (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = self._rotation.tolist()
+        return [
+            x0 + xx * x + xy * y + xz * z,
+            y0 + yx * x + yy * y + yz * z,
+            z0 + zx * x + zy * y + zz * z,
+        ]
 
     def speed(self) -> float:
         """Speed [m/s]."""

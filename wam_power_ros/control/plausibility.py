@@ -98,29 +98,37 @@ class VelocityCheck:
             unchanged: Number of states for which each joint's position has stayed the same.
             interval: Time between the two.
         """
-        # Plain floats: half the time of arrays of seven numbers.
+        # Plain floats and comparisons: arrays of seven numbers, and calls of min and max at every
+        # joint, take twice as long.
         dt, short, long = interval
         short, long = 0.5 * short, 0.5 * long
         joint, size = -1, 0.0
         added, lagged, changes = [], [], []
         keep = math.exp(-dt / VELOCITY_LAG)
-        channels = (last.q, state.q, last.qd, state.qd)
-        values = (channel.tolist() for channel in channels)
-        rows = zip(*values, unchanged, self._lagged, self._moved, strict=True)
+        states = last.positions, state.positions, last.speeds, state.speeds
+        rows = zip(*states, unchanged, self._lagged, self._moved, strict=True)
         for i, (before, now, qd_before, qd, repeats, late, previous) in enumerate(rows):
             moved, speeds = now - before, qd_before + qd
             changes.append(moved)
             late = keep * late + (1.0 - keep) * moved
             lagged.append(late)
-            least, most = (short, long) if speeds > 0.0 else (long, short)
-            least, most = least * speeds, most * speeds  # of the integrated velocity
-            mismatch = max(min(moved, late) - most, least - max(moved, late), 0.0)
+            # Of the integrated velocity; the slower of the two bounds, in magnitude.
+            if speeds > 0.0:
+                least, most = short * speeds, long * speeds
+                slow = least
+            else:
+                least, most = long * speeds, short * speeds
+                slow = -most
+            low, high = (moved, late) if moved < late else (late, moved)
+            mismatch = low - most if low > most else least - high if high < least else 0.0
+            size_moved = abs(moved)
             if moved * previous < 0.0:  # back and forth, which no lag explains
-                mismatch = max(mismatch, min(abs(moved), abs(previous)))
+                mismatch = max(mismatch, min(size_moved, abs(previous)))
             if abs(moved - most) > _LEAP:
                 mismatch = max(mismatch, _MISMATCH_PER_STATE)
-            motion = min(abs(moved), abs(least), abs(most))
-            added.append(min(mismatch, _MISMATCH_PER_STATE) - MISMATCH_SHARE * motion)
+            motion = size_moved if size_moved < slow else slow
+            counted = mismatch if mismatch < _MISMATCH_PER_STATE else _MISMATCH_PER_STATE
+            added.append(counted - MISMATCH_SHARE * motion)
             if repeats >= STANDSTILL_STATES and abs(qd) > STANDSTILL_SPEED:
                 joint, size = i, mismatch
         self._lagged, self._moved = lagged, changes
@@ -142,7 +150,7 @@ class TorqueCheck:
 
     Attributes:
         residual: Low-passed torque that neither the model nor the commands explain [N m].
-            Shape (n,).
+            n numbers.
         since_step: Number of states since a velocity last changed in one state by more than the
             full torque of its joint can change it.
     """
@@ -150,14 +158,15 @@ class TorqueCheck:
     def __init__(self, arm: Arm) -> None:
         self._arm = arm
         self._full_torque = arm.tau_max.tolist()
-        self._allowance = FRICTION_FACTOR * arm.friction
+        self._allowance = (FRICTION_FACTOR * arm.friction).tolist()
         self.begin()
 
     def begin(self) -> None:
         """Restart with a residual of zero."""
-        self.residual = np.zeros(self._arm.n)
-        self._sent: deque[np.ndarray] = deque(maxlen=LATENCY_STATES)
-        self._inertial = np.zeros(self._arm.n)  # accelerating torque, low-passed [N m]
+        self.residual = [0.0] * self._arm.n
+        self._inertial = [0.0] * self._arm.n  # accelerating torque, low-passed [N m]
+        self._sent: np.ndarray | None = None  # latest torques, in any order: (states, n) [N m]
+        self._row = 0  # of the oldest of them
         self._in_row = 0
         self.since_step = HISTORY_LENGTH
 
@@ -182,30 +191,51 @@ class TorqueCheck:
         """
         arm = self._arm
         keep = math.exp(-dt / RESIDUAL_TIME_CONSTANT)
-        inertial = arm.mass_matrix(state.q).dot(state.qd - last.qd) / dt
-        rows = zip(inertial.tolist(), self._full_torque, strict=True)
-        stepped = any(abs(torque) > most for torque, most in rows)
+        accelerating = arm.mass_matrix(state.q).dot(state.qd - last.qd) / dt
+        state.bias = arm.bias(state.q, state.qd)
+        needed = accelerating + state.bias + arm.friction_torque(state.qd)
+        inertial = accelerating.tolist()
+        rows = zip(inertial, self._full_torque, strict=True)
+        stepped = True in [abs(torque) > most for torque, most in rows]
         self.since_step = 0 if stepped else self.since_step + 1
-        needed = inertial + arm.bias(state.q, state.qd) + arm.friction_torque(state.qd)
         # The delay from command to torque is unknown, so a motion counts as explained by any torque
         # within the range of those sent in the last LATENCY_STATES states.
-        self._sent.append(tau)
-        sent = np.array(self._sent)
-        unexplained = needed - np.minimum(np.maximum(needed, sent.min(axis=0)), sent.max(axis=0))
-        self.residual = keep * self.residual + (1.0 - keep) * unexplained
-        self._inertial = keep * self._inertial + (1.0 - keep) * np.abs(inertial)
-        excess = np.abs(self.residual) - bound.inertial * self._inertial
-        excess = excess - self._allowance - bound.moving
+        ranges = zip(self.residual, needed.tolist(), *self._range_sent(tau), strict=True)
+        self.residual = [
+            keep * residual
+            + (1.0 - keep) * (need - low if need < low else need - high if need > high else 0.0)
+            for residual, need, low, high in ranges
+        ]
+        sizes = zip(self._inertial, inertial, strict=True)
+        self._inertial = [keep * size + (1.0 - keep) * abs(torque) for size, torque in sizes]
+        moving = bound.moving.tolist()
+        allowances = zip(self.residual, self._inertial, self._allowance, moving, strict=True)
+        excess = [
+            abs(residual) - bound.inertial * size - allowed - more
+            for residual, size, allowed, more in allowances
+        ]
         if max(unchanged) >= STANDSTILL_STATES:
-            standing = np.array(unchanged) >= STANDSTILL_STATES
-            excess = np.where(standing, excess + bound.moving - bound.standing, excess)
-        joint = int(excess.argmax())
-        self._in_row = self._in_row + 1 if excess[joint] > 0.0 else 0
+            bounds = zip(unchanged, excess, moving, bound.standing.tolist(), strict=True)
+            excess = [
+                size + more - standing if count >= STANDSTILL_STATES else size
+                for count, size, more, standing in bounds
+            ]
+        worst = max(excess)
+        joint = excess.index(worst)
+        self._in_row = self._in_row + 1 if worst > 0.0 else 0
         if self._in_row < CONTRADICTIONS_TO_FAULT:
             return None
         text = f"{self.residual[joint]:.1f} N m at joint {joint + 1} are not explained by the "
         text += "commanded torques: a contact, a payload, another commander, or a motor that gives "
         return Fault(FaultKind.EXTERNAL_TORQUE, f"{text}less than commanded")
+
+    def _range_sent(self, tau: np.ndarray) -> tuple[list[float], list[float]]:
+        """Least and largest torque of each joint in the last states, this one included [N m]."""
+        if self._sent is None:
+            self._sent = np.tile(tau, (LATENCY_STATES, 1))
+        self._sent[self._row] = tau
+        self._row = (self._row + 1) % LATENCY_STATES
+        return np.minimum.reduce(self._sent).tolist(), np.maximum.reduce(self._sent).tolist()
 
 
 class Plausibility:
@@ -251,7 +281,7 @@ class Plausibility:
         if last is None:
             self.begin()
             return None
-        rows = zip(self._unchanged, last.q.tolist(), state.q.tolist(), strict=True)
+        rows = zip(self._unchanged, last.positions, state.positions, strict=True)
         self._unchanged = [count + 1 if now == before else 0 for count, before, now in rows]
         self._guided = bound is None
         fault = None
@@ -272,8 +302,9 @@ class Plausibility:
         if not self._stamps:
             self._stamps.append(last.stamp_ns)
         self._stamps.append(state.stamp_ns)
-        same = min(self._unchanged) > 0 and last.qd.tolist() == (qd := state.qd.tolist())
-        self._repeats = self._repeats + 1 if same and max(map(abs, qd)) > STANDSTILL_SPEED else 0
+        same = min(self._unchanged) > 0 and last.speeds == state.speeds
+        moving = same and max(map(abs, state.speeds)) > STANDSTILL_SPEED
+        self._repeats = self._repeats + 1 if moving else 0
         return 0 < self._repeats <= REPEATS_MAX
 
     def _contradiction(

@@ -58,17 +58,13 @@ class Execution:
         self._t = np.empty(size)
         self._position, self._quat_xyzw = np.empty((size, 3)), np.empty((size, 4))
 
-    def torque(
-        self, stamp_ns: int, q: np.ndarray, qd: np.ndarray, motion: Motion
-    ) -> np.ndarray | None:
+    def torque(self, state: JointState, motion: Motion) -> np.ndarray | None:
         """Joint torques for one state, None when the rollout is over.
 
         Evaluates Eq. 1 and the orientation law in closed loop on the measured state.
 
         Args:
-            stamp_ns: Stamp of the state [ns].
-            q: Joint positions [rad]. Shape (n,).
-            qd: Joint speeds [rad/s]. Shape (n,).
+            state: Joint state.
             motion: Kinematics of the state.
 
         Returns:
@@ -78,8 +74,8 @@ class Execution:
             TrackingLost: The tool's orientation is too far from its reference.
         """
         if self.start_ns is None:
-            self.start_ns = stamp_ns
-        k = (stamp_ns - self.start_ns + self._period_ns // 2) // self._period_ns
+            self.start_ns = state.stamp_ns
+        k = (state.stamp_ns - self.start_ns + self._period_ns // 2) // self._period_ns
         if k > self._last_tick:
             self.complete = True
             return None
@@ -89,13 +85,14 @@ class Execution:
             return None
         if k >= self._next_sample:
             self._sample(k, motion)
-        vector = rotations.log(motion.rotation.dot(self._reference)).tolist()
+        vector = rotations.log_of_one(motion.rotation.dot(self._reference))
         if (angle := math.hypot(*vector)) > ROTATION_ERROR_MAX:
             text = f"the tool is rotated by {angle:.2f} rad from its reference"
             raise TrackingLost(f"{text}, limit {ROTATION_ERROR_MAX}")
         twist = motion.twist.tolist()
         acceleration = dmp.acceleration(self._tables, k, motion.position, vector, twist)
-        return self._law(motion, self._arm.dynamics(q, qd), acceleration)
+        dynamics = self._arm.dynamics(state.q, state.qd, state.bias)
+        return self._law(motion, dynamics, acceleration)
 
     def path(self, q: np.ndarray, qd: np.ndarray) -> EndEffectorPath:
         """Path so far; one sample at this state when the rollout ended before its first state."""
@@ -189,7 +186,7 @@ class Rollouts:
         execution = self._execution
         if execution is None:
             raise RuntimeError("no rollout is under way")
-        tau = execution.torque(state.stamp_ns, state.q, state.qd, motion)
+        tau = execution.torque(state, motion)
         if tau is None and execution.complete and self.policy is not None:
             self._completed.add(self.policy.content)
         return tau

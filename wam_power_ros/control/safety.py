@@ -16,6 +16,7 @@ import numpy as np
 
 from wam_power_ros.control.arm import Arm, Motion, Speeds
 from wam_power_ros.control.modes import MOVING_MODES, PASSIVE_MODES, WORKSPACE_MODES, Mode
+from wam_power_ros.control.state_checks import JointState
 from wam_power_ros.faults import Fault, FaultKind
 
 # Shapes that are not (n,)
@@ -182,8 +183,10 @@ def limit_springs(q: np.ndarray, limits: Limits) -> np.ndarray | None:
     Returns:
         [N m]. Shape (n,).
     """
-    rows = zip(q.tolist(), limits._spring_free, strict=True)
-    if all(low <= x <= high for x, (low, high) in rows):
+    for x, (low, high) in zip(q.tolist(), limits._spring_free, strict=True):
+        if not low <= x <= high:
+            break
+    else:
         return None
     below = limits.q_min + SPRING_RANGE - q
     above = q - limits.q_max + SPRING_RANGE
@@ -324,15 +327,12 @@ class MotionCheck:
         """Restart the count, for another mode."""
         self._in_row = 0
 
-    def fault(
-        self, mode: Mode, q: np.ndarray, qd: np.ndarray, motion: Motion | Speeds
-    ) -> Fault | None:
+    def fault(self, mode: Mode, state: JointState, motion: Motion | Speeds) -> Fault | None:
         """Fault of a limit that `FAULT_STATES` consecutive states exceed, or None.
 
         Args:
             mode: Current mode; it decides which limits apply.
-            q: Joint positions [rad]. Shape (n,).
-            qd: Joint speeds [rad/s]. Shape (n,).
+            state: Joint state.
             motion: Kinematics of the state; the speeds suffice unless the arm moves by itself.
         """
         if mode in PASSIVE_MODES:
@@ -341,7 +341,7 @@ class MotionCheck:
         teaching = mode is Mode.GRAVITY_COMPENSATION
         tool_speed = limits.teaching_tool_speed if teaching else limits.tool_speed
         workspace = mode in WORKSPACE_MODES
-        joints = q.tolist(), qd.tolist()
+        joints = state.positions, state.speeds
         fault = motion_fault(*joints, motion, guarded, limits, tool_speed, workspace)
         if fault is None and mode in MOVING_MODES and isinstance(motion, Motion):
             points = dict(zip(guarded, motion.guarded_positions, strict=True))

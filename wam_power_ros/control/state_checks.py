@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checks of joint states before any computation: stamps, values and continuity."""
 
+from __future__ import annotations
+
 import math
 from collections import Counter, deque
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,7 +18,7 @@ _REFUSALS_TO_FAULT, _REFUSAL_WINDOW = 5, 50  # refused states within a number of
 _INTEGERS = (int, np.integer)
 
 
-class JointState(NamedTuple):
+class JointState:
     """An accepted joint state.
 
     Attributes:
@@ -28,13 +29,26 @@ class JointState(NamedTuple):
             stamps; at most twice the period [s].
         span: Time of the arm's motion since the previous state: the longer of both, because stamps
             may be too slow and delayed states arrive in a burst; at most twice the period [s].
+        positions: `q` as plain floats, with which the checks compute: for seven numbers they are
+            several times faster than arrays.
+        speeds: `qd` as plain floats.
+        bias: C(q, qd) qd + g(q) [N m], shape (n,), as the first who needed it has computed it; None
+            before.
     """
 
-    stamp_ns: int
-    q: np.ndarray
-    qd: np.ndarray
-    dt: float
-    span: float
+    __slots__ = ("bias", "dt", "positions", "q", "qd", "span", "speeds", "stamp_ns")
+
+    def __init__(
+        self, stamp_ns: int, q: np.ndarray, qd: np.ndarray, dt: float, span: float
+    ) -> None:
+        self.stamp_ns, self.q, self.qd, self.dt, self.span = stamp_ns, q, qd, dt, span
+        self.positions: list[float] = q.tolist()
+        self.speeds: list[float] = qd.tolist()
+        self.bias: np.ndarray | None = None
+
+    def moved(self, q: np.ndarray, qd: np.ndarray) -> JointState:
+        """Return the state with other positions [rad] and speeds [rad/s], shapes (n,)."""
+        return JointState(self.stamp_ns, q, qd, self.dt, self.span)
 
 
 def plausible(values: list[float], bound: float) -> bool:
@@ -115,13 +129,15 @@ class StateChecks:
             return None
         self.counters["accepted"] += 1
         self.refused_in_row = 0
-        advanced = self._check_continuity(last, stamp_ns, positions)
+        gap = last is None or stamp_ns - last.stamp_ns > self._gap_ns
+        advanced = self._period if last is None else (stamp_ns - last.stamp_ns) * 1e-9
         dt, longest = advanced if elapsed is None else elapsed, 2.0 * self._period
         span = min(max(advanced, dt), longest)
-        gap = last is None or stamp_ns - last.stamp_ns > self._gap_ns
-        self.before = None if gap else last
-        self.last = JointState(stamp_ns, positions, speeds, min(dt, longest), span)
-        return self.last
+        state = JointState(stamp_ns, positions, speeds, min(dt, longest), span)
+        if last is not None:
+            self._check_continuity(last, state, advanced, gap)
+        self.before, self.last = None if gap else last, state
+        return state
 
     def refuse(self) -> None:
         """Count an unreadable joint state as refused."""
@@ -159,21 +175,17 @@ class StateChecks:
         qd[np.abs(qd) < 1e-4] = 0.0  # so that the filter comes to rest bit for bit
         return qd
 
-    def _check_continuity(self, last: JointState | None, stamp_ns: int, q: np.ndarray) -> float:
-        """Check for a gap and for a jump; returns the advance of the stamp [s]."""
-        if last is None:
-            return self._period
-        dt = (stamp_ns - last.stamp_ns) * 1e-9
-        if stamp_ns - last.stamp_ns > self._gap_ns:
+    def _check_continuity(self, last: JointState, state: JointState, dt: float, gap: bool) -> None:
+        """Check for a gap and for a jump between two states whose stamps differ by a time [s]."""
+        if gap:
             self.counters["gaps"] += 1
             if dt > STATE_LOSS_TIMEOUT:
                 text = f"no joint state for {dt * 1e3:.0f} ms"
                 self.fault = Fault(FaultKind.STATES_LOST, text)
         allowed = Q_JUMP * max(1.0, dt / self._period)
-        if math.dist(q.tolist(), last.q.tolist()) > allowed:  # else no joint moved by more
-            jump = max(map(abs, (q - last.q).tolist()))
+        if math.dist(state.positions, last.positions) > allowed:  # else no joint moved by more
+            jump = max(map(abs, (state.q - last.q).tolist()))
             if jump > allowed:
                 self.counters["jumps"] += 1
                 text = f"a joint jumped by {jump:.3f} rad from one state to the next"
                 self.fault = self.fault or Fault(FaultKind.JUMP, text)
-        return dt

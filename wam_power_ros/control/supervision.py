@@ -123,7 +123,7 @@ class Supervision:
 
     def limit_fault(self, mode: Mode, state: JointState, motion: Motion | Speeds) -> Fault | None:
         """Fault of a motion beyond the limits of the mode, or None."""
-        return self._motion.fault(mode, state.q, state.qd, motion)
+        return self._motion.fault(mode, state, motion)
 
     def end_estimate(self) -> None:
         """Use the measured states again."""
@@ -138,7 +138,7 @@ class Supervision:
         """
         arm = self._estimate = self._estimate or self._plausibility.estimate(last, suspect=0)
         arm.advance(self._motor_torque(arm.q), dt)
-        return last._replace(q=arm.q, qd=arm.qd)
+        return last.moved(arm.q, arm.qd)
 
     def estimate(self, state: JointState, motion: Motion | Speeds, new: bool) -> JointState:
         """Estimate the arm's state in a fault, when the measured one may be false.
@@ -160,7 +160,7 @@ class Supervision:
             arm.follow(state, self._motor_torque(arm.q), used)
         if not self.trusted:
             self._compare(state.q - arm.q)
-        return state._replace(q=arm.q, qd=arm.qd)
+        return state.moved(arm.q, arm.qd)
 
     def _watch_speed(self, state: JointState, plausible: bool) -> None:
         """Notice that states which pass every check report a speed that grows."""

@@ -1,0 +1,284 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Calls of controllers with their answers, and the time of a step in each mode.
+
+    python -m benchmark.torques FILE      # with one version of the code, then with another
+
+Controllers in every mode and in faults of eight kinds answer simulated arms. If the file does not
+exist, every call is written to it with its answer, a torque bit for bit; otherwise they are
+compared with it. A new controller must answer the same calls the same way. Of several repeats the
+shortest time of each step counts.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections import Counter, defaultdict, deque
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
+from itertools import cycle, zip_longest
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from benchmark import reactions
+from benchmark.false_states import Falsifier
+from benchmark.hidden_arm import KNOWN, HiddenArm, draw
+from benchmark.moments import ALL_FALSE_STATES, PERIOD, Loop
+from benchmark.nodes import JOINTS
+from wam_power_ros.control.arm import Arm
+from wam_power_ros.control.controller import Controller
+from wam_power_ros.control.controller_settings import ControllerSettings
+from wam_power_ros.control.joint_references import interpolated
+from wam_power_ros.control.modes import ControllerError, Mode
+from wam_power_ros.control.safety import limits_of
+from wam_power_ros.faults import Fault
+from wam_power_ros.learning.rollout import EndEffectorPath
+from wam_power_ros.params.resources import share
+
+URDF = share("urdf/wam7.urdf").read_text()
+CALLS = ("step", "stale_torque", "refuse_state", "load", "hold", "stop", "release", "fault")
+CALLS += ("set_gravity_compensation", "move_to_start", "start_replay", "execute", "reset")
+CALLS += ("deactivate", "take_finished")
+
+
+class Answer(NamedTuple):
+    """What a controller answered to a call, and what it was in afterwards.
+
+    Attributes:
+        result: Bytes of the torque, or of the path of the tool, in hexadecimal; else text.
+        mode: Mode after the call.
+        label: Label of the last torque.
+        fault: Latched fault, None without one.
+        fresh: Whether the last state was accepted.
+    """
+
+    result: str
+    mode: Mode
+    label: str
+    fault: Fault | None
+    fresh: bool
+
+
+class Call(NamedTuple):
+    """One call: name of the method, arguments, whether the switch was held, and the answer."""
+
+    name: str
+    arguments: tuple[Any, ...]
+    enabled: bool
+    answer: Answer
+
+
+class Drive(NamedTuple):
+    """Settings of one controller of the WAM, and all of its calls."""
+
+    settings: ControllerSettings
+    calls: list[Call]
+
+
+def answered(controller: Controller, result: object) -> Answer:
+    """Answer of a call with a result, which may be a refusal."""
+    if isinstance(result, EndEffectorPath):
+        result = np.hstack([result.t[:, None], result.position, result.quat_xyzw])
+    given = result.tobytes().hex() if isinstance(result, np.ndarray) else str(result)
+    return Answer(given, controller.mode, controller.label, controller.latched, controller.fresh)
+
+
+class Recorded(Controller):
+    """Keeps the calls that are made from outside, with their answers."""
+
+    def __init__(self, arm: Arm, settings: ControllerSettings) -> None:
+        self.calls: list[Call] = []
+        self._nested = False  # within a call, which is recorded itself
+        super().__init__(arm, settings)
+
+
+def _recorded(name: str) -> Callable[..., object]:
+    """Method of `Recorded` in place of one of the controller."""
+    method = getattr(Controller, name)
+
+    def run(self: Recorded, *arguments: Any) -> object:  # noqa: ANN401 - whatever it takes
+        if self._nested:
+            return method(self, *arguments)
+        given = tuple(a.copy() if isinstance(a, np.ndarray) else a for a in arguments)
+        self._nested, result = True, None
+        try:
+            result = method(self, *arguments)
+        except ControllerError as error:
+            result = error
+            raise
+        finally:
+            self._nested = False
+            self.calls.append(Call(name, given, self.enabled, answered(self, result)))
+        return result
+
+    return run
+
+
+for _name in CALLS:
+    setattr(Recorded, _name, _recorded(_name))
+
+
+def whole(loop: Loop) -> None:
+    """Teach, move to the start, execute the policy, replay a movement."""
+    core = loop.controller
+    reactions.begin(loop, "move")
+    while core.mode is Mode.MOVE_TO_START:
+        loop.play(PERIOD)
+    rollout(loop)
+    q = loop.policy.q_start + 0.2 * np.sin(np.linspace(0.0, np.pi, 61))[:, None] ** 2 * np.ones(7)
+    core.start_replay(interpolated(np.linspace(0.0, 1.2, 61), q, 1.0, PERIOD))
+    loop.play(2.0)
+    core.stop()
+    core.deactivate()
+    loop.play(0.05)
+
+
+def rollout(loop: Loop) -> None:
+    """Move to the start, execute the policy and hold again."""
+    core = loop.controller
+    core.move_to_start()
+    while not core.ready and core.latched is None:
+        loop.play(PERIOD)
+    core.enabled = True
+    core.execute()
+    loop.play(loop.policy.basis.duration + 1.2)
+    core.take_finished()
+
+
+def recovered(loop: Loop, falsify: Falsifier, phase: str) -> None:
+    """Falsify the states from a phase on until 0.5 s after the fault; then reset it."""
+    reactions.begin(loop, phase)
+    loop.falsify = falsify
+    loop.play(0.5)
+    loop.guide(None)
+    loop.falsify = lambda state: state
+    loop.play(0.5)
+    with suppress(ControllerError):
+        loop.controller.reset()
+    loop.play(0.1)
+
+
+def changed(loop: Loop, **offsets: np.ndarray) -> None:
+    """Execute the policy with offsets (3,) on rows of its fields."""
+    fields = {name: getattr(loop.policy, name) + offset for name, offset in offsets.items()}
+    loop.controller.load(replace(loop.policy, **fields))
+    rollout(loop)
+
+
+def released(loop: Loop) -> None:
+    """Release the enabling switch in a rollout."""
+    loop.controller.enabled = True
+    reactions.begin(loop, "upwards")
+    loop.controller.enabled = False
+    loop.play(0.5)
+
+
+def pulled(loop: Loop) -> None:
+    """Let a demonstrator pull at the arm that holds."""
+    loop.guide(0)
+    loop.play(0.6)
+
+
+def drives(every: int = 1) -> Iterator[Drive]:
+    """Record every drive, or only each n-th."""
+    home = Loop(2).policy.q_start
+    near = limits_of(Arm(URDF, JOINTS), q_max=home + np.array([0.05, 2, 2, 0.02, 2, 2, 2]))
+    rows: list[tuple[Callable[[Loop], None], dict[str, Any], HiddenArm | None]] = [
+        (whole, {}, None),
+        (partial(reactions.begin, phase="hold"), {}, KNOWN["payload of 0.5 kg"]),
+        (whole, {}, draw(9001)),
+        (rollout, {"law": "virtual_mass"}, None),
+        (pulled, {"driver_compensates_gravity": True}, None),
+        (rollout, {"limits": near}, None),
+        (pulled, {}, None),
+        (released, {"hold_to_run": True}, None),
+        (partial(changed, attractors=np.array([0.0, 0.0, 3.0])), {}, None),
+        (partial(changed, rotation_attractors=np.full(3, 2.0)), {}, None),
+    ]
+    falsified = [
+        (lambda state: state._replace(qd=None), "upwards"),
+        (lambda state: state._replace(q=np.full(7, np.nan)), "hold"),
+        (reactions.jumped(1, 0.5), "teaching"),
+        *zip((make() for make in ALL_FALSE_STATES.values()), cycle(reactions.PHASES)),
+    ]
+    rows += [(partial(recovered, falsify=lie, phase=phase), {}, None) for lie, phase in falsified]
+    for drive, choices, hidden in rows[::every]:
+        settings = ControllerSettings(**choices)
+        loop = Loop(2, hidden, partial(Recorded, settings=settings))
+        with suppress(ControllerError):  # of an arm that has faulted
+            drive(loop)
+        yield Drive(settings, loop.controller.calls)
+
+
+def repeat(drive: Drive, times: list[float] | None = None) -> Iterator[Answer]:
+    """Repeat a drive with a new controller; yields its answers.
+
+    Args:
+        drive: Drive.
+        times: List to which the time of each call is added [s].
+    """
+    controller = Controller(Arm(URDF, JOINTS), drive.settings)
+    for call in drive.calls:
+        controller.enabled = call.enabled
+        begun = time.perf_counter()
+        try:
+            result = getattr(controller, call.name)(*call.arguments)
+        except ControllerError as error:
+            result = error
+        if times is not None:
+            times.append(time.perf_counter() - begun)
+        yield answered(controller, result)
+
+
+def differences(drive: Drive) -> list[tuple[int, Call, Answer]]:
+    """Calls of a drive that are answered differently now: number, call and present answer."""
+    pairs = enumerate(zip(drive.calls, repeat(drive), strict=True))
+    return [(k, call, now) for k, (call, now) in pairs if call.answer != now]
+
+
+def step_times(recorded: list[Drive], repeats: int) -> dict[Mode, list[float]]:
+    """Shortest time of each step over the repeats, by the mode after it [s]."""
+    by_mode = defaultdict(list)
+    for drive in recorded:
+        runs: list[list[float]] = [[] for _ in range(repeats)]
+        for run in runs:
+            deque(repeat(drive, run), maxlen=0)
+        for call, shortest in zip(drive.calls, np.min(runs, axis=0).tolist(), strict=True):
+            if call.name == "step":
+                by_mode[call.answer.mode].append(shortest)
+    return by_mode
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Write or compare the answers; return 1 if one differs."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("file", type=Path, help="answers, one a line")
+    parser.add_argument("--repeats", type=int, default=5, help="of each drive, for the times")
+    given = parser.parse_args(arguments)
+    recorded = list(drives())
+    calls = [call for drive in recorded for call in drive.calls]
+    kinds = Counter(call.answer.fault.kind.value for call in calls if call.answer.fault)
+    modes = Counter(call.answer.mode.value for call in calls)
+    print(f"{len(calls)} calls of {len(recorded)} controllers; {dict(modes)}; faults {dict(kinds)}")
+    lines = [f"{call.name} {call.answer}" for call in calls]
+    if not given.file.exists():
+        given.file.write_text("\n".join(lines))
+    before = given.file.read_text().split("\n")
+    pairs = enumerate(zip_longest(before, lines))
+    different = [(k, *pair) for k, pair in pairs if pair[0] != pair[1]]
+    repeated = [found for drive in recorded for found in differences(drive)]
+    print(f"{len(different)} answers differ from the file, {len(repeated)} when repeated")
+    for found in [*different, *repeated][:5]:
+        print("  call {}: {}, now {}".format(*found))
+    for mode, times in step_times(recorded, given.repeats).items():
+        print(f"  {mode.value:22s}{len(times):6d} steps, median {np.median(times) * 1e6:6.1f} us")
+    return int(bool(different or repeated))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
