@@ -7,7 +7,7 @@ import argparse
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from wam_power_ros.cli.launcher import UsageError, pasteable, short_path, task_setup, task_stems
 from wam_power_ros.cli.node_log import progress_messages
@@ -78,6 +78,10 @@ def add_to(subparsers: argparse._SubParsersAction) -> None:
     help_reception = "use the times of reception, where the stamps of the driver are wrong"
     imported.add_argument("--by-reception", action="store_true", help=help_reception)
     config_option(trimmed, "set-up of the arm")
+    exported = add("export", export, "write a table of a bag, or of a session's rollouts")
+    exported.add_argument("recorded", type=Path, metavar="BAG|SESSION")
+    exported.add_argument("--output", type=Path, required=True, help="new .csv or .parquet file")
+    config_option(exported, "set-up of the arm")
     for command, name in ((trimmed, "trimmed"), (merged, "merged"), (imported, "TASK_NAME")):
         command.add_argument("--output", type=Path, help=f"new bag (default: BAG_{name})")
 
@@ -296,6 +300,54 @@ def import_(
         _, row, reasons = _row(made, names, limits)
     _print_bag(made, remarks)
     print(f"  {row.strip()}  {reasons}".rstrip())
+
+
+def export(recorded: Path, output: Path, config: Sequence[str]) -> None:
+    """Write a table of a bag or a session for other programs."""
+    from wam_power_ros.bags import table
+    from wam_power_ros.practice import session, session_log
+
+    table.check_new(output)
+    remarks: Sequence[str] = ()
+    if session.Session.exists(recorded):
+        columns = session_log.columns(session.read(recorded).records)
+        if not columns["number"]:
+            raise UsageError(f"{recorded} has no rollout yet")
+    elif recorded.is_dir() and not (recorded / "metadata.yaml").is_file():
+        raise UsageError(
+            f"{recorded} is neither a session nor a bag: it has no session.yaml and no "
+            f"metadata.yaml; if it is a damaged bag: wam-power recover {recorded}"
+        )
+    else:
+        with progress_messages(f"reading {recorded}"):
+            columns, remarks = _bag_columns(recorded, overlay.setup(config))
+    rows = table.write(columns, output)
+    print(f"Table: {output}, {rows} rows, {len(columns)} columns")
+    for remark in remarks:
+        print(f"  {remark}")
+
+
+def _bag_columns(path: Path, setup: overlay.Setup) -> tuple[dict[str, list[Any]], list[str]]:
+    """Table of a bag, with the tool by the model of the arm, and remarks."""
+    from wam_power_ros import arm_identity, rotations
+    from wam_power_ros.bags import reader, table
+    from wam_power_ros.bags.bag import Bag
+
+    bag, arm = Bag(path), setup.arm()
+    identity = None if arm is None else arm.identity()
+    states = reader.read_states(bag, setup.joint_names, arm=identity)
+    columns = table.joint_columns(bag, states)
+    texts = [remark.text for remark in states.remarks]
+    if arm is None or identity is None:
+        texts.append("no pose of the tool: the set-up has no URDF file")
+    else:
+        poses = [arm.tool_pose(q) for q in states.q]
+        columns |= table.pose_columns(
+            "tool", [[*p.tolist(), *rotations.quat_xyzw(R).tolist()] for p, R in poses]
+        )
+        texts.append(arm_identity.remark(bag.arm, identity))
+    bodies, remarks = table.body_columns(bag, states.stamps)
+    return columns | bodies, [*filter(None, texts), *(remark.text for remark in remarks)]
 
 
 def rename(bag: Path, name: str) -> None:

@@ -266,6 +266,23 @@ def with_ratings(log: Sequence[Line]) -> tuple[Record, ...]:
     return tuple(records)
 
 
+def columns(records: Sequence[Record]) -> dict[str, list[Any]]:
+    """Columns of a table of rollouts, a row for each; None where a rollout has no such value.
+
+    Terms are "term.NAME", coordinates "z.0", ..., parameters in physical units "theta.0", ...
+    """
+    head = ("number", "kind", "demonstration", "ret", "rated_return", "success", "fault", "why")
+    rows = []
+    for record in records:
+        row = {name: getattr(record, name) for name in head}
+        row |= {f"term.{name}": value for name, value in record.terms.items()}
+        row |= {f"z.{i}": value for i, value in enumerate(record.z)}
+        row |= {f"theta.{i}": value for i, value in enumerate(record.theta)}
+        rows.append(row | {"bag": record.bag})
+    names = dict.fromkeys([*head, *(name for row in rows for name in row)])
+    return {name: [row.get(name) for row in rows] for name in names}
+
+
 def plain(value: Any) -> Any:  # noqa: ANN401 - JSON is any of its types
     """Convert a value to data for JSON; numbers that are not finite become None."""
     if isinstance(value, Mapping):
