@@ -85,7 +85,7 @@ BUDGET = {
     "ros": 2690,
     "client": 1260,
     "nodes": 3020,
-    "console": 930,
+    "console": 920,
     "view": 1360,
     "reporting": 930,
     "in_process": 350,

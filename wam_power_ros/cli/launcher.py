@@ -30,7 +30,7 @@ from wam_power_ros.cli.processes import Processes, Running
 from wam_power_ros.console.prompt import ask, show
 from wam_power_ros.params import overlay
 from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
-from wam_power_ros.params.resources import share
+from wam_power_ros.params.resources import robot_description
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.ros import network
 from wam_power_ros.ros.domain import exported, hold, private_domain, shared
@@ -96,7 +96,7 @@ def check(setup: overlay.Setup) -> None:
     """
     controller = TorqueControllerParams.of_setup(setup)
     if setup.arm() is not None:
-        controller.controller(share(controller.urdf).read_text())
+        controller.controller(robot_description(controller.urdf))
     if setup["pancake_tracker"]["body"]:
         PancakeTrackerParams.of_setup(setup)
 

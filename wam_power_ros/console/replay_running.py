@@ -18,14 +18,13 @@ from typing import Any
 
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
-from rclpy.parameter_client import AsyncParameterClient
 from rclpy.utilities import remove_ros_args
 
 from wam_power_ros.arm_identity import to_json
-from wam_power_ros.client.link import DISCOVERY, LOG_AFTER, TIMEOUT, Link
+from wam_power_ros.client.link import LOG_AFTER, Link
 from wam_power_ros.console.replay import ReplayParams, replay
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.params.resources import share
+from wam_power_ros.params.resources import robot_description
 from wam_power_ros.ros.answers import ServiceError
 from wam_power_ros.ros.node_runner import run_script
 
@@ -40,18 +39,13 @@ def controller_parameters(link: Link) -> dict[str, Any]:
     Raises:
         ServiceError: None answers.
     """
-    client = AsyncParameterClient(link.node, CONTROLLER)
-    if not link.until(client.services_are_ready, f"node {CONTROLLER}", APPEAR_TIMEOUT):
+    values = link.parameters(CONTROLLER, NAMES, APPEAR_TIMEOUT)
+    if not values:
         raise ServiceError(
-            f"no node {CONTROLLER} in this domain (ROS_DOMAIN_ID) and namespace: start the nodes, "
-            "or use `wam-power replay`, which starts its own"
+            f"no node {CONTROLLER} in this domain (ROS_DOMAIN_ID) and namespace answers: start the "
+            "nodes, or use `wam-power replay`, which starts its own"
         )
-    link.sleep(DISCOVERY)
-    asked = client.get_parameters(list(NAMES))
-    if not link.until(asked.done, f"parameters of {CONTROLLER}"):
-        raise ServiceError(f"{CONTROLLER} did not answer in {TIMEOUT:.0f} s")
-    values = map(parameter_value_to_python, asked.result().values)
-    return dict(zip(NAMES, values, strict=True))
+    return dict(zip(NAMES, map(parameter_value_to_python, values), strict=True))
 
 
 def replay_running(link: Link, bag: Path, speed: float) -> int:
@@ -64,7 +58,7 @@ def replay_running(link: Link, bag: Path, speed: float) -> int:
     found = controller_parameters(link)
     identity = None
     if found["urdf"]:
-        urdf = share(found["urdf"]).read_text()
+        urdf = robot_description(found["urdf"])
         identity = Arm(urdf, found["model_joint_names"], found["tool_frame"]).identity()
     params = ReplayParams(
         bag=str(bag),

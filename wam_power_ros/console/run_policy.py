@@ -29,7 +29,7 @@ from wam_power_ros.entry import INTERRUPTED
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.params.node_params import Names, Params, Timeout
-from wam_power_ros.params.resources import share
+from wam_power_ros.params.resources import robot_description
 from wam_power_ros.practice import session
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import interface
@@ -105,7 +105,7 @@ def task_of(folder: str, name: str) -> tuple[Task | None, str]:
 def run(node: RunningPolicy) -> int:
     """Execute the policy as often as asked; returns the exit status."""
     params = node.params
-    urdf = share(params.urdf).read_text()
+    urdf = robot_description(params.urdf)
     arm = Arm(urdf, params.model_joint_names, params.tool_frame, guarded=())
     policy = read_policy(Path(params.policy), arm)
     task, unscored = task_of(params.session, params.task)
