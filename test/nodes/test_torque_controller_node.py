@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -312,7 +313,11 @@ def test_a_recorded_movement_is_replayed_and_a_bad_one_refused(
 
 
 @pytest.mark.requirement("S-18")
-def test_a_missing_parameter_stops_the_node_and_is_named(processes: Processes) -> None:
-    process: Process = processes.node(MODULE, autostart=True)
+def test_a_missing_parameter_stops_the_node_and_is_named(
+    processes: Processes, tmp_path: Path
+) -> None:
+    file = tmp_path / "incomplete.yaml"
+    file.write_text("torque_controller: {ros__parameters: {autostart: true}}")
+    process: Process = processes.node(MODULE, file)
     assert process.wait(60.0) == 2
     assert "joint_names" in processes.output(process)

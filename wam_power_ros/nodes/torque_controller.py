@@ -235,7 +235,8 @@ class TorqueController(LifecycleNode):
 
     def destroy_node(self) -> None:
         """End the preparation process, too."""
-        self._preparation.close()
+        if hasattr(self, "_preparation"):  # rclpy also destroys a node that refused its parameters
+            self._preparation.close()
         super().destroy_node()
 
     def _missing_state(self) -> str | None:
