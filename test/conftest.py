@@ -45,7 +45,7 @@ T = TypeVar("T")
 Process = subprocess.Popen[bytes] | forked.Forked
 ROOT = Path(__file__).resolve().parents[1]
 
-# Fast DDS 3 starts threads when it is loaded: what is forked from its process ends with a crash.
+# With Fast DDS 3 a process that is forked after its library was loaded ends with a crash.
 FORKED = forked.MODULES if network.profile() is network.FAST_DDS_2 else ()
 
 
