@@ -45,6 +45,9 @@ T = TypeVar("T")
 Process = subprocess.Popen[bytes] | forked.Forked
 ROOT = Path(__file__).resolve().parents[1]
 
+# With Fast DDS 3 a process that is forked after its library was loaded ends with a crash.
+FORKED = forked.MODULES if network.profile() is network.FAST_DDS_2 else ()
+
 
 def python_path(*first: Path) -> str:
     """PYTHONPATH of a process: these folders, or the root, before those of a sourced ROS."""
@@ -253,7 +256,7 @@ class Processes:
         log.touch()
         environment = self.environment | environment
         process: Process
-        if command[:2] == [sys.executable, "-m"] and command[2] in forked.MODULES:
+        if command[:2] == [sys.executable, "-m"] and command[2] in FORKED:
             process = _server().fork(command, ROOT, environment, log)
         else:
             with log.open("wb") as output:
