@@ -48,6 +48,22 @@ def test_each_take_has_a_line_with_its_quality_and_why(
     assert "poor" in rows["demo_cut"]
 
 
+def test_what_the_fit_would_leave_out_or_refuse_is_said_with_the_grade(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, once = reader.read_demonstration(SHIPPED, WAM)
+    back = once[-1] + 0.5 * (once[::-1] - once[-1])
+    back = np.concatenate([once, np.tile(once[-1], (200, 1)), back])
+    demonstration(tmp_path / "reach_back", back, WAM)
+    (line,) = [row for row in said(capsys, "list", tmp_path).splitlines() if "reach_back" in row]
+    assert " fair " in line and "s of movement after a pause of" in line
+    shown = said(capsys, "show", tmp_path / "reach_back")
+    assert "fair" in shown.splitlines()[0] and "s of movement after a pause of" in shown
+    monkeypatch.setattr("wam_power_ros.learning.policy.DURATION_MAX", 1.5)
+    (line,) = [row for row in said(capsys, "list", tmp_path).splitlines() if "reach_back" in row]
+    assert " poor " in line and "a movement of 1.6 s; at most 1.5 s can be learnt" in line
+
+
 def test_no_take_is_an_error_that_names_the_folders(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -2,6 +2,7 @@
 """Smoothing and trimming of joint samples of the WAM."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,7 +19,9 @@ from wam_power_ros.learning.demonstration import (
     rotation_from,
     smooth_joints,
 )
+from wam_power_ros.learning.dmp import acceleration, fit, tabulate
 from wam_power_ros.params.resources import share
+from wam_power_ros.tasks.flip.settings import FLIP_FIT
 
 HOME = np.radians([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
 PERIOD_NS = 2_000_000
@@ -117,7 +120,67 @@ def test_an_earlier_smaller_movement_is_left_out(arm: Arm) -> None:
     base = from_joint_samples(arm, *recording(3.0))
     stamps, q = recording(3.0)
     q = q + 0.3 * (joints(np.arange(len(q)) * 0.002 - 0.5) - HOME)
-    assert same(from_joint_samples(arm, stamps, q), base)
+    made = from_joint_samples(arm, stamps, q)
+    assert same(replace(made, left_out=()), base)
+    ((duration, pause, at, earlier),) = made.left_out
+    assert earlier and demonstration.MOMENT <= duration < LENGTH
+    assert 3.0 - LENGTH - 0.5 < pause < 3.0 - 0.5 and 2.5 < at + pause + 0.5 < 3.0 + LENGTH
+
+
+def test_only_movement_of_more_than_a_moment_beyond_a_pause_counts_as_left_out() -> None:
+    moves = np.zeros(1000, dtype=bool)
+    moves[400:500] = True
+    assert demonstration._left_out(moves, 400, 499, 0.25) == ()  # rest
+    moves[600:649] = moves[630] = True  # a twitch
+    moves[500:600] = True  # the slow end of the movement, without a pause
+    assert demonstration._left_out(moves, 400, 499, 0.25) == ()
+    moves[500:700] = False
+    moves[700:800] = moves[850:950] = True
+    (found,) = demonstration._left_out(moves, 400, 499, 0.25)
+    assert found == pytest.approx((0.4, 0.4, 0.998, False))
+    (found,) = demonstration._left_out(moves[::-1], 500, 599, 0.25)
+    assert found == pytest.approx((0.4, 0.4, 0.6, True))
+
+
+def turn(angle: float, seed: int | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Stamps and encoder counts of a turn of the last joint, about the axis of the tool."""
+    stamps, q = recording(seed=seed)
+    u = np.clip((np.arange(len(q)) * 0.002 - 0.5) / LENGTH, 0.0, 1.0)
+    q = np.tile(q[0], (len(q), 1))
+    q[:, 6] += np.round(angle * u**3 * (10.0 - 15.0 * u + 6.0 * u**2) / COUNT) * COUNT
+    return stamps, q
+
+
+def test_a_turn_of_the_tool_is_a_movement_and_is_reproduced(arm: Arm) -> None:
+    taught = from_joint_samples(arm, *turn(1.2))
+    assert 0.5 * LENGTH < taught.duration < LENGTH and taught.left_out == ()
+    policy = fit([taught], FLIP_FIT, "turn")
+    middle = math.sqrt(FLIP_FIT.k_min * FLIP_FIT.k_max) * np.eye(3)
+    assert policy.stiffness == pytest.approx(np.tile(middle, (FLIP_FIT.count, 1, 1)))
+    tables, x, r = tabulate(policy), taught.position[0], np.zeros(3)
+    twist, position, rotation = np.zeros(6), [x], [r]
+    for k in range(len(taught.t) - 1):
+        twist = twist + 0.002 * acceleration(tables, k, x, r, twist)
+        x, r = x + 0.002 * twist[:3], r + 0.002 * twist[3:]  # about one axis
+        position.append(x)
+        rotation.append(r)
+    assert np.abs(position - taught.position).max() < 0.001
+    wanted = rotation_from(taught.quat_xyzw, taught.quat_xyzw[0])
+    assert np.linalg.norm(wanted[-1]) > 1.0
+    assert np.abs(rotation - wanted).max() < math.radians(3.0)
+
+
+def test_a_turn_that_is_too_slow_is_refused_with_both_limits(arm: Arm) -> None:
+    with pytest.raises(ValueError, match=r"at least 0\.05 m/s, .* 0\.2 rad/s"):
+        from_joint_samples(arm, *turn(0.08))
+
+
+def test_a_turn_after_a_pause_is_left_out_too(arm: Arm) -> None:
+    stamps, q = recording(after=1.5)
+    _, turned = turn(1.2)
+    q[-len(turned) + 100 :, 6] += turned[:-100, 6] - turned[0, 6]
+    ((duration, pause, _, earlier),) = from_joint_samples(arm, stamps, q).left_out
+    assert not earlier and 0.4 < duration < LENGTH and 0.3 < pause < 0.9
 
 
 def test_late_and_lost_samples_change_little(arm: Arm) -> None:

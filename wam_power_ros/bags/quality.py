@@ -128,6 +128,21 @@ def completeness_remarks(
     ]
 
 
+def left_out_remark(duration: float, pause: float, at: float, earlier: bool) -> Remark:
+    """Remark on movement that a pause cuts off; see `learning.demonstration.LeftOut`."""
+    side = "before" if earlier else "after"
+    where = f"{side} a pause of {pause:.2f} s at {at:.2f} s"
+    return Remark(Grade.FAIR, f"{duration:.1f} s of movement {where} are left out")
+
+
+def length_remarks(duration: float, duration_max: float) -> list[Remark]:
+    """Remark on a movement that is longer than a policy may be [s]."""
+    if duration <= duration_max:
+        return []
+    text = f"a movement of {duration:.1f} s; at most {duration_max:g} s can be learnt"
+    return [Remark(Grade.POOR, text)]
+
+
 def grade(remarks: Sequence[Remark]) -> Grade:
     """Grade of a take: the grade of its worst remark."""
     return max((remark.grade for remark in remarks), default=Grade.GOOD)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from wam_power_ros.bags.quality import Grade, Limits, Remark
     from wam_power_ros.bags.takes import Take
+    from wam_power_ros.control.arm import Arm
 
 NAME_WIDTH_MAX = 40  # columns of a name in the table
 COMPARED_SAMPLES = 101  # of each movement in a comparison
@@ -98,7 +99,7 @@ def list_(folder: Sequence[Path], config: Sequence[str]) -> None:
     if not found:
         raise UsageError(f"no bags below {', '.join(map(str, folders))}")
     outcomes, tasks, setup = _outcomes(found), task_stems(), overlay.setup(config)
-    limits = _limits(setup)
+    arm = setup.arm()
     width = min(max(len(path.name) for path in found), NAME_WIDTH_MAX)
     print(f"{'take':{width}}  {'task':9}  {'time':>6}  {'quality':7}  reasons")
     shown = None
@@ -106,7 +107,7 @@ def list_(folder: Sequence[Path], config: Sequence[str]) -> None:
         if path.parent != shown:
             shown = path.parent
             print(f"{short_path(shown.resolve())}/")
-        kind, row, reasons = _row(path, setup.joint_names, limits)
+        kind, row, reasons = _row(path, setup.joint_names, arm, tasks)
         kind = "/".join(sorted(tasks.get(kind, {kind})))
         notes = "; ".join(filter(None, (outcomes.get(path.resolve(), ""), reasons)))
         print(f"{path.name:{width}}  {kind:9}  {row}  {notes}".rstrip(), flush=True)
@@ -117,8 +118,9 @@ def show(bag: Path, config: Sequence[str]) -> None:
     from wam_power_ros.bags import quality
 
     setup = overlay.setup(config)
-    limits = _limits(setup)
-    take, t, q, remarks = inspect(bag, setup.joint_names, limits)
+    arm = setup.arm()
+    limits = _limits(arm)
+    take, t, q, remarks = _judged(bag, setup.joint_names, arm, task_stems())
     graded = quality.grade(remarks)
     qd = quality.joint_speeds(t, q)
     print(f"{take.bag.path}: {take.bag.kind}, {take.duration:.2f} s, {graded.name.lower()}")
@@ -143,7 +145,7 @@ def plot(bag: Sequence[Path], output: Path | None, config: Sequence[str]) -> Non
     from wam_power_ros.reporting import figures
 
     setup = overlay.setup(config)
-    names, limits = setup.joint_names, _limits(setup)
+    names, limits = setup.joint_names, _limits(setup.arm())
     takes = {path.resolve().name: inspect(path, names, limits) for path in bag}
     movements = {name: (inspected.t, inspected.q) for name, inspected in takes.items()}
     drawn = figures.joints(movements, names, limits)
@@ -198,20 +200,48 @@ def inspect(path: Path, names: Sequence[str], limits: Limits | None = None) -> I
     return InspectedTake(take, t, q, remarks)
 
 
-def _limits(setup: overlay.Setup) -> Limits | None:
+def _judged(
+    path: Path, names: Sequence[str], arm: Arm | None, tasks: Mapping[str, set[str]]
+) -> InspectedTake:
+    """Inspect a take; a demonstration of a task is also judged as its fit would cut it.
+
+    Raises:
+        ValueError: As `inspect`.
+    """
+    from wam_power_ros.bags import quality
+    from wam_power_ros.learning.policy import DURATION_MAX
+    from wam_power_ros.practice import plugins
+
+    found = inspect(path, names, _limits(arm))
+    take, remarks = found.take, found.remarks
+    if arm is not None and take.bag.kind in tasks:
+        task = plugins.task_type(min(tasks[take.bag.kind]))
+        try:
+            fitted = task.demonstration_of(arm, take.states.stamps, take.states.q)
+        except ValueError as error:
+            if quality.grade(remarks) is not quality.Grade.POOR:
+                remarks.append(quality.Remark(quality.Grade.POOR, str(error)))
+        else:
+            remarks += [quality.left_out_remark(*each) for each in fitted.left_out]
+            remarks += quality.length_remarks(fitted.duration, DURATION_MAX)
+    return found
+
+
+def _limits(arm: Arm | None) -> Limits | None:
     from wam_power_ros.bags.quality import Limits
 
-    arm = setup.arm()
     return None if arm is None else Limits(arm.q_min, arm.q_max, arm.qd_max)
 
 
-def _row(path: Path, names: Sequence[str], limits: Limits | None) -> tuple[str, str, str]:
+def _row(
+    path: Path, names: Sequence[str], arm: Arm | None, tasks: Mapping[str, set[str]]
+) -> tuple[str, str, str]:
     """Kind of a take, its duration and quality in columns, and the reasons for its quality."""
     from wam_power_ros.bags import quality
 
     try:
         with progress_messages(f"reading {path.name}"):
-            take, _, _, remarks = inspect(path, names, limits)
+            take, _, _, remarks = _judged(path, names, arm, tasks)
     except (ValueError, OSError) as error:
         reason = pasteable(str(error).removeprefix(f"{path}").lstrip(": "))
         row = f"{'–':>6}  {quality.Grade.POOR.name.lower():7}"
@@ -291,13 +321,12 @@ def import_(
 
     setup = overlay.setup(config, task=task_setup(task))
     names, kind = setup.joint_names, setup["demonstration_recorder"]["stem"]
-    limits = _limits(setup)
     output = output or layout.free_path(Path(), f"{kind}_{bag.resolve().stem}")
     with progress_messages(f"importing {bag}"):
         made, remarks = editing.import_bag(
             Bag(bag), output, names, joints, topic, kind, by_reception
         )
-        _, row, reasons = _row(made, names, limits)
+        _, row, reasons = _row(made, names, setup.arm(), {kind: {task}})
     _print_bag(made, remarks)
     print(f"  {row.strip()}  {reasons}".rstrip())
 

@@ -4,7 +4,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -14,6 +14,10 @@ from wam_power_ros.learning.policy import ANGLE_MAX, PERIOD, read_only
 CUTOFF = 9.0  # -3 dB of the smoothing, above hand motion, below quantisation noise [Hz]
 GAP_MAX = 0.05  # longest gap that is interpolated [s]
 SPEED_MIN = 0.05  # smallest peak speed of a movement [m/s]
+# Smallest peak angular speed of a movement that only turns the tool [rad/s]: that of SPEED_MIN on a
+# lever of 0.25 m, such as a wrist with a pan.
+ANGULAR_SPEED_MIN = 0.2
+MOMENT = 0.1  # shortest movement beyond a pause that counts as left out [s]
 
 
 class ToolPose(Protocol):
@@ -23,6 +27,22 @@ class ToolPose(Protocol):
 
     def tool_pose(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Position [m] (3,) and rotation matrix (3, 3) of the tool frame in the base frame."""
+
+
+class LeftOut(NamedTuple):
+    """Movement of a recording that a demonstration leaves out, beyond a pause.
+
+    Attributes:
+        duration: How long the tool moved there [s].
+        pause: Time between the movement that is kept and the nearest of it [s].
+        at: Begin of the pause since the first sample of the recording [s].
+        earlier: True for movement before the pause, False for movement after it.
+    """
+
+    duration: float
+    pause: float
+    at: float
+    earlier: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +57,7 @@ class Demonstration:
         acceleration: Acceleration of the tool frame [m/s^2]. Shape (N, 3).
         quat_xyzw: Orientation of the tool frame, unit quaternions. Shape (N, 4).
         period: Sampling period [s].
+        left_out: Movement of the recording beyond a pause.
 
     Raises:
         ValueError: If a shape is wrong, a value not finite, or there are fewer than three samples.
@@ -49,6 +70,7 @@ class Demonstration:
     acceleration: np.ndarray
     quat_xyzw: np.ndarray
     period: float
+    left_out: tuple[LeftOut, ...] = ()
 
     def __post_init__(self) -> None:
         count = np.size(self.t)
@@ -74,6 +96,8 @@ class Demonstration:
 @dataclass(frozen=True)
 class Movement:
     """How a movement is cut out of a recording, around the peak speed of the tool, and smoothed.
+
+    The angular speed counts where the tool only turns.
 
     Attributes:
         cutoff: -3 dB of the smoothing [Hz].
@@ -118,7 +142,13 @@ def from_joint_samples(
     poses = [arm.tool_pose(row) for row in q]
     position = np.array([pose[0] for pose in poses])
     matrix = np.array([pose[1] for pose in poses])
-    first, last = _extent(np.linalg.norm(_smoothed(position, half, 1), axis=1), movement)
+    speed = np.linalg.norm(_smoothed(position, half, 1), axis=1)
+    turning = _angular_speed(matrix, half)
+    only_turns = speed.max() < SPEED_MIN and turning.max() >= ANGULAR_SPEED_MIN
+    first, last = _extent(turning if only_turns else speed, movement, only_turns)
+    moves = turning >= max(movement.start * turning[first : last + 1].max(), ANGULAR_SPEED_MIN)
+    if not only_turns:
+        moves |= speed >= movement.start * speed.max()
     # Smoothing reaches half a window beyond the movement.
     start = min(max(first - half, 0), len(q) - (2 * half + 1))
     stop = max(min(last + half + 1, len(q)), start + 2 * half + 1)
@@ -139,6 +169,7 @@ def from_joint_samples(
         acceleration=smooth(position, 2),
         quat_xyzw=quat,
         period=PERIOD,
+        left_out=_left_out(moves, first, last, movement.pause_max),
     )
 
 
@@ -263,14 +294,41 @@ def _smoothed(values: np.ndarray, half: int, derivative: int = 0) -> np.ndarray:
     return savgol_filter(values, 2 * half + 1, 3, deriv=derivative, delta=PERIOD, axis=0)
 
 
-def _extent(speed: np.ndarray, movement: Movement) -> tuple[int, int]:
-    """First and last sample of the movement around the peak of `speed` [m/s] (N,)."""
+def _angular_speed(matrix: np.ndarray, half: int) -> np.ndarray:
+    """Angular speed [rad/s] (N,) of rotation matrices (N, 3, 3) on the grid, smoothed."""
+    steps = rotations.log(np.matmul(matrix[1:], np.swapaxes(matrix[:-1], 1, 2)))
+    return np.linalg.norm(_smoothed(np.concatenate([steps[:1], steps]), half), axis=1) / PERIOD
+
+
+def _extent(speed: np.ndarray, movement: Movement, only_turns: bool = False) -> tuple[int, int]:
+    """First and last sample of the movement around the peak of `speed` (N,).
+
+    The speed is that of the tool [m/s], or its angular speed [rad/s] if the tool only turns.
+    """
     peak = int(np.argmax(speed))
-    if speed[peak] < SPEED_MIN:
-        raise ValueError(f"peak speed {speed[peak]} m/s; a movement has at least {SPEED_MIN} m/s")
+    if not only_turns and speed[peak] < SPEED_MIN:
+        raise ValueError(
+            f"peak speed {speed[peak]} m/s; a movement has at least {SPEED_MIN} m/s, or turns the "
+            f"tool by at least {ANGULAR_SPEED_MIN} rad/s"
+        )
     before = _moving(speed[peak::-1] >= movement.start * speed[peak], movement.pause_max)
     after = _moving(speed[peak:] >= movement.end * speed[peak], movement.pause_max)
     return peak - before, peak + after
+
+
+def _left_out(moves: np.ndarray, first: int, last: int, pause_max: float) -> tuple[LeftOut, ...]:
+    """Movement beyond a pause before sample `first` and after `last`; `moves` is of shape (N,)."""
+    found = []
+    for beyond, earlier in ((moves[:first][::-1], True), (moves[last + 1 :], False)):
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], beyond, [False]])))
+        begins, ends = edges[::2], edges[1::2]
+        counted = ((ends - begins) * PERIOD >= MOMENT) & (begins * PERIOD >= pause_max)
+        if counted.any():
+            duration = float((ends - begins)[counted].sum()) * PERIOD
+            pause = int(begins[counted][0])
+            at = first - pause if earlier else last
+            found.append(LeftOut(duration, pause * PERIOD, at * PERIOD, earlier))
+    return tuple(found)
 
 
 def _moving(fast: np.ndarray, pause_max: float) -> int:

@@ -26,6 +26,7 @@ ROTATION_DAMPING = 36.0  # damping of the orientation [1/s]
 HOLD_TIME = 1.0  # time after the movement over which the fit holds its end position [s]
 # Smallest spread of a movement along an axis, as a fraction of that along its longest axis [1]
 SPREAD_MIN = 0.02
+STANDSTILL = 1e-3  # spread of a position that does not move: noise, or a slip of the hand [m]
 
 
 def activations(basis: Basis, t: np.ndarray) -> np.ndarray:
@@ -344,9 +345,10 @@ def _angular_velocity(r: np.ndarray, rd: np.ndarray) -> np.ndarray:
 
 
 def moving_axes(x: np.ndarray) -> np.ndarray:
-    """Principal axes along which samples x (N, 3) move, as columns. Shape (3, d), d of 1 to 3."""
+    """Principal axes along which samples x (N, 3) move, as columns. Shape (3, d), d of 0 to 3."""
     variances, axes = np.linalg.eigh(np.cov(x.T))
-    return axes[:, variances >= SPREAD_MIN**2 * variances[-1]]
+    moves = variances[-1] >= STANDSTILL**2
+    return axes[:, moves & (variances >= SPREAD_MIN**2 * variances[-1])]
 
 
 def _fitted_stiffness(
@@ -354,6 +356,9 @@ def _fitted_stiffness(
 ) -> np.ndarray:
     """Steps 2 and 3 of `fit`. Shape (n, 3, 3)."""
     axes = moving_axes(x)  # (3, d)
+    if not axes.size:  # the tool only turns
+        middle = np.sqrt(settings.k_min * settings.k_max) * np.eye(3)
+        return np.tile(middle, (settings.count, 1, 1))
     residuals = h.T[:, :, None] * (y[None] - attractors[:, None]) @ axes  # (n, N, d)
     residuals -= residuals.mean(axis=1, keepdims=True)
     covariance = np.matmul(np.swapaxes(residuals, 1, 2), residuals) / (len(y) - 1)

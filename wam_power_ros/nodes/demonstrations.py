@@ -8,6 +8,7 @@ from dataclasses import replace
 from logging import Logger
 
 from wam_power_ros.arm_identity import remark
+from wam_power_ros.bags import quality
 from wam_power_ros.bags.bag import Bag
 from wam_power_ros.bags.reader import read_states
 from wam_power_ros.learning.demonstration import Demonstration
@@ -106,7 +107,13 @@ class Demonstrations:
                 self._log.info(f"{path}: {found.text}")
             if note := remark(bag.arm, identity):
                 self._log.info(f"{path} {note}")
-            return self._kind.demonstration_of(self._arm.kinematics, states.stamps, states.q)
+            read = self._kind.demonstration_of(self._arm.kinematics, states.stamps, states.q)
+            for left_out in read.left_out:
+                self._log.warning(
+                    f"{path}: {quality.left_out_remark(*left_out).text}; to keep them, move "
+                    "without stopping, or teach them as a demonstration of their own"
+                )
+            return read
         except (ValueError, OSError) as error:
             raise ValueError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from error
 
