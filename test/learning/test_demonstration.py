@@ -131,10 +131,11 @@ def test_only_movement_of_more_than_a_moment_beyond_a_pause_counts_as_left_out()
     moves = np.zeros(1000, dtype=bool)
     moves[400:500] = True
     assert demonstration._left_out(moves, 400, 499, 0.25) == ()  # rest
-    moves[600:649] = moves[630] = True  # a twitch
+    moves[800:849] = True  # a twitch
+    assert demonstration._left_out(moves, 400, 499, 0.25) == ()
     moves[500:600] = True  # the slow end of the movement, without a pause
     assert demonstration._left_out(moves, 400, 499, 0.25) == ()
-    moves[500:700] = False
+    moves[500:] = False
     moves[700:800] = moves[850:950] = True
     (found,) = demonstration._left_out(moves, 400, 499, 0.25)
     assert found == pytest.approx((0.4, 0.4, 0.998, False))

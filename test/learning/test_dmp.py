@@ -300,6 +300,7 @@ def test_a_small_movement_across_counts_from_a_fiftieth_of_the_longest_on(size: 
     for share, axes in ((0.01, 1), (0.04, 2)):
         x = np.stack([np.sin(u), share * np.cos(u), 1e-6 * u], axis=1)
         assert dmp.moving_axes(size * x).shape == (3, axes)
+        assert dmp.moving_axes(0.001 * x).shape == (3, 0)  # stands still
 
 
 def test_the_same_movement_at_two_speeds_is_fitted_as_one_of_the_mean_speed() -> None:
