@@ -45,8 +45,8 @@ def slow(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_every_executable_and_every_module_with_a_main_is_asked() -> None:
-    assert len(EXECUTABLES) == 7
-    assert len(GUARDED) == 11
+    assert len(EXECUTABLES) == 8
+    assert len(GUARDED) == 13
     assert set(EXECUTABLES) < set(vars(entry))
 
 
@@ -69,7 +69,7 @@ def test_a_signal_during_the_imports_ends_a_process_without_a_word(
     process.send_signal(number)
     printed = process.communicate(timeout=60.0)
     assert printed == ("", "")
-    for_a_person = re.search(r"check_driver|console|cli|driver_watch|wam_power$", way)
+    for_a_person = re.search(r"check_driver|console|cli|driver_watch|wam_power$|^replay$", way)
     assert process.returncode == (entry.INTERRUPTED if for_a_person else 0)
 
 

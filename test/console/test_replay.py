@@ -149,6 +149,7 @@ def test_a_replay_that_is_refused_leaves_no_bag(
     probe.node.create_service(Trigger, interface.STOP, answer(""))
     probe.node.create_service(SetBool, interface.RECORD, answer(str(made)))
     given = {"bag": REACH, "speed": 1.0, "person": False, "arm": "''", "joint_names": NAMES}
+    given["running"] = False
     script = processes.node("wam_power_ros.console.replay", **given)
     probe.until(lambda: script.poll() is not None, "the end")
     assert script.returncode == 1, processes.output(script)

@@ -147,7 +147,7 @@ def test_a_driver_that_falls_silent_while_joints_are_led_does_not_conform(bench:
     table = bench.check("--active", typed="y\n" + 7 * "\n", by_hand="silent")
     assert (table["status"], failing(table)) == (1, ["wam_j1 by hand"])
     assert "stopped sending" in table["rows"]["wam_j1 by hand"]["advice"]
-    assert "wam_j2" not in table["output"]
+    assert "wam_j2 by hand" not in table["rows"]
 
 
 def test_without_consent_no_torque_is_sent(bench: Bench) -> None:
