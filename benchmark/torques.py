@@ -54,7 +54,7 @@ class Answer(NamedTuple):
         mode: Mode after the call.
         label: Label of the last torque.
         fault: Latched fault, None without one.
-        fresh: Whether the last state was accepted.
+        fresh: True if the last state was accepted as a new one.
     """
 
     result: str

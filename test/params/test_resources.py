@@ -60,15 +60,18 @@ def lab(folder: Path) -> Path:
     return file
 
 
+@pytest.mark.parametrize("path", [None, "/opt/elsewhere"])
 def test_a_xacro_file_is_expanded_with_the_packages_beside_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    path: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("xacro")
-    monkeypatch.setenv("AMENT_PREFIX_PATH", "/opt/elsewhere")
+    monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
+    if path is not None:
+        monkeypatch.setenv("AMENT_PREFIX_PATH", path)
     text = robot_description(str(lab(tmp_path)))
     assert '<mass value="0.6"/>' in text
     assert "package://not_here" in text  # meshes are ignored
-    assert os.environ["AMENT_PREFIX_PATH"] == "/opt/elsewhere"
+    assert os.environ.get("AMENT_PREFIX_PATH") == path
 
 
 def test_a_package_that_a_xacro_file_does_not_find_is_named_with_the_remedy(tmp_path: Path) -> None:

@@ -109,7 +109,7 @@ def import_bag(
         bag_names: Names of the same joints in the bag, in that order; `joint_names` if omitted.
         topic: Topic of the joint states; the only one of this type if omitted.
         kind: Stem of the demonstrated task.
-        by_reception: Whether the times of reception are used instead of the stamps.
+        by_reception: True to use the times of reception instead of the stamps of the headers.
 
     Returns:
         Path of the new bag, and what was left out or unwrapped in reading the states.

@@ -72,7 +72,7 @@ def read_states(
         joint_names: Order of the columns of the result.
         topic: Topic of JointState; if omitted, the one in the metadata, else /joint_states.
         arm: Required arm, if the bag identifies its arm; any if omitted.
-        by_reception: Whether the times of reception are used instead of the stamps.
+        by_reception: True to use the times of reception instead of the stamps of the headers.
 
     Raises:
         ValueError: The bag is of another arm, the topic or joints are missing, a joint jumps,

@@ -249,7 +249,8 @@ def gravity(record: ArmRecord, arm: Arm, quantity: str = "torque") -> Row:
     Args:
         record: Record of an arm at rest.
         arm: Model of the arm.
-        quantity: What the effort is: torque, current or none.
+        quantity: Quantity in the field `effort`: "torque" [N m], "current" of the motors [A], or
+            "none".
     """
     by_hand = "move each joint when asked instead"
     expected = "effort at rest is g(q): order, signs, zero and payload as in the URDF"

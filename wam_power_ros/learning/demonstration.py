@@ -33,7 +33,7 @@ class LeftOut(NamedTuple):
     """Movement of a recording that a demonstration leaves out, beyond a pause.
 
     Attributes:
-        duration: How long the tool moved there [s].
+        duration: Total time for which the tool moved beyond the pause [s].
         pause: Time between the movement that is kept and the nearest of it [s].
         at: Begin of the pause since the first sample of the recording [s].
         earlier: True for movement before the pause, False for movement after it.

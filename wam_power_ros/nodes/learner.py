@@ -34,6 +34,7 @@ from wam_power_ros.nodes.demonstrations import Demonstrations
 from wam_power_ros.nodes.markers import Markers
 from wam_power_ros.nodes.simulated_arm import SimulatedArm
 from wam_power_ros.params.node_params import Names, Params, Timeout
+from wam_power_ros.params.torque_controller_params import require_same_joints
 from wam_power_ros.practice import plugins
 from wam_power_ros.practice.practice import RATING_MAX, Practice
 from wam_power_ros.practice.session import Session, read
@@ -84,11 +85,7 @@ class LearnerParams(Params):
 
     @model_validator(mode="after")
     def _together(self) -> Self:
-        if len(self.model_joint_names) != len(self.joint_names):
-            raise ValueError(
-                f"model_joint_names {self.model_joint_names} must be as many as joint_names "
-                f"{self.joint_names}"
-            )
+        require_same_joints(self.joint_names, self.model_joint_names)
         return self
 
 

@@ -60,7 +60,7 @@ def _expanded(file: Path) -> str:
             f"{file} is a xacro file, and Python has no xacro to expand it: pip install xacro, or "
             "apt install ros-jazzy-xacro"
         ) from None
-    path = os.environ.get("AMENT_PREFIX_PATH", "")
+    path = os.environ.get("AMENT_PREFIX_PATH")
     with tempfile.TemporaryDirectory() as prefix:
         _add_packages(file, Path(prefix))
         os.environ["AMENT_PREFIX_PATH"] = os.pathsep.join(filter(None, (prefix, path)))
@@ -73,7 +73,10 @@ def _expanded(file: Path) -> str:
                 "a sourced workspace, or in a folder beside the file, with its package.xml"
             ) from None
         finally:
-            os.environ["AMENT_PREFIX_PATH"] = path
+            if path is None:
+                del os.environ["AMENT_PREFIX_PATH"]
+            else:
+                os.environ["AMENT_PREFIX_PATH"] = path
 
 
 def _add_packages(file: Path, prefix: Path) -> None:
