@@ -9,7 +9,7 @@ from functools import cached_property
 
 import mujoco
 import numpy as np
-import scipy
+from scipy.interpolate import CubicHermiteSpline
 
 from hardware_sim import scene
 from hardware_sim.demonstrator import PAUSE, Target
@@ -230,12 +230,12 @@ class TossScript:
         return Target(wrist + np.array([x, 0.0, z]) + lever, rotation, velocity, omega)
 
     @cached_property
-    def _wrist(self) -> scipy.interpolate.CubicHermiteSpline:
-        return scipy.interpolate.CubicHermiteSpline(self.t, self.wrist, self.wrist_speed)
+    def _wrist(self) -> CubicHermiteSpline:
+        return CubicHermiteSpline(self.t, self.wrist, self.wrist_speed)
 
     @cached_property
-    def _pitch(self) -> scipy.interpolate.CubicHermiteSpline:
-        return scipy.interpolate.CubicHermiteSpline(self.t, self.pitch, self.pitch_rate)
+    def _pitch(self) -> CubicHermiteSpline:
+        return CubicHermiteSpline(self.t, self.pitch, self.pitch_rate)
 
 
 def wrist_flick(

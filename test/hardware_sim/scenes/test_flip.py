@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 from dataclasses import astuple
 
 import numpy as np
@@ -251,3 +253,28 @@ def test_a_demonstration_begins_and_ends_at_rest_within_the_joint_limits(
         assert np.abs(q[-1] - q[-25]).max() < 0.02
         assert ((arm.q_min < q) & (q < arm.q_max)).all()
         assert np.abs(q[:, [0, 2, 4, 6]]).max() < 0.05  # a planar toss
+
+
+FIRST_DEMONSTRATION = """
+import sys
+import numpy as np
+import hardware_sim.main
+from hardware_sim.demonstrator import Demonstrator
+from hardware_sim.scenes.flip import Flip
+from hardware_sim.settings import WorldSettings
+from hardware_sim.world import World
+world = World(Flip, WorldSettings(), seed=3)
+before = set(sys.modules)
+world.attach(Demonstrator(world.scene.script(np.random.default_rng(0)), *world.tool_pose))
+for _ in range(20):
+    world.step(None)
+print(*sorted(set(sys.modules) - before))
+"""
+
+
+def test_a_demonstration_imports_nothing_while_the_states_must_flow() -> None:
+    # A first import of SciPy's interpolation takes 0.2 s, in which a real-time stand-in is silent.
+    ended = subprocess.run(
+        [sys.executable, "-c", FIRST_DEMONSTRATION], capture_output=True, text=True, check=True
+    )
+    assert ended.stdout.split() == []
