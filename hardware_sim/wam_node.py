@@ -28,6 +28,7 @@ from wam_power_ros.control.arm import Arm
 from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.ros.diagnostics import component, diagnostics_message
 
+CLOCK_PERIOD_NS = 10_000_000  # [ns] of /clock, which every node in lockstep reads and records
 TORQUE_PER_CURRENT = 12.0  # [N m/A] of a motor and its gear, where effort is its current
 
 
@@ -90,6 +91,7 @@ class WamSim(Node):
         others = [name for name in params.other_joints if name]
         self._others = joint_messages.JointStateWriter(others) if others else None
         if self.lockstep:
+            self._clock_ns = self._state_ns = -CLOCK_PERIOD_NS  # when last published
             self._clocks = self.create_publisher(Clock, interface.CLOCK, interface.CLOCK_QOS)
         self._description = self.create_publisher(
             String, interface.ROBOT_DESCRIPTION, interface.LATCHED
@@ -151,7 +153,7 @@ class WamSim(Node):
         return self._write(self.stamp_ns, sample.q[order], qd, tau)
 
     def publish(self, message: JointState) -> None:
-        """Publish a state, those of other devices, and in lockstep the clock."""
+        """Publish a state, those of other devices, and in lockstep the clock if it is due."""
         if self._others is not None:
             still = np.zeros(len(self._others.joint_names))
             self._states.publish(self._others(self.stamp_ns, still, still, still))
@@ -161,7 +163,15 @@ class WamSim(Node):
         self._states.publish(message)
         self.counters["states published"] += 1
         if self.lockstep:
+            self._publish_clock(message)
+
+    def _publish_clock(self, message: JointState) -> None:
+        """Publish the stamp of a state as the time, every CLOCK_PERIOD_NS and if it is repeated."""
+        stamp_ns = self.stamp_ns
+        if stamp_ns - self._clock_ns >= CLOCK_PERIOD_NS or stamp_ns == self._state_ns:
             self._clocks.publish(Clock(clock=message.header.stamp))
+            self._clock_ns = stamp_ns
+        self._state_ns = stamp_ns
 
     def _on_torque(self, message: Float64MultiArray | JointState) -> None:
         try:
