@@ -2,7 +2,7 @@
 """WAM stand-in: torques in, joint states out, as the driver of the arm.
 
 In lockstep the world steps when the torque for the published state arrives; in real time it steps
-500 times a second with the newest torque. `main` keeps the pace.
+once a control period with the newest torque. `main` keeps the pace.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from hardware_sim.barrett_services import BarrettServices, PositionControl
 from hardware_sim.scene_services import SceneServices
 from hardware_sim.sensors import MocapFrame
 from hardware_sim.settings import WamSimParams
-from hardware_sim.wam import FOLDED, PERIOD
+from hardware_sim.wam import FOLDED
 from hardware_sim.world import World
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.ros import interface, joint_messages
@@ -72,7 +72,7 @@ class WamSim(Node):
         self.stamp_offset_ns = 0 if lockstep else time.time_ns() - world.time_ns
         arm = Arm(world.urdf, params.model_joint_names, params.tool_frame, guarded=())
         self._control = PositionControl(
-            arm, params.drives, params.driver_compensates_gravity, PERIOD
+            arm, params.drives, params.driver_compensates_gravity, params.period
         )
         home = FOLDED if params.drives == "wam" else world.home
         self._barrett = BarrettServices(self, world, self._control, home, lockstep)
