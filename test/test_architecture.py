@@ -75,7 +75,7 @@ ALLOWED["benchmark"] = {*ALLOWED}
 BUDGET = {
     "ground": 790,  # the modules of wam_power_ros/ itself
     "learning": 2410,
-    "control": 4080,
+    "control": 4140,
     "tracking": 590,
     "tasks": 2670,
     "practice": 2100,
@@ -90,11 +90,11 @@ BUDGET = {
     "reporting": 930,
     "in_process": 350,
     "cli": 2630,
-    "hardware_sim": 2870,
+    "hardware_sim": 2890,
     "launch": 260,
     "examples": 380,
     "reproduction": 3350,
-    "benchmark": 4950,
+    "benchmark": 4960,
 }
 PURE = (
     "faults",
