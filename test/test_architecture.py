@@ -77,7 +77,7 @@ BUDGET = {
     "learning": 2410,
     "control": 4080,
     "tracking": 590,
-    "tasks": 2670,
+    "tasks": 2673,
     "practice": 2100,
     "conformance": 1130,
     "bags": 2460,
