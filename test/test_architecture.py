@@ -80,7 +80,7 @@ BUDGET = {
     "tasks": 2673,
     "practice": 2100,
     "conformance": 1130,
-    "bags": 2460,
+    "bags": 2506,
     "params": 1090,
     "ros": 2690,
     "client": 1260,

@@ -60,7 +60,7 @@ def test_reading_a_demonstration_opens_its_metadata_and_verifies_its_file_once(
     opened.clear()
     read_demonstration(path, NAMES)
     assert verified == {"demo.mcap": 1}
-    assert opened == {"metadata.yaml": 1, "demo.mcap": 2}  # to verify and to read
+    assert opened == {"metadata.yaml": 1, "demo.mcap": 3}  # to verify, for its topics, to read
 
 
 def test_whatever_is_read_of_an_opened_bag_it_is_verified_once(
