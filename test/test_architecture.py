@@ -74,10 +74,10 @@ ALLOWED["benchmark"] = {*ALLOWED}
 # what can go; where nothing can, the commit that raises a figure says why.
 BUDGET = {
     "ground": 790,  # the modules of wam_power_ros/ itself
-    "learning": 2410,
+    "learning": 2411,
     "control": 4080,
     "tracking": 590,
-    "tasks": 2673,
+    "tasks": 2675,
     "practice": 2100,
     "conformance": 1130,
     "bags": 2506,

@@ -14,7 +14,9 @@ from wam_power_ros.learning.parametrization import NoiseScales
 # 2 spring-dampers as in the paper; stiffness and damping of Calinon's public example code. Its
 # variance of 0.08 duration / count is a width of 0.28 for a movement of 2 s. A width of 0.5 gave
 # PoWER higher returns on the tuning seeds, with full and with diagonal matrices.
-REACH_FIT = FitSettings(count=2, width=0.5, k_min=100.0, k_max=200.0, damping=20.0)
+REACH_FIT = FitSettings(
+    count=2, width=0.5, k_min=100.0, k_max=200.0, damping=20.0, turn_to_end=True
+)
 
 
 class ReachSettings(BaseModel):
