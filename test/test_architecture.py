@@ -74,17 +74,17 @@ ALLOWED["benchmark"] = {*ALLOWED}
 # what can go; where nothing can, the commit that raises a figure says why.
 BUDGET = {
     "ground": 790,  # the modules of wam_power_ros/ itself
-    "learning": 2410,
+    "learning": 2420,
     "control": 4140,
     "tracking": 590,
-    "tasks": 2670,
+    "tasks": 2680,
     "practice": 2100,
     "conformance": 1130,
-    "bags": 2550,
+    "bags": 2600,
     "params": 1090,
     "ros": 2690,
     "client": 1260,
-    "nodes": 3040,
+    "nodes": 3030,
     "console": 920,
     "view": 1360,
     "reporting": 930,
