@@ -76,7 +76,7 @@ BUDGET = {
     "ground": 790,  # the modules of wam_power_ros/ itself
     "learning": 2410,
     "control": 4080,
-    "tracking": 590,
+    "tracking": 597,
     "tasks": 2670,
     "practice": 2100,
     "conformance": 1130,
@@ -89,7 +89,7 @@ BUDGET = {
     "view": 1360,
     "reporting": 930,
     "in_process": 350,
-    "cli": 2600,
+    "cli": 2734,
     "hardware_sim": 2860,
     "launch": 260,
     "examples": 380,
