@@ -14,6 +14,7 @@ from wam_power_ros.params.resources import share
 
 PERIOD, WATCHDOG = 0.002, 0.02  # [s]
 model = pin.buildModelFromUrdf(str(share("urdf/wam7.urdf")))
+model.armature = PERIOD * model.damping  # damps implicitly; joints as light as these need it
 data, names = model.createData(), list(model.names)[1:]
 q, qd = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0]), np.zeros(model.nv)
 tau, came = np.zeros(model.nv), 0.0  # last torque [N m], and when it came
@@ -32,8 +33,7 @@ def step() -> None:
     mass = pin.crba(model, data, q)
     carry = pin.computeGeneralizedGravity(model, data, q) - 5.0 * mass @ qd  # and brake, in 0.2 s
     torque = tau if time.monotonic() - came < WATCHDOG else carry
-    resisted = torque - pin.nonLinearEffects(model, data, q, qd) - model.damping * qd
-    qd = qd + PERIOD * np.linalg.solve(mass + PERIOD * np.diag(model.damping), resisted)
+    qd = qd + PERIOD * pin.aba(model, data, q, qd, torque - model.damping * qd)
     q = q + PERIOD * qd
     state = JointState(name=names, position=q.tolist(), velocity=qd.tolist())
     state.effort = torque.tolist()
