@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """A driver: 500 joint states a second out, torques in, a watchdog; here of a rigid-body model."""
 
+import contextlib
 import time
 
 import numpy as np
 import pinocchio as pin
 import rclpy
 from rclpy.duration import Duration
+from rclpy.executors import ExternalShutdownException
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
@@ -48,4 +50,5 @@ now = node.get_clock().now()
 states = node.create_publisher(JointState, "joint_states", 10)
 node.create_subscription(Float64MultiArray, "effort_controller/commands", on_torque, 1)
 node.create_timer(PERIOD, step)
-rclpy.spin(node)
+with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):  # Ctrl-C
+    rclpy.spin(node)
