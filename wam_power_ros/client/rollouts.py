@@ -251,10 +251,11 @@ class Rollouts:
             if not self._body:
                 return
             self._readiness = readiness = _Readiness(ready, self._body)
+            by_whom = "" if scene_reset else ", which a person puts back"
             try:
                 self.until(
                     lambda: readiness.count >= READY_STATES,  # noqa: B023 - called at once
-                    lambda: f"the {self._body} to be ready: {readiness}",  # noqa: B023
+                    lambda: f"the {self._body} to be ready{by_whom}: {readiness}",  # noqa: B023
                     READY_TIMEOUT if scene_reset else self._settings.patience,
                 )
                 return

@@ -226,7 +226,8 @@ def adopted(node: str, files: Sequence[Path], namespace: str = "/") -> dict[str,
         cameras = dict(given["pancake_tracker"])
         _name_body(mocap, cameras)
         if node == "pancake_tracker":
-            return {name: mocap[name] for name in ("pose_topic", "markers_topic")}
+            named = {name: mocap[name] for name in ("pose_topic", "markers_topic")}
+            return named | {"base_frame": given[node].get("base_frame", arm["base_frame"])}
         derived = _derived(arm, mocap).get(node, {})
         return derived | ({"controller": list(controller)} if node == "learner" else {})
 
@@ -366,7 +367,8 @@ def _derived(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Parameters:
             "body": mocap["body"],
             "mocap_topics": [mocap["pose_topic"] or mocap["markers_topic"]],
         },
-        "learner": {name: arm[name] for name in model},
+        "pancake_tracker": {"base_frame": arm["base_frame"]},
+        "learner": {name: arm[name] for name in (*model, "base_frame")},
         "wam_sim": {
             **{name: arm[name] for name in (*model, *driver, *world)},
             "driver_compensates_gravity": arm["driver_compensates_gravity"],

@@ -87,10 +87,6 @@ def _checked(body: str) -> str:
     return body
 
 
-# Frames
-BASE_FRAME = "wam_base"
-
-
 def frame(namespace: str, name: str) -> str:
     """Frame of one arm: `left/wam_base` in namespace `/left`, as robot_state_publisher prefixes."""
     return f"{namespace}/{name}".lstrip("/")
