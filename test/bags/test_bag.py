@@ -26,7 +26,9 @@ _heard: list[Counter[str]] = []  # counters of the tests under way
 
 def _hear(event: str, arguments: tuple[Any, ...]) -> None:
     if event == "open" and _heard and isinstance(arguments[0], str):
-        _heard[-1][Path(arguments[0]).name] += 1
+        path = Path(arguments[0])
+        if path.suffix != ".pyc":  # of a module that is imported when it is needed
+            _heard[-1][path.name] += 1
 
 
 sys.addaudithook(_hear)  # hears every file that any library opens; cannot be removed
