@@ -211,17 +211,9 @@ class TorqueCheck:
         # The delay from command to torque is unknown, so a motion counts as explained by any torque
         # within the range of those sent in the last LATENCY_STATES states.
         moving, lag, share = bound.moving.tolist(), bound.inertial, 1.0 - keep
-        joints = zip(
-            self.residual,
-            self._inertial,
-            accelerating.tolist(),
-            needed.tolist(),
-            *self._range_sent(tau),
-            self._full_torque,
-            self._allowance,
-            moving,
-            strict=True,
-        )
+        now = self.residual, self._inertial, accelerating.tolist(), needed.tolist()
+        bounds = *self._range_sent(tau), self._full_torque, self._allowance, moving
+        joints = zip(*now, *bounds, strict=True)
         residuals, sizes, excess, stepped = [], [], [], False
         for residual, size, torque, need, low, high, full, allowed, more in joints:
             torque = abs(torque)
@@ -236,10 +228,10 @@ class TorqueCheck:
         self.residual, self._inertial = residuals, sizes
         self.since_step = 0 if stepped else self.since_step + 1
         if max(unchanged) >= self._standstill:
-            bounds = zip(unchanged, excess, moving, bound.standing.tolist(), strict=True)
+            rows = zip(unchanged, excess, moving, bound.standing.tolist(), strict=True)
             excess = [
                 size + more - standing if count >= self._standstill else size
-                for count, size, more, standing in bounds
+                for count, size, more, standing in rows
             ]
         worst = max(excess)
         joint = excess.index(worst)
