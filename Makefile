@@ -38,7 +38,7 @@ help:
 
 venv: $(READY)
 
-$(READY): requirements.txt setup.py setup.cfg
+$(READY): requirements.txt setup.py setup.cfg wam_power_ros/_kernel.c
 	@$(PYTHON) -c 'import sys; v = sys.version_info; \
 	    sys.exit(None if (3, 10) <= v < (3, 14) else "Python 3.10 to 3.13 is needed, this is %d.%d: make PYTHON=python3.12 ..." % v[:2])'
 	rm -rf $(VENV)

@@ -3,7 +3,7 @@
 
 from pathlib import Path
 
-from setuptools import find_packages, setup
+from setuptools import Extension, find_packages, setup
 
 NAME = "wam_power_ros"
 HERE = Path(__file__).resolve().parent  # colcon build --symlink-install runs a link to this file
@@ -48,6 +48,16 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         *shared("config", "launch", "urdf", "bags", "security"),
+    ],
+    # Optional: without a C compiler the Python code beside it does the same. Fused operations would
+    # give it other last digits than that code.
+    ext_modules=[
+        Extension(
+            f"{NAME}._kernel",
+            [f"{NAME}/_kernel.c"],
+            extra_compile_args=["-O2", "-ffp-contract=off"],
+            optional=True,
+        )
     ],
     install_requires=extras.pop("core"),
     extras_require=extras,

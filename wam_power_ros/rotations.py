@@ -14,6 +14,8 @@ from typing import TypeVar
 
 import numpy as np
 
+from wam_power_ros import compiled
+
 T = TypeVar("T", float, np.ndarray)
 _TINY = 1e-8  # angle below which a second-order series is exact to rounding [rad]
 
@@ -43,6 +45,8 @@ def exp(rotation_vector: np.ndarray) -> np.ndarray:
 
 def log_of_one(matrix: np.ndarray) -> tuple[float, float, float]:
     """Rotation vector [rad] of one rotation matrix (3, 3) as plain floats, see `log`."""
+    if compiled.kernel is not None:
+        return compiled.kernel.rotation_vector(matrix, _TINY)
     return _vector_of_one(*_quat_of_one(*matrix.ravel().tolist()))
 
 

@@ -18,7 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wam_power_ros.control.arm import Arm
+from wam_power_ros import compiled
+from wam_power_ros.control.arm import FRICTION_SPEED, Arm
 from wam_power_ros.control.estimate import STANDSTILL_SPEED, TORQUE_DELAY, Estimate
 from wam_power_ros.control.state_checks import JointState, at_rate
 from wam_power_ros.faults import Fault, FaultKind
@@ -88,6 +89,10 @@ class VelocityCheck:
         self._to_fault = at_rate(CONTRADICTIONS_TO_FAULT, period)
         self._standstill = at_rate(STANDSTILL_STATES, period)
         self._leap = _LEAP * min(1.0, period / PERIOD)
+        self._constants = (
+            *(VELOCITY_LAG, self._leap, _MISMATCH_PER_STATE, MISMATCH_SHARE),
+            *(float(self._standstill), STANDSTILL_SPEED, *MISMATCH_WINDOWS[0], *MISMATCH_WINDOWS[1]),
+        )
         self.begin()
 
     def begin(self) -> None:
@@ -108,6 +113,16 @@ class VelocityCheck:
             unchanged: Number of states for which each joint's position has stayed the same.
             interval: Time between the two.
         """
+        states = last.positions, state.positions, last.speeds, state.speeds
+        kept = unchanged, self._lagged, self._moved
+        if compiled.kernel is not None:
+            new = compiled.kernel.velocity_check(
+                *states, *kept, self._mismatch, *interval, self._constants
+            )
+            if new is not None:
+                self._lagged, self._moved, self._mismatch = new
+                self._in_row = 0
+                return None
         # Plain floats and comparisons: arrays of seven numbers, and calls of min and max at every
         # joint, take twice as long.
         dt, short, long = interval
@@ -115,8 +130,7 @@ class VelocityCheck:
         joint, size = -1, 0.0
         added, lagged, changes = [], [], []
         keep = math.exp(-dt / VELOCITY_LAG)
-        states = last.positions, state.positions, last.speeds, state.speeds
-        rows = zip(*states, unchanged, self._lagged, self._moved, strict=True)
+        rows = zip(*states, *kept, strict=True)
         for i, (before, now, qd_before, qd, repeats, late, previous) in enumerate(rows):
             moved, speeds = now - before, qd_before + qd
             changes.append(moved)
@@ -173,6 +187,7 @@ class TorqueCheck:
         self._history = at_rate(HISTORY_LENGTH, period)
         self._full_torque = arm.tau_max.tolist()
         self._allowance = (FRICTION_FACTOR * arm.friction).tolist()
+        self._friction = arm.friction.tolist(), arm.damping.tolist()
         self.begin()
 
     def begin(self) -> None:
@@ -204,16 +219,33 @@ class TorqueCheck:
             dt: Time between the two [s].
         """
         arm = self._arm
-        keep = math.exp(-dt / RESIDUAL_TIME_CONSTANT)
-        accelerating = arm.mass_matrix(state.q).dot(state.qd - last.qd) / dt
-        state.bias = arm.bias(state.q, state.qd)
-        needed = accelerating + state.bias + arm.friction_torque(state.qd)
+        mass = arm.mass_matrix(state.q)
+        state.bias = bias = arm.bias(state.q, state.qd)
         # The delay from command to torque is unknown, so a motion counts as explained by any torque
         # within the range of those sent in the last LATENCY_STATES states.
-        moving, lag, share = bound.moving.tolist(), bound.inertial, 1.0 - keep
+        sent = self._sent_with(tau)
+        moving, lag = bound.moving.tolist(), bound.inertial
+        if compiled.kernel is not None:
+            speeds, limits = (last.speeds, state.speeds), (self._full_torque, self._allowance)
+            bounds = *limits, moving, bound.standing.tolist()
+            kept = self.residual, self._inertial, unchanged
+            times = dt, RESIDUAL_TIME_CONSTANT, FRICTION_SPEED
+            new = compiled.kernel.torque_check(
+                *(mass, bias, sent, *speeds, *self._friction, *bounds, *kept, *times),
+                *(lag, self._standstill),
+            )
+            if new is not None:
+                self.residual, self._inertial, stepped = new
+                self.since_step = 0 if stepped else self.since_step + 1
+                self._in_row = 0
+                return None
+        keep = math.exp(-dt / RESIDUAL_TIME_CONSTANT)
+        accelerating = mass.dot(state.qd - last.qd) / dt
+        needed = accelerating + bias + arm.friction_torque(state.qd)
+        share = 1.0 - keep
         now = self.residual, self._inertial, accelerating.tolist(), needed.tolist()
-        bounds = *self._range_sent(tau), self._full_torque, self._allowance, moving
-        joints = zip(*now, *bounds, strict=True)
+        range_sent = np.minimum.reduce(sent).tolist(), np.maximum.reduce(sent).tolist()
+        joints = zip(*now, *range_sent, self._full_torque, self._allowance, moving, strict=True)
         residuals, sizes, excess, stepped = [], [], [], False
         for residual, size, torque, need, low, high, full, allowed, more in joints:
             torque = abs(torque)
@@ -242,13 +274,13 @@ class TorqueCheck:
         text += "commanded torques: a contact, a payload, another commander, or a motor that gives "
         return Fault(FaultKind.EXTERNAL_TORQUE, f"{text}less than commanded")
 
-    def _range_sent(self, tau: np.ndarray) -> tuple[list[float], list[float]]:
-        """Least and largest torque of each joint in the last states, this one included [N m]."""
+    def _sent_with(self, tau: np.ndarray) -> np.ndarray:
+        """Torques sent in the last states, this one included, in any order: (states, n) [N m]."""
         if self._sent is None:
             self._sent = np.tile(tau, (self._latency, 1))
         self._sent[self._row] = tau
         self._row = (self._row + 1) % self._latency
-        return np.minimum.reduce(self._sent).tolist(), np.maximum.reduce(self._sent).tolist()
+        return self._sent
 
 
 class Plausibility:
@@ -297,8 +329,7 @@ class Plausibility:
         if last is None:
             self.begin()
             return None
-        rows = zip(self._unchanged, last.positions, state.positions, strict=True)
-        self._unchanged = [count + 1 if now == before else 0 for count, before, now in rows]
+        self._unchanged = _standing(self._unchanged, last.positions, state.positions)
         self._guided = bound is None
         fault = None
         if self._repeated(last, state):
@@ -372,6 +403,14 @@ class Plausibility:
                 estimate.q = np.where(observed, positions[k + 1], estimate.q)
                 estimate.correct(observed, moved[k] / dt - 0.5 * (qd + estimate.qd))
         return estimate
+
+
+def _standing(counts: list[int], before: list[float], now: list[float]) -> list[int]:
+    """Count on for how many states each position has stayed the same."""
+    if compiled.kernel is not None:
+        return compiled.kernel.standing(counts, before, now)
+    rows = zip(counts, before, now, strict=True)
+    return [count + 1 if x == previous else 0 for count, previous, x in rows]
 
 
 class _PastState(NamedTuple):

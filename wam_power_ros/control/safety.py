@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from wam_power_ros import compiled
 from wam_power_ros.control.arm import Arm, Motion, Speeds
 from wam_power_ros.control.modes import MOVING_MODES, PASSIVE_MODES, WORKSPACE_MODES, Mode
 from wam_power_ros.control.state_checks import JointState, at_rate
@@ -30,6 +31,7 @@ _SIGNED = ("q_min", "q_max", "workspace_min", "workspace_max", "plane")  # may b
 SPRING_RANGE = 0.1  # [rad] width of the soft springs inside the position limits
 SPRING_RISE = 0.05  # [s] in which their torque may rise to that at a limit: a joint at 2 rad/s
 FAULT_STATES = 3  # consecutive states beyond a motion limit that are a fault, at 500 Hz
+OUTWARDS = 0.05  # [rad/s] from which a joint beyond a position limit moves further outwards
 REST_SPEED = 0.05  # [m/s] largest speed of an arm at rest
 REST_SPIN = 4.0 * REST_SPEED  # [rad/s] largest angular velocity of its tool
 FAULT_DAMPING = 20.0  # [1/s] decay rate of all joint motion in a fault
@@ -158,17 +160,24 @@ def limit_torque(tau: np.ndarray, previous: np.ndarray, dt: float, limits: Limit
     Returns:
         [N m]. Shape (n,).
     """
-    rows = zip(tau.tolist(), previous.tolist(), limits._torques, strict=True)
-    for requested, last, (peak, rate) in rows:
-        change = rate * dt
-        if not (last - change <= requested <= last + change and -peak <= requested <= peak):
-            break
-    else:
+    if _keeps(tau, previous, dt, limits):
         return tau
     step = limits.torque_rate * dt
     low = np.maximum(previous - step, -limits.torque)
     high = np.minimum(previous + step, limits.torque)
     return np.minimum(np.maximum(tau, low), high)
+
+
+def _keeps(tau: np.ndarray, previous: np.ndarray, dt: float, limits: Limits) -> bool:
+    """Whether a torque is within the limits of magnitude and rate; see `limit_torque`."""
+    if compiled.kernel is not None:
+        return compiled.kernel.torque_within(tau, previous, limits._torques, dt)
+    rows = zip(tau.tolist(), previous.tolist(), limits._torques, strict=True)
+    for requested, last, (peak, rate) in rows:
+        change = rate * dt
+        if not (last - change <= requested <= last + change and -peak <= requested <= peak):
+            return False
+    return True
 
 
 def limit_springs(q: np.ndarray, limits: Limits) -> np.ndarray | None:
@@ -184,10 +193,10 @@ def limit_springs(q: np.ndarray, limits: Limits) -> np.ndarray | None:
     Returns:
         [N m]. Shape (n,).
     """
-    for x, (low, high) in zip(q.tolist(), limits._spring_free, strict=True):
-        if not low <= x <= high:
-            break
-    else:
+    if compiled.kernel is not None:
+        if compiled.kernel.within(q, limits._spring_free):
+            return None
+    elif all(low <= x <= high for x, (low, high) in zip(q.tolist(), limits._spring_free)):
         return None
     below = limits.q_min + SPRING_RANGE - q
     above = q - limits.q_max + SPRING_RANGE
@@ -278,12 +287,14 @@ def motion_fault(
         tool_speed: Limit of the tool speed in this mode [m/s].
         workspace: Whether the workspace box applies.
     """
-    rows = zip(q, qd, limits._motions, strict=True)
+    kernel, bounds = compiled.kernel, limits._motions
+    kept = kernel is not None and kernel.joints_within(q, qd, bounds, OUTWARDS)
+    rows = () if kept else zip(q, qd, bounds, strict=True)
     for i, (x, speed, (low, high, speed_max)) in enumerate(rows, start=1):
         if not -speed_max <= speed <= speed_max:
             text = f"joint {i} at {speed:.2f} rad/s, limit {speed_max:.2f}"
             return Fault(FaultKind.JOINT_SPEED, text)
-        if (x > high and speed > 0.05) or (x < low and speed < -0.05):
+        if (x > high and speed > OUTWARDS) or (x < low and speed < -OUTWARDS):
             text = f"joint {i} at {x:.3f} rad, limits {low:.3f} to {high:.3f}"
             return Fault(FaultKind.JOINT_POSITION, text)
     if motion.tool_speed > tool_speed:
