@@ -175,8 +175,8 @@ static PyObject *velocity_check(PyObject *self, PyObject *const *args, Py_ssize_
 }
 
 PyDoc_STRVAR(torque_check_doc,
-"torque_check(mass, bias, sent, qd_before, qd, friction, damping, full, allowed, moving, standing,\n"
-"    residual, inertial, unchanged, dt, time_constant, friction_speed, lag, standstill)\n--\n\n"
+"torque_check(mass, bias, sent, qd_before, qd, unchanged, residual, inertial, moving, standing,\n"
+"    lag, dt, constants)\n--\n\n"
 "New (residual, inertial, stepped) of `TorqueCheck`; None if a joint is beyond its bound.\n"
 "`mass`, `bias` and `sent`, the latest torques, are arrays, `unchanged` holds counts.");
 
@@ -184,23 +184,26 @@ static PyObject *torque_check(PyObject *self, PyObject *const *args, Py_ssize_t 
 {
     double mass[JOINTS_MAX * JOINTS_MAX], bias[JOINTS_MAX], low[JOINTS_MAX], high[JOINTS_MAX];
     double lists[11][JOINTS_MAX];
-    double *qd_before = lists[0], *qd = lists[1], *friction = lists[2], *damping = lists[3];
-    double *full = lists[4], *allowed = lists[5], *moving = lists[6], *standing_bound = lists[7];
-    double *residual = lists[8], *inertial = lists[9], *unchanged = lists[10];
-    double numbers[5];
+    double *qd_before = lists[0], *qd = lists[1], *unchanged = lists[2], *residual = lists[3];
+    double *inertial = lists[4], *moving = lists[5], *standing_bound = lists[6];
+    double *friction = lists[7], *damping = lists[8], *full = lists[9], *allowed = lists[10];
+    double time_constant, friction_speed, standstill;
+    PyObject *constants[4];
     Py_ssize_t n;
-    if (!argument_count(nargs, 19) || !(n = joint_count(args[3])))
+    if (!argument_count(nargs, 13) || !(n = joint_count(args[3])))
         return NULL;
-    for (int k = 0; k < 11; k++)
+    for (int k = 0; k < 7; k++)
         if (!floats(args[3 + k], lists[k], n))
             return NULL;
-    for (int k = 0; k < 5; k++) {
-        numbers[k] = PyFloat_AsDouble(args[14 + k]);
-        if (numbers[k] == -1.0 && PyErr_Occurred())
+    double lag = PyFloat_AsDouble(args[10]), dt = PyFloat_AsDouble(args[11]);
+    if (PyErr_Occurred()
+        || !PyArg_ParseTuple(args[12], "dddOOOO", &time_constant, &friction_speed, &standstill,
+                             &constants[0], &constants[1], &constants[2], &constants[3]))
+        return NULL;
+    for (int k = 0; k < 4; k++)
+        if (!floats(constants[k], lists[7 + k], n))
             return NULL;
-    }
-    double dt = numbers[0], friction_speed = numbers[2], lag = numbers[3], standstill = numbers[4];
-    double keep = exp(-dt / numbers[1]), share = 1.0 - keep;
+    double keep = exp(-dt / time_constant), share = 1.0 - keep;
     if (!doubles(args[0], mass, n * n) || !doubles(args[1], bias, n))
         return NULL;
     Py_buffer sent;
@@ -358,12 +361,88 @@ static PyObject *rotation_vector(PyObject *self, PyObject *const *args, Py_ssize
     return Py_BuildValue("(ddd)", x * scale, y * scale, z * scale);
 }
 
+PyDoc_STRVAR(point_positions_doc,
+"point_positions(points)\n--\n\n"
+"Positions in the base frame, [x, y, z] each, of points (origin, rotation, twist, offset).");
+
+/* Read the offset, a list, of a point and the arrays of its link that are asked for. */
+static int point(PyObject *tuple, double offset[3], double origin[3], double turn[9],
+                 double twist[6])
+{
+    if (!PyTuple_Check(tuple) || PyTuple_GET_SIZE(tuple) != 4) {
+        PyErr_SetString(PyExc_ValueError, "a point is (origin, rotation, twist, offset)");
+        return 0;
+    }
+    return floats(PyTuple_GET_ITEM(tuple, 3), offset, 3)
+           && (origin == NULL || doubles(PyTuple_GET_ITEM(tuple, 0), origin, 3))
+           && (turn == NULL || rotation(PyTuple_GET_ITEM(tuple, 1), turn))
+           && (twist == NULL || doubles(PyTuple_GET_ITEM(tuple, 2), twist, 6));
+}
+
+static PyObject *point_positions(PyObject *self, PyObject *points)
+{
+    double p[3], x0[3], m[9], x[3];
+    if (!PyList_Check(points)) {
+        PyErr_SetString(PyExc_ValueError, "a list of points is needed");
+        return NULL;
+    }
+    Py_ssize_t count = PyList_GET_SIZE(points);
+    PyObject *positions = PyList_New(count);
+    for (Py_ssize_t i = 0; positions != NULL && i < count; i++) {
+        PyObject *position = NULL;
+        if (point(PyList_GET_ITEM(points, i), p, x0, m, NULL)) {
+            for (int k = 0; k < 3; k++)
+                x[k] = x0[k] + m[3 * k] * p[0] + m[3 * k + 1] * p[1] + m[3 * k + 2] * p[2];
+            position = list_of(x, 3);
+        }
+        if (position == NULL) {
+            Py_CLEAR(positions);
+            break;
+        }
+        PyList_SET_ITEM(positions, i, position);
+    }
+    return positions;
+}
+
+PyDoc_STRVAR(point_speeds_doc,
+"point_speeds(points)\n--\n\n"
+"Speeds of points (origin, rotation, twist, offset).");
+
+static PyObject *point_speeds(PyObject *self, PyObject *points)
+{
+    double p[3], v[6];
+    if (!PyList_Check(points)) {
+        PyErr_SetString(PyExc_ValueError, "a list of points is needed");
+        return NULL;
+    }
+    Py_ssize_t count = PyList_GET_SIZE(points);
+    PyObject *speeds = PyList_New(count);
+    for (Py_ssize_t i = 0; speeds != NULL && i < count; i++) {
+        PyObject *speed = NULL;
+        if (point(PyList_GET_ITEM(points, i), p, NULL, NULL, v)) {
+            double x = v[0] + (v[4] * p[2] - v[5] * p[1]);
+            double y = v[1] + (v[5] * p[0] - v[3] * p[2]);
+            double z = v[2] + (v[3] * p[1] - v[4] * p[0]);
+            speed = PyFloat_FromDouble(sqrt(x * x + y * y + z * z));
+        }
+        if (speed == NULL) {
+            Py_CLEAR(speeds);
+            break;
+        }
+        PyList_SET_ITEM(speeds, i, speed);
+    }
+    return speeds;
+}
+
 #define FUNCTION(name) {#name, (PyCFunction)(void (*)(void))name, METH_FASTCALL, name##_doc}
 
 static PyMethodDef functions[] = {
     FUNCTION(standing),        FUNCTION(velocity_check), FUNCTION(torque_check),
     FUNCTION(within),          FUNCTION(torque_within),  FUNCTION(joints_within),
-    FUNCTION(rotation_vector), {NULL, NULL, 0, NULL},
+    FUNCTION(rotation_vector),
+    {"point_positions", point_positions, METH_O, point_positions_doc},
+    {"point_speeds", point_speeds, METH_O, point_speeds_doc},
+    {NULL, NULL, 0, NULL},
 };
 
 static struct PyModuleDef module = {

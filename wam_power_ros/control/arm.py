@@ -17,6 +17,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio as pin
 
+from wam_power_ros import compiled
 from wam_power_ros.arm_identity import ArmIdentity
 from wam_power_ros.control.inertia import require_physical
 from wam_power_ros.control.urdf_joints import require_usable
@@ -188,7 +189,7 @@ class Arm:
             self._point(self._frame(link), _checked(f"guarded point {name}", offset, 3))
             for name, link, offset in guarded
         ]
-        self._tool_point = self._point(self._tool, np.zeros(3))
+        self._moving = [*self._guarded, self._point(self._tool, np.zeros(3))]
         placement = self._data.oMf[self._tool]
         self._tool_position, self._tool_rotation = placement.translation, placement.rotation
 
@@ -204,8 +205,10 @@ class Arm:
 
     def _point(self, frame: int, offset: np.ndarray) -> _Point:
         """Point at an offset (3,) [m] in a frame."""
-        parent = self.model.frames[frame]
-        return _Point(self._data, int(parent.parentJoint), parent.placement.act(offset).tolist())
+        data, parent = self._data, self.model.frames[frame]
+        joint, offset = int(parent.parentJoint), parent.placement.act(offset)
+        pose, twist = data.oMi[joint], data.v[joint].vector
+        return _Point(pose.translation, pose.rotation, twist, offset.tolist())
 
     def identity(self) -> ArmIdentity:
         """Name, joint names, and digests of kinematics and masses; overwrites the buffers."""
@@ -227,20 +230,17 @@ class Arm:
         pin.forwardKinematics(model, data, q, qd, self._zero)
         pin.updateFramePlacement(model, data, tool)
         twist = pin.getFrameVelocity(model, data, tool, _AXES).vector
-        return Motion(
-            position=self._tool_position.copy(),
-            rotation=self._tool_rotation.copy(),
-            twist=twist,
-            drift=pin.getFrameClassicalAcceleration(model, data, tool, _AXES).vector,
-            guarded_positions=[point.position() for point in self._guarded],
-            guarded_speeds=[point.speed() for point in self._guarded],
-            tool_speed=_length(twist),
-        )
+        drift = pin.getFrameClassicalAcceleration(model, data, tool, _AXES).vector
+        position, rotation = self._tool_position.copy(), self._tool_rotation.copy()
+        points = self._guarded
+        reached = _positions(points), _speeds(points), _length(twist)
+        return Motion(position, rotation, twist, drift, *reached)
 
     def speeds(self, q: np.ndarray, qd: np.ndarray) -> Speeds:
         """Speeds of one state, in a third of the time that `motion` takes."""
         pin.forwardKinematics(self.model, self._data, q, qd)
-        return Speeds([point.speed() for point in self._guarded], self._tool_point.speed())
+        *guarded, tool = _speeds(self._moving)
+        return Speeds(guarded, tool)
 
     def dynamics(self, q: np.ndarray, qd: np.ndarray, bias: np.ndarray | None = None) -> Dynamics:
         """Jacobian, inverse mass matrix and bias torque of one state.
@@ -314,39 +314,54 @@ class Arm:
             model.armature = self.armature
 
 
-class _Point:
-    """Position and speed of a point of a link, in the state that `data` was last computed for.
+class _Point(NamedTuple):
+    """A point of a link, and the link's motion in the state that was last computed.
 
-    Args:
-        data: Pinocchio's data, read through views of its buffers.
-        joint: Index of the joint that moves the link.
+    Attributes:
+        origin: Position of the link's joint in the base frame [m]: a view of Pinocchio's. Shape (3,).
+        rotation: Axes of the joint as columns: a view of Pinocchio's. Shape (3, 3).
+        twist: Linear and angular velocity in the frame of the joint [m/s, rad/s]: a view of
+            Pinocchio's. Shape (6,).
         offset: Position in the frame of the joint [m], three numbers.
     """
 
-    def __init__(self, data: pin.Data, joint: int, offset: list[float]) -> None:
-        self._offset = offset
-        self._origin, self._rotation = data.oMi[joint].translation, data.oMi[joint].rotation
-        self._twist = data.v[joint].vector  # in the frame of the joint
+    origin: np.ndarray
+    rotation: np.ndarray
+    twist: np.ndarray
+    offset: list[float]
 
-    def position(self) -> list[float]:
-        """Position in the base frame [m]: three numbers."""
-        x, y, z = self._offset
-        x0, y0, z0 = self._origin.tolist()
-        (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = self._rotation.tolist()
-        return [
+
+def _positions(points: list[_Point]) -> list[list[float]]:
+    """Positions of points in the base frame [m]: three numbers each."""
+    if compiled.kernel is not None:
+        return compiled.kernel.point_positions(points)
+    positions = []
+    for point in points:
+        x, y, z = point.offset
+        x0, y0, z0 = point.origin.tolist()
+        (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = point.rotation.tolist()
+        position = [
             x0 + xx * x + xy * y + xz * z,
             y0 + yx * x + yy * y + yz * z,
             z0 + zx * x + zy * y + zz * z,
         ]
+        positions.append(position)
+    return positions
 
-    def speed(self) -> float:
-        """Speed [m/s]."""
-        vx, vy, vz, wx, wy, wz = self._twist.tolist()
-        x, y, z = self._offset
+
+def _speeds(points: list[_Point]) -> list[float]:
+    """Speeds of points [m/s]."""
+    if compiled.kernel is not None:
+        return compiled.kernel.point_speeds(points)
+    speeds = []
+    for point in points:
+        vx, vy, vz, wx, wy, wz = point.twist.tolist()
+        x, y, z = point.offset
         vx += wy * z - wz * y
         vy += wz * x - wx * z
         vz += wx * y - wy * x
-        return math.sqrt(vx * vx + vy * vy + vz * vz)
+        speeds.append(math.sqrt(vx * vx + vy * vy + vz * vz))
+    return speeds
 
 
 def _chain(full: pin.Model, joint_names: tuple[str, ...]) -> pin.Model:

@@ -187,7 +187,10 @@ class TorqueCheck:
         self._history = at_rate(HISTORY_LENGTH, period)
         self._full_torque = arm.tau_max.tolist()
         self._allowance = (FRICTION_FACTOR * arm.friction).tolist()
-        self._friction = arm.friction.tolist(), arm.damping.tolist()
+        self._constants = (
+            *(RESIDUAL_TIME_CONSTANT, FRICTION_SPEED, float(self._standstill)),
+            *(arm.friction.tolist(), arm.damping.tolist(), self._full_torque, self._allowance),
+        )
         self.begin()
 
     def begin(self) -> None:
@@ -226,13 +229,10 @@ class TorqueCheck:
         sent = self._sent_with(tau)
         moving, lag = bound.moving.tolist(), bound.inertial
         if compiled.kernel is not None:
-            speeds, limits = (last.speeds, state.speeds), (self._full_torque, self._allowance)
-            bounds = *limits, moving, bound.standing.tolist()
-            kept = self.residual, self._inertial, unchanged
-            times = dt, RESIDUAL_TIME_CONSTANT, FRICTION_SPEED
+            joints = last.speeds, state.speeds, unchanged, self.residual, self._inertial
+            bounds = moving, bound.standing.tolist(), lag
             new = compiled.kernel.torque_check(
-                *(mass, bias, sent, *speeds, *self._friction, *bounds, *kept, *times),
-                *(lag, self._standstill),
+                mass, bias, sent, *joints, *bounds, dt, self._constants
             )
             if new is not None:
                 self.residual, self._inertial, stepped = new
