@@ -74,9 +74,9 @@ ALLOWED["benchmark"] = {*ALLOWED}
 # Lines that a folder may have, docstrings and blanks included. Needing more is a reason to look for
 # what can go; where nothing can, the commit that raises a figure says why.
 BUDGET = {
-    "ground": 790,  # the modules of wam_power_ros/ itself
+    "ground": 1280,  # the modules of wam_power_ros/ itself
     "learning": 2420,
-    "control": 4140,
+    "control": 4200,
     "tracking": 600,
     "tasks": 2680,
     "practice": 2100,

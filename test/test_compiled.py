@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The compiled loops and the Python code beside them give the same torques, faults and states."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from benchmark import torques
+from benchmark.nodes import JOINTS
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from wam_power_ros import compiled, rotations
+from wam_power_ros.control.arm import Arm
+from wam_power_ros.control.plausibility import Bound, Interval, TorqueCheck, VelocityCheck
+from wam_power_ros.control.safety import LimitSprings, limit_torque, limits_of, motion_fault
+from wam_power_ros.control.state_checks import JointState
+
+ROOT = Path(__file__).resolve().parents[1]
+needs_kernel = pytest.mark.skipif(compiled.kernel is None, reason="no C compiler has built it")
+ARM, OTHER = Arm(torques.URDF, JOINTS), Arm(torques.URDF, JOINTS)
+LIMITS = limits_of(ARM)
+seeds = st.integers(0, 2**32 - 1)
+
+
+class Without:
+    """Context in which the Python code answers."""
+
+    def __enter__(self) -> None:
+        self._kernel, compiled.kernel = compiled.kernel, None
+
+    def __exit__(self, *_: object) -> None:
+        compiled.kernel = self._kernel
+
+
+@needs_kernel
+def test_a_controller_without_the_kernel_answers_every_recorded_call_the_same() -> None:
+    recorded = list(torques.drives(every=5))
+    assert sum(len(drive.calls) for drive in recorded) > 5000
+    with Without():
+        assert not [found for drive in recorded for found in torques.differences(drive)]
+
+
+def _states(seed: int) -> list[JointState]:
+    """States of a random motion; some repeat, lag, stand still, jitter or contradict themselves."""
+    random = np.random.default_rng(seed)
+    q, qd, stamp_ns = random.uniform(-1.0, 1.0, 7), random.normal(0.0, 1.0, 7), 10**9
+    noise = random.choice([0.0, 1e-6, 1e-4, 1e-3, 1e-2])
+    scale = random.choice([1.0, 1.0, 0.0, -1.0, 1.5])
+    states = []
+    for _ in range(40):
+        qd = qd + random.normal(0.0, 0.05, 7)
+        q = q + 0.002 * qd * (random.random(7) > 0.1)
+        stamp_ns += 2_000_000 + int(random.normal(0.0, 1e5))
+        reported = q + random.normal(0.0, noise, 7) if noise else q
+        states.append(JointState(stamp_ns, reported, scale * qd, 0.002, 0.002))
+    return states
+
+
+@needs_kernel
+@settings(max_examples=60, deadline=None)
+@given(seeds)
+def test_the_check_of_velocities_keeps_the_same_numbers_and_finds_the_same_faults(
+    seed: int,
+) -> None:
+    checks, counts = (VelocityCheck(7), VelocityCheck(7)), [0] * 7
+    states = _states(seed)
+    for last, state in zip(states, states[1:]):
+        counts = [
+            n + 1 if a == b else 0 for n, a, b in zip(counts, last.positions, state.positions)
+        ]
+        dt = (state.stamp_ns - last.stamp_ns) * 1e-9
+        interval = Interval(0.002, min(dt, 0.002), max(dt, 0.002))
+        found = checks[0].fault(last, state, counts, interval)
+        with Without():
+            assert checks[1].fault(last, state, counts, interval) == found
+        assert vars(checks[0]) == vars(checks[1])
+
+
+@needs_kernel
+@settings(max_examples=60, deadline=None)
+@given(seeds)
+def test_the_check_of_torques_finds_the_same_faults_and_nearly_the_same_residual(
+    seed: int,
+) -> None:
+    random, counts = np.random.default_rng(seed), [0] * 7
+    checks = TorqueCheck(ARM), TorqueCheck(OTHER)
+    bound = Bound(
+        random.uniform(0.5, 40.0, 7), random.uniform(0.5, 5.0, 7), random.choice([0, 0.3])
+    )
+    states = _states(seed)
+    for last, state in zip(states, states[1:]):
+        counts = [
+            n + 1 if a == b else 0 for n, a, b in zip(counts, last.positions, state.positions)
+        ]
+        tau = ARM.gravity(state.q) + random.normal(0.0, 5.0, 7)
+        found = checks[0].fault(last, state, counts, tau, bound, 0.002)
+        with Without():
+            other = checks[1].fault(last, state, counts, tau, bound, 0.002)
+        assert found == other
+        assert np.allclose(checks[0].residual, checks[1].residual, rtol=1e-12, atol=1e-11)
+        assert checks[0].since_step == checks[1].since_step
+
+
+@needs_kernel
+@settings(max_examples=200, deadline=None)
+@given(seeds)
+def test_limits_motions_and_rotations_are_the_same_bit_for_bit(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    q, qd = random.uniform(LIMITS.q_min - 0.2, LIMITS.q_max + 0.2), random.normal(0.0, 1.5, 7)
+    tau, sent = random.normal(0.0, 20.0, (2, 7))
+    sent, dt = np.clip(sent, -LIMITS.torque, LIMITS.torque), random.choice([0.0, 0.002, 0.05])
+    axis = random.normal(size=3)
+    turn = random.choice([0.0, 1e-9, 1e-3, 1.0, np.pi - 1e-9, np.pi])
+    matrix = rotations.exp(turn * axis / np.linalg.norm(axis))
+
+    def answers(arm: Arm) -> list[object]:
+        motion = arm.motion(q, qd)
+        springs = LimitSprings(LIMITS).torque(q, 0.002)
+        return [
+            limit_torque(tau, sent, dt, LIMITS).tobytes(),
+            None if springs is None else springs.tobytes(),
+            motion_fault(q.tolist(), qd.tolist(), motion, arm.guarded, LIMITS, 4.0, True),
+            *(motion.guarded_positions, motion.guarded_speeds, arm.speeds(q, qd)),
+            *(rotations.log_of_one(matrix), rotations.log_of_one(matrix.T)),
+        ]
+
+    with Without():
+        expected = answers(OTHER)
+    assert answers(ARM) == expected
+
+
+@needs_kernel
+@pytest.mark.parametrize(
+    ("name", "arguments"),
+    [
+        ("standing", ([], [], [])),
+        ("standing", ([0] * 33, [0.0] * 33, [0.0] * 33)),
+        ("standing", ([0], ["a"], [0.0])),
+        ("standing", (None, None, None)),
+        ("standing", ([0],)),
+        ("velocity_check", (*[[0.0]] * 7, [[0.0]], 1.0, 1.0, 1.0, (1.0,) * 10)),
+        ("velocity_check", (*[[0.0]] * 7, [[0.0]] * 2, 1.0, 1.0, 1.0, (1.0,) * 9)),
+        ("torque_check", (np.eye(2), *[np.ones(1)] * 2, *[[0.0]] * 7, 0.3, 1.0, ())),
+        ("within", (np.zeros(2), [[0.0, 1.0]])),
+        ("within", (np.zeros(1, np.float32), [[0.0, 1.0]])),
+        ("within", (np.zeros(1), [[0.0]])),
+        ("torque_within", (np.zeros(4)[::2], np.zeros(2), [[1.0, 1.0]] * 2, 0.1)),
+        ("joints_within", ([0.0], [0.0, 0.0], [[0.0, 1.0, 1.0]], 0.05)),
+        ("rotation_vector", (np.eye(4), 1e-8)),
+        ("point_positions", ([(np.zeros(3), np.eye(3), np.zeros(6))],)),
+        ("point_speeds", ([(np.zeros(3), np.eye(3), np.zeros(5), [0.0] * 3)],)),
+    ],
+)
+def test_arguments_of_another_size_or_type_are_refused(
+    name: str, arguments: tuple[object, ...]
+) -> None:
+    with pytest.raises((ValueError, TypeError)):
+        getattr(compiled.kernel, name)(*arguments)
+
+
+def test_a_kernel_of_another_version_of_its_source_is_not_used(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    stale = ModuleType("wam_power_ros._kernel")
+    monkeypatch.setitem(sys.modules, stale.__name__, stale)
+    stale.INTERFACE = compiled._INTERFACE
+    assert compiled._built() is stale
+    stale.INTERFACE += 1
+    assert compiled._built() is None
+
+
+@pytest.mark.parametrize("compiler", ["usual", "missing"])
+def test_the_package_is_built_with_and_without_a_compiler(compiler: str, tmp_path: Path) -> None:
+    if compiler == "usual" and compiled.kernel is None:
+        pytest.skip("no C compiler here")
+    environment = {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path)}
+    if compiler == "missing":
+        environment["CC"] = str(tmp_path / "none")
+    folders = [f"--build-{part}={tmp_path / part}" for part in ("lib", "temp")]
+    command = [sys.executable, "setup.py", "-q", "build_ext", *folders]
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    built = [*tmp_path.rglob(f"_kernel{sysconfig.get_config_var('EXT_SUFFIX')}")]
+    assert len(built) == (compiler == "usual")
