@@ -76,7 +76,7 @@ ALLOWED["benchmark"] = {*ALLOWED}
 BUDGET = {
     "ground": 1280,  # the modules of wam_power_ros/ itself
     "learning": 2420,
-    "control": 4200,
+    "control": 4220,
     "tracking": 600,
     "tasks": 2680,
     "practice": 2100,

@@ -3,19 +3,21 @@
 
 from __future__ import annotations
 
+import itertools
 import subprocess
 import sys
 import sysconfig
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
-from benchmark import torques
-from benchmark.nodes import JOINTS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmark import torques
+from benchmark.nodes import JOINTS
 from wam_power_ros import compiled, rotations
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.plausibility import Bound, Interval, TorqueCheck, VelocityCheck
@@ -47,8 +49,11 @@ def test_a_controller_without_the_kernel_answers_every_recorded_call_the_same() 
         assert not [found for drive in recorded for found in torques.differences(drive)]
 
 
-def _states(seed: int) -> list[JointState]:
-    """States of a random motion; some repeat, lag, stand still, jitter or contradict themselves."""
+def _pairs(seed: int) -> Iterator[tuple[JointState, JointState, list[int]]]:
+    """States of a random motion, each after the one before, and for how many a position stands.
+
+    Some repeat, lag, stand still, jitter or contradict themselves.
+    """
     random = np.random.default_rng(seed)
     q, qd, stamp_ns = random.uniform(-1.0, 1.0, 7), random.normal(0.0, 1.0, 7), 10**9
     noise = random.choice([0.0, 1e-6, 1e-4, 1e-3, 1e-2])
@@ -60,7 +65,11 @@ def _states(seed: int) -> list[JointState]:
         stamp_ns += 2_000_000 + int(random.normal(0.0, 1e5))
         reported = q + random.normal(0.0, noise, 7) if noise else q
         states.append(JointState(stamp_ns, reported, scale * qd, 0.002, 0.002))
-    return states
+    counts = [0] * 7
+    for last, state in itertools.pairwise(states):
+        rows = zip(counts, last.positions, state.positions, strict=True)
+        counts = [n + 1 if before == now else 0 for n, before, now in rows]
+        yield last, state, counts
 
 
 @needs_kernel
@@ -69,12 +78,8 @@ def _states(seed: int) -> list[JointState]:
 def test_the_check_of_velocities_keeps_the_same_numbers_and_finds_the_same_faults(
     seed: int,
 ) -> None:
-    checks, counts = (VelocityCheck(7), VelocityCheck(7)), [0] * 7
-    states = _states(seed)
-    for last, state in zip(states, states[1:]):
-        counts = [
-            n + 1 if a == b else 0 for n, a, b in zip(counts, last.positions, state.positions)
-        ]
+    checks = VelocityCheck(7), VelocityCheck(7)
+    for last, state, counts in _pairs(seed):
         dt = (state.stamp_ns - last.stamp_ns) * 1e-9
         interval = Interval(0.002, min(dt, 0.002), max(dt, 0.002))
         found = checks[0].fault(last, state, counts, interval)
@@ -89,16 +94,12 @@ def test_the_check_of_velocities_keeps_the_same_numbers_and_finds_the_same_fault
 def test_the_check_of_torques_finds_the_same_faults_and_nearly_the_same_residual(
     seed: int,
 ) -> None:
-    random, counts = np.random.default_rng(seed), [0] * 7
+    random = np.random.default_rng(seed)
     checks = TorqueCheck(ARM), TorqueCheck(OTHER)
     bound = Bound(
         random.uniform(0.5, 40.0, 7), random.uniform(0.5, 5.0, 7), random.choice([0, 0.3])
     )
-    states = _states(seed)
-    for last, state in zip(states, states[1:]):
-        counts = [
-            n + 1 if a == b else 0 for n, a, b in zip(counts, last.positions, state.positions)
-        ]
+    for last, state, counts in _pairs(seed):
         tau = ARM.gravity(state.q) + random.normal(0.0, 5.0, 7)
         found = checks[0].fault(last, state, counts, tau, bound, 0.002)
         with Without():
@@ -136,12 +137,32 @@ def test_limits_motions_and_rotations_are_the_same_bit_for_bit(seed: int) -> Non
     assert answers(ARM) == expected
 
 
+def test_an_arm_of_more_joints_than_the_kernel_has_room_for_is_refused() -> None:
+    with pytest.raises(ValueError, match="66 joints are too many, at most 64"):
+        Arm(_chain(66), [f"j{k}" for k in range(66)], "link66", guarded=())
+    assert Arm(_chain(64), [f"j{k}" for k in range(64)], "link64", guarded=()).n == 64
+
+
+def _chain(n: int) -> str:
+    """URDF of a chain of n joints."""
+    inertia = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+    inertial = f'<inertial><mass value="1"/>{inertia}</inertial>'
+    links = [f'<link name="link{k}">{inertial}</link>' for k in range(n + 1)]
+    limit = '<axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="9" velocity="2"/>'
+    joints = [
+        f'<joint name="j{k}" type="revolute"><parent link="link{k}"/>'
+        f'<child link="link{k + 1}"/>{limit}</joint>'
+        for k in range(n)
+    ]
+    return f'<robot name="chain">{"".join(links + joints)}</robot>'
+
+
 @needs_kernel
 @pytest.mark.parametrize(
     ("name", "arguments"),
     [
         ("standing", ([], [], [])),
-        ("standing", ([0] * 33, [0.0] * 33, [0.0] * 33)),
+        ("standing", ([0] * 65, [0.0] * 65, [0.0] * 65)),
         ("standing", ([0], ["a"], [0.0])),
         ("standing", (None, None, None)),
         ("standing", ([0],)),

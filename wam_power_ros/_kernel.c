@@ -12,7 +12,7 @@
 #include <Python.h>
 #include <math.h>
 
-#define JOINTS_MAX 32
+#define JOINTS_MAX 64 /* as in control/arm.py */
 
 static int floats(PyObject *list, double *values, Py_ssize_t n)
 {
@@ -69,7 +69,7 @@ static Py_ssize_t joint_count(PyObject *list)
 {
     Py_ssize_t n = PyList_Check(list) ? PyList_GET_SIZE(list) : 0;
     if (n < 1 || n > JOINTS_MAX) {
-        PyErr_SetString(PyExc_ValueError, "a list of 1 to 32 numbers is needed");
+        PyErr_SetString(PyExc_ValueError, "a list of 1 to 64 numbers is needed");
         return 0;
     }
     return n;

@@ -22,6 +22,7 @@ from wam_power_ros.arm_identity import ArmIdentity
 from wam_power_ros.control.inertia import require_physical
 from wam_power_ros.control.urdf_joints import require_usable
 
+JOINTS_MAX = 64  # of a chain: the compiled loops have room for no more
 FRICTION_SPEED = 0.02  # [rad/s] width of the tanh that smooths Coulomb friction at standstill
 _AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED  # origin of the tool, axes of the base
 
@@ -169,6 +170,8 @@ class Arm:
         self.model = _chain(full, self.joint_names)
         require_physical(tree, self.model)
         self.n = self.model.nv
+        if self.n > JOINTS_MAX:
+            raise ValueError(f"{self.n} joints are too many, at most {JOINTS_MAX} are possible")
         armature = [_armature(tree, name) for name in self.joint_names]
         self.armature = _checked("armature", armature, self.n)
         if np.any(self.armature < 0.0):
@@ -318,7 +321,8 @@ class _Point(NamedTuple):
     """A point of a link, and the link's motion in the state that was last computed.
 
     Attributes:
-        origin: Position of the link's joint in the base frame [m]: a view of Pinocchio's. Shape (3,).
+        origin: Position of the joint that moves the link, in the base frame [m]: a view of
+            Pinocchio's. Shape (3,).
         rotation: Axes of the joint as columns: a view of Pinocchio's. Shape (3, 3).
         twist: Linear and angular velocity in the frame of the joint [m/s, rad/s]: a view of
             Pinocchio's. Shape (6,).

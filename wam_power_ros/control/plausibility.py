@@ -234,10 +234,10 @@ class TorqueCheck:
         sent = self._sent_with(tau)
         moving, lag = bound.moving.tolist(), bound.inertial
         if compiled.kernel is not None:
-            joints = last.speeds, state.speeds, unchanged, self.residual, self._inertial
+            given = last.speeds, state.speeds, unchanged, self.residual, self._inertial
             bounds = moving, bound.standing.tolist(), lag
             new = compiled.kernel.torque_check(
-                mass, bias, sent, *joints, *bounds, dt, self._constants
+                mass, bias, sent, *given, *bounds, dt, self._constants
             )
             if new is not None:
                 self.residual, self._inertial, stepped = new

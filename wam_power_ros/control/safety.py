@@ -180,6 +180,14 @@ def _keeps(tau: np.ndarray, previous: np.ndarray, dt: float, limits: Limits) -> 
     return True
 
 
+def _within(values: np.ndarray, bounds: list[list[float]]) -> bool:
+    """Whether each of these values lies between its two bounds."""
+    if compiled.kernel is not None:
+        return compiled.kernel.within(values, bounds)
+    rows = zip(values.tolist(), bounds, strict=True)
+    return all(low <= value <= high for value, (low, high) in rows)
+
+
 def limit_springs(q: np.ndarray, limits: Limits) -> np.ndarray | None:
     """Torque of the soft springs that keep joints off their limits, None when none acts.
 
@@ -193,10 +201,7 @@ def limit_springs(q: np.ndarray, limits: Limits) -> np.ndarray | None:
     Returns:
         [N m]. Shape (n,).
     """
-    if compiled.kernel is not None:
-        if compiled.kernel.within(q, limits._spring_free):
-            return None
-    elif all(low <= x <= high for x, (low, high) in zip(q.tolist(), limits._spring_free)):
+    if _within(q, limits._spring_free):
         return None
     below = limits.q_min + SPRING_RANGE - q
     above = q - limits.q_max + SPRING_RANGE
