@@ -176,15 +176,12 @@ def lines(case: str, count: int) -> Iterator[Line]:
         with new_lab() as lab:
             yield from (lies if case == "lies" else jumps)(lab)
         return
-    for number, (name, arm) in enumerate(all_arms(count)):
-        drawn = name.startswith("drawn")
-        # Known arms in three phases; drawn ones in one each, in turn.
-        phases = (PHASES[number % 6],) if drawn else ("upwards", "hold", "teaching")
+    for name, arm in all_arms(count):
         with new_lab() as lab:
             if case == "hands_off":
                 yield from hands_off(lab, arm, name)
             else:
-                yield from faults(lab, arm, name, phases)
+                yield from faults(lab, arm, name, ("upwards", "hold", "teaching"))
 
 
 def main(arguments: list[str] | None = None) -> int:
