@@ -58,10 +58,11 @@ def _pairs(seed: int) -> Iterator[tuple[JointState, JointState, list[int]]]:
     q, qd, stamp_ns = random.uniform(-1.0, 1.0, 7), random.normal(0.0, 1.0, 7), 10**9
     noise = random.choice([0.0, 1e-6, 1e-4, 1e-3, 1e-2])
     scale = random.choice([1.0, 1.0, 0.0, -1.0, 1.5])
+    moving = random.random(7) >= random.choice([0.0, 0.3])
     states = []
     for _ in range(40):
         qd = qd + random.normal(0.0, 0.05, 7)
-        q = q + 0.002 * qd * (random.random(7) > 0.1)
+        q = q + 0.002 * qd * (random.random(7) > 0.1) * moving
         stamp_ns += 2_000_000 + int(random.normal(0.0, 1e5))
         reported = q + random.normal(0.0, noise, 7) if noise else q
         states.append(JointState(stamp_ns, reported, scale * qd, 0.002, 0.002))
