@@ -35,6 +35,8 @@ def build(urdf: str, scene: Scene, settings: WorldSettings) -> mujoco.MjModel:
     """
     friction = settings.friction
     spec = arm(urdf, settings.model_joint_names)
+    if settings.hidden is not None:
+        settings.hidden.change(spec, settings.model_joint_names, settings.tool_frame)
     option = spec.option
     option.timestep = TIMESTEP
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST

@@ -7,9 +7,10 @@ import zlib
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, InstanceOf, model_validator
 from typing_extensions import Self
 
+from hardware_sim.hidden_arm import HiddenArm, hidden_arm
 from hardware_sim.sensors import MocapSettings
 from hardware_sim.wam import JOINTS, PERIOD
 from wam_power_ros.control.arm import GuardedPoint, guarded_points
@@ -62,7 +63,9 @@ class WorldSettings(BaseModel):
         torque_constants: Torque constant of each joint, relative to nominal; () for nominal ones.
         payload: Mass at the tool that is in no model of the arm [kg].
         unknown: Replaces some settings by random ones, see `drawn`: never (""), once for all
-            rollouts ("session"), or anew for each rollout ("rollout").
+            rollouts ("session"), anew for each rollout ("rollout"), or by an arm that differs from
+            its model as one on a laboratory's first day does ("lab").
+        hidden: How the arm differs from its model; None if it does not.
         friction: Sliding friction between tool and body.
         body_offset_sd: Standard deviation of the body's initial position at the tool, per axis [m].
         body_mass: Mass of the body, relative to nominal.
@@ -99,7 +102,8 @@ class WorldSettings(BaseModel):
     friction_share: Spread = 1.0
     torque_constants: tuple[Scale, ...] = Field((), max_length=JOINTS_MAX)
     payload: float = Field(0.0, ge=0.0, le=5.0)
-    unknown: Literal["", "session", "rollout"] = ""
+    unknown: Literal["", "session", "rollout", "lab"] = ""
+    hidden: InstanceOf[HiddenArm] | None = None
     friction: Spread = 0.2
     body_offset_sd: Spread = 0.003
     body_mass: Scale = 1.0
@@ -134,12 +138,17 @@ class WorldSettings(BaseModel):
 
         Uniform: body mass 70 to 130 % and radius 80 to 120 % of nominal, friction 0.1 to 0.5,
         command delay 2 to 8 ms, torque constants 95 to 105 %, payload at the tool up to 0.12 kg.
+        For "lab" see `hidden_arm`.
 
         Args:
             seed: Seed of the world.
             rollout_id: Id of the rollout; "" for the whole session.
         """
         n = len(self.model_joint_names)
+        if self.unknown == "lab":
+            hidden = hidden_arm(seed, n)
+            delay = {"command_delay_ticks": self.ticks(hidden.delay)}
+            return self.model_copy(update={"hidden": hidden, **delay})
         rng = np.random.default_rng([seed, zlib.crc32(f"unknown world{rollout_id}".encode())])
         drawn = {
             "body_mass": float(rng.uniform(0.7, 1.3)),
@@ -174,7 +183,7 @@ class WamSimParams(Params, WorldSettings):
     file = "wam_sim.yaml"
     constants: ClassVar = {  # set by studies, and by the unknown world
         *("watchdog_damping", "friction_share", "torque_constants", "payload"),
-        *("body_mass", "body_size", "level"),
+        *("body_mass", "body_size", "level", "hidden"),
     }
 
     pace: Literal["lockstep", "real_time"]

@@ -132,6 +132,8 @@ class World:
         self.model = model = scene.build(self.urdf, self.scene, settings)
         self.data = data = mujoco.MjData(model)
         self._tool = model.body(settings.tool_frame).id
+        self._hidden = settings.hidden
+        self._zeros = np.zeros(n) if self._hidden is None else self._hidden.zeros
         self._friction = settings.friction_share * model.dof_frictionloss[:n]
         self._watchdog_damping = (settings.watchdog_damping * model.dof_M0[:n]).tolist()
         # views into MuJoCo's arrays
@@ -171,7 +173,7 @@ class World:
         if q_start.shape != (n,) or not np.all((low <= q_start) & (q_start <= high)):
             raise ValueError(f"q_start {q_start.tolist()} must be {n} angles within their limits")
         self.frozen = True
-        return self._resetting(rollout_id, q_start)
+        return self._resetting(rollout_id, q_start - self._zeros)
 
     def _resetting(self, rollout_id: str, q_start: np.ndarray) -> Iterator[None]:
         if self._nominal_settings.unknown == "rollout":
@@ -186,6 +188,8 @@ class World:
         wind = noise * settings.wind_sd * rng.standard_normal(3)
         scale = 1.0 + noise * settings.torque_scale_sd * rng.standard_normal(n)
         scale *= settings.torque_constants or 1.0
+        if self._hidden is not None:
+            scale *= self._hidden.motors
         friction = 1.0 + noise * settings.friction_sd * rng.standard_normal(n)
         self._torque_scale: list[float] = scale.tolist()
         model.dof_frictionloss[:n] = self._friction * np.maximum(friction, 0.0)
@@ -203,7 +207,7 @@ class World:
         model.opt.wind[:] = wind
         mujoco.mj_forward(model, data)
 
-        self._encoders.reset(q_start.tolist())
+        self._encoders.reset((q_start + self._zeros).tolist())
         self._mocap.forget()
         self._command = [0.0] * n if settings.driver_compensates_gravity else gravity.tolist()
         self._effort: list[float] = gravity.tolist()
@@ -233,7 +237,7 @@ class World:
         The encoders see a movement of minimum jerk, as of a real arm; `carried` says when it ends.
         """
         self.frozen = True
-        self._carrying = MinJerk(self._q.copy(), q, CARRY_SPEED), self.time_ns
+        self._carrying = MinJerk(self._q.copy(), q - self._zeros, CARRY_SPEED), self.time_ns
 
     @property
     def carried(self) -> bool:
@@ -247,7 +251,7 @@ class World:
         path, begun_ns = self._carrying
         t = (self.time_ns - begun_ns) * 1e-9
         self._q[:] = path.at(t)[0]
-        self._encoders.read(self._q.tolist())
+        self._encoders.read((self._q + self._zeros).tolist())
         if t >= path.duration + CARRY_REST:
             self._carrying = None
 
@@ -325,10 +329,12 @@ class World:
             else:
                 self._command, self._ticks_since_command = command, 0
             saturated = self._advance()
-            self._encoders.read(self._q.tolist())
+            q = self._q if self._hidden is None else self._q + self._zeros
+            self._encoders.read(q.tolist())
             self._record(saturated)
         if self._body.size and self._mocap.due(self.time_ns):
-            self._mocap.expose(self.time_ns, self._body[:3].copy(), rotation_of(self._body))
+            pose = self._body[:3].copy(), rotation_of(self._body)
+            self._mocap.expose(self.time_ns, *self._seen(*pose))
 
     def _advance(self) -> bool:
         """Step motors and physics by one tick; returns whether a motor was at its limit."""
@@ -341,12 +347,21 @@ class World:
             given = self.motors.limit(self._effort, qd)
             saturated = given is not self._effort
             self._applied[:] = [a * b for a, b in zip(given, self._torque_scale, strict=True)]
+        if self._hidden is not None:
+            self._applied[:] -= self._hidden.drag(self._qd, self.model.dof_frictionloss[: self.n])
         if self._demonstrator is None:
             mujoco.mj_step(self.model, self.data, self._substeps)
         else:
             for substep in range(self._substeps):
                 self._guided_step(substep)
         return saturated
+
+    def _seen(self, position: np.ndarray, rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Pose of a body in the cameras' frame, taken for that of the base."""
+        if self._hidden is None:
+            return position, rotation
+        turn, offset = self._hidden.cameras
+        return turn @ position + offset, turn @ rotation
 
     def _commanded_torque(self) -> list[float]:
         """Joint torques (n,) that the driver commands to the motors [N m]."""
@@ -401,7 +416,8 @@ class World:
 
     def truth(self) -> Truth:
         """Ground truth since the release: id, outcome by the scene, `RolloutLog.arm_truth`."""
-        now = Snapshot(self._body, *self._arm.tool_pose(self._q))
+        tool = self._arm.tool_pose(self._q) if self._hidden is None else self.tool_pose
+        now = Snapshot(self._body, *tool)
         truth, peaks = self.scene.truth(self._log, now), self._log.arm_truth(self.motors)
         return {"id": self.rollout_id, **truth, **peaks}
 

@@ -31,6 +31,7 @@ from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import robot_description
+from wam_power_ros.params.torque_controller_params import corrections_of
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer, ServiceError
 from wam_power_ros.ros.joint_messages import JointMovement, JointStateReader, movement_message
@@ -335,7 +336,10 @@ def connected(
             controller["state_topic"],
             controller["joint_names"],
             setup["pancake_tracker"]["body"],
-            Arm(urdf, controller["model_joint_names"], controller["tool_frame"], guarded=()),
+            Arm(
+                *(urdf, controller["model_joint_names"], controller["tool_frame"], ()),
+                corrections_of(controller),
+            ),
             RolloutSettings.of(setup["learner"]),
             float(controller["settle_time"]),
         )

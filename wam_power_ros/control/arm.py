@@ -19,6 +19,7 @@ import pinocchio as pin
 
 from wam_power_ros import compiled
 from wam_power_ros.arm_identity import ArmIdentity
+from wam_power_ros.control.corrections import Corrections
 from wam_power_ros.control.inertia import require_physical
 from wam_power_ros.control.urdf_joints import require_usable
 
@@ -134,6 +135,8 @@ class Arm:
         armature: Reflected rotor inertia [kg m^2]. Shape (n,).
         friction: Coulomb friction of the joints [N m]. Shape (n,).
         damping: Viscous friction of the joints [N m s/rad]. Shape (n,).
+        torque_scales: True torque of each joint over the commanded one; None if all are 1.
+            Shape (n,).
         guarded: Names of the guarded points.
         model: Pinocchio's model of the chain.
 
@@ -142,6 +145,7 @@ class Arm:
         joint_names: Names of the joints, base to tip.
         tool_frame: Link whose frame is the tool.
         guarded: Points whose motion is limited in addition to the tool's.
+        corrections: What was measured on this arm, None for an arm as its URDF describes it.
 
     Raises:
         ValueError: The text is not a URDF, a joint or frame is missing (the message lists the known
@@ -154,6 +158,7 @@ class Arm:
         joint_names: Sequence[str],
         tool_frame: str = "pan",
         guarded: Sequence[GuardedPoint] = WAM_GUARDED_POINTS,
+        corrections: Corrections | None = None,
     ) -> None:
         self.joint_names = tuple(joint_names)
         refusal = "the robot description is not a URDF"
@@ -177,6 +182,15 @@ class Arm:
         if np.any(self.armature < 0.0):
             raise ValueError(f"armature {self.armature.tolist()} must not be negative")
         self.model.armature = self.armature
+        self._tool = self._frame(tool_frame)
+        self._zero = np.zeros(self.n)
+        self._data = self.model.createData()
+        self._identity = self._identified()
+        self.torque_scales: np.ndarray | None = None
+        if corrections is not None:
+            corrections.apply(self.model, self._tool)
+            if np.any(corrections.torque_scales != 1.0):
+                self.torque_scales = corrections.torque_scales
         self.q_min = self.model.lowerPositionLimit.copy()
         self.q_max = self.model.upperPositionLimit.copy()
         self.qd_max = self.model.velocityLimit.copy()
@@ -185,8 +199,6 @@ class Arm:
         self.damping = self.model.damping.copy()
 
         self._data = self.model.createData()
-        self._tool = self._frame(tool_frame)
-        self._zero = np.zeros(self.n)
         self.guarded = tuple(point.name for point in guarded)
         self._guarded = [
             self._point(self._frame(link), _checked(f"guarded point {name}", offset, 3))
@@ -214,7 +226,10 @@ class Arm:
         return _Point(pose.translation, pose.rotation, twist, offset.tolist())
 
     def identity(self) -> ArmIdentity:
-        """Name, joint names, and digests of kinematics and masses; overwrites the buffers."""
+        """Name, joint names, and digests of the kinematics and masses of its URDF."""
+        return self._identity
+
+    def _identified(self) -> ArmIdentity:
         zero = self._zero
         axes = pin.computeJointJacobians(self.model, self._data, zero)  # in the base frame
         geometry = np.concatenate([axes.ravel(), *(part.ravel() for part in self.tool_pose(zero))])

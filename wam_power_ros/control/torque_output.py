@@ -35,7 +35,8 @@ class TorqueOutput:
 
     def motor_torque(self, q: np.ndarray) -> np.ndarray:
         """Motor torque that results from the last torque sent, at a posture (n,) [rad]. [N m]."""
-        return self.sent + self._arm.gravity(q) if self._driver_adds_gravity else self.sent
+        tau = self.sent + self._arm.gravity(q) if self._driver_adds_gravity else self.sent
+        return tau if self._arm.torque_scales is None else self._arm.torque_scales * tau
 
     def send(self, tau: np.ndarray, q: np.ndarray, dt: float | None) -> np.ndarray:
         """Return the torque to send for a motor torque, within the limits [N m]. Shape (n,).
@@ -46,6 +47,8 @@ class TorqueOutput:
             dt: Time since the last torque was sent [s]; None while no torques are sent, so that no
                 rate limit applies.
         """
+        if self._arm.torque_scales is not None:
+            tau = tau / self._arm.torque_scales
         if self._driver_adds_gravity:  # the limits of the motors hold for the sum
             tau = self._bounded(tau) - self._arm.gravity(q)
         if dt is None:

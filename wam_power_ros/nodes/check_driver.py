@@ -193,7 +193,7 @@ class CheckDriver(Node):
             advice = unmatched or "publish the URDF there, or set the parameter urdf"
             raise ValueError(f"no message on {topic}: {advice}")
         names, tool = self._arm_params.model_joint_names, self._arm_params.tool_frame
-        arm = Arm(self._urdf, names, tool, guarded=())
+        arm = Arm(self._urdf, names, tool, (), self._arm_params.corrections)
         rows, record = self._arm_rows(arm, seconds)
         path = self._command_path()
         mocap = self._mocap_rows(arm, record, seconds)

@@ -39,10 +39,11 @@ class SimulatedArm:
             ValueError: A parameter is not valid.
         """
         urdf = robot_description(urdf)
-        self.kinematics = Arm(urdf, joint_names, tool_frame, guarded=())
-        self.identity = self.kinematics.identity()
         own, *over = (share(file) for file in controller)
         controller_params = TorqueControllerParams.of_file(own, "torque_controller", *over)
+        corrections = controller_params.corrections
+        self.kinematics = Arm(urdf, joint_names, tool_frame, (), corrections)
+        self.identity = self.kinematics.identity()
         self._controller = controller_params.controller(urdf)
         self.region = controller_params.region
         self._report = report

@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Literal
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -13,6 +14,7 @@ from typing_extensions import Self
 from wam_power_ros.control.arm import Arm, guarded_points
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.controller_settings import ControllerSettings, MotionSettings
+from wam_power_ros.control.corrections import Corrections
 from wam_power_ros.control.safety import limits_of
 from wam_power_ros.faults import Fault
 from wam_power_ros.params.node_params import Params
@@ -34,6 +36,13 @@ Unit = Annotated[float, Field(ge=-1.0, le=1.0)]
 Corner = tuple[Length, Length, Length]
 REACH = "in m: no arm of these set-ups reaches 5 m"
 Speed = Annotated[float, Field(ge=0.05, le=6.0)]
+Friction = Annotated[
+    tuple[Annotated[float, Field(ge=-1.0, le=100.0)], ...],
+    Field(min_length=1, max_length=JOINTS_MAX, description="in N m or N m s/rad; -1: the URDF's"),
+]
+Kilograms = Annotated[float, Field(ge=-5.0, le=20.0)]
+Moment = Annotated[float, Field(ge=-5.0, le=5.0)]
+Tilt = Annotated[float, Field(ge=-0.35, le=0.35)]
 # Bounds on a real arm, stricter than in simulation, where nobody can be hurt.
 STATE_TIMEOUT_MAX = 0.02  # [s] after which libfranka and Universal Robots stop
 STIFFNESS_MAX = 2800.0  # [1/s^2] stable with 8 ms of delay and a damping of 32 1/s
@@ -61,6 +70,17 @@ def require_same_joints(joint_names: Sequence[str], model_joint_names: Sequence[
             )
 
 
+def corrections_of(parameters: Mapping[str, Any]) -> Corrections:
+    """What was measured on an arm, of the parameters of its controller.
+
+    Raises:
+        ValueError: A list has neither one number nor one for each joint.
+    """
+    names = [each.name for each in dataclasses.fields(Corrections)]
+    values = {name: parameters["joint_zeros" if name == "zeros" else name] for name in names}
+    return Corrections.of(len(parameters["model_joint_names"]), **values)
+
+
 class TorqueControllerParams(Params, MotionSettings):
     """Parameters of config/torque_controller.yaml, whose comments explain them."""
 
@@ -82,6 +102,20 @@ class TorqueControllerParams(Params, MotionSettings):
     urdf: str
     base_frame: str
     tool_frame: str
+    joint_zeros: Annotated[
+        tuple[Annotated[float, Field(ge=-0.2, le=0.2)], ...],
+        Field(min_length=1, max_length=JOINTS_MAX, description="in rad: re-zero an arm beyond 0.2"),
+    ]
+    torque_scales: Annotated[
+        tuple[Annotated[float, Field(ge=0.5, le=1.5)], ...],
+        Field(min_length=1, max_length=JOINTS_MAX, description="beyond, the torques' unit is wrong"),
+    ]
+    coulomb_friction: Friction
+    viscous_friction: Friction
+    payload: tuple[Kilograms, Moment, Moment, Moment] = Field(
+        description="in kg and kg m: beyond the tool that the URDF describes"
+    )
+    base_tilt: tuple[Tilt, Tilt] = Field(description="in rad: of a base that should be upright")
     state_timeout: float = Field(
         ge=0.0, le=60.0, description="in s: a slow simulation sends a state within a minute"
     )
@@ -139,6 +173,7 @@ class TorqueControllerParams(Params, MotionSettings):
     def _together(self) -> Self:
         """Check combinations of parameters, and the stricter bounds on a real arm."""
         require_same_joints(self.joint_names, self.model_joint_names)
+        corrections_of(self.model_dump())
         if not self.simulation:
             if self.autostart:
                 raise ValueError(
@@ -163,6 +198,11 @@ class TorqueControllerParams(Params, MotionSettings):
         """Guarded region, None for none."""
         return region_of(self.guarded_region_name, self.guarded_region)
 
+    @property
+    def corrections(self) -> Corrections:
+        """What was measured on this arm."""
+        return corrections_of(self.model_dump())
+
     def controller(self, urdf: str, latched: Fault | None = None) -> Controller:
         """Build the controller for the arm of a URDF, with a fault that is still latched.
 
@@ -171,7 +211,8 @@ class TorqueControllerParams(Params, MotionSettings):
                 limits contradict each other.
         """
         guarded = guarded_points(self.guarded_names, self.guarded_links, self.guarded_points)
-        arm = Arm(urdf, self.model_joint_names, self.tool_frame, guarded=guarded)
+        names, tool = self.model_joint_names, self.tool_frame
+        arm = Arm(urdf, names, tool, guarded, self.corrections)
         limits = limits_of(
             arm,
             torque=self.torque_share * arm.tau_max,

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What was measured on an arm corrects its model, and only that."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from wam_power_ros.control.arm import Arm
+from wam_power_ros.control.controller import Controller
+from wam_power_ros.control.corrections import Corrections
+from wam_power_ros.params.resources import share
+
+URDF = share("urdf/wam7.urdf").read_text()
+JOINTS = [f"wam_j{number}" for number in range(1, 8)]
+Q = np.array([0.3, 0.5, -0.4, 1.7, 0.2, -0.6, 0.8])
+QD = np.linspace(-1.0, 1.0, 7)
+
+
+def arm(**values: object) -> Arm:
+    return Arm(URDF, JOINTS, corrections=Corrections.of(7, **values))
+
+
+PLAIN = Arm(URDF, JOINTS)
+
+
+def test_without_a_correction_every_number_stays_bit_for_bit() -> None:
+    same = arm()
+    assert same.torque_scales is None
+    for name in ("q_min", "q_max", "friction", "damping"):
+        assert getattr(same, name).tobytes() == getattr(PLAIN, name).tobytes()
+    for quantity in ("bias", "inverse_dynamics"):
+        given = (Q, QD) if quantity == "bias" else (Q, QD, QD)
+        assert getattr(same, quantity)(*given).tobytes() == getattr(PLAIN, quantity)(*given).tobytes()
+
+
+def test_an_arm_with_zeros_moves_at_reported_angles_as_the_plain_one_at_true_ones() -> None:
+    zeros = np.deg2rad([1.0, -2.0, 3.0, -1.5, 2.5, 2.0, -3.0])
+    corrected = arm(zeros=zeros)
+    for now, before in zip(corrected.tool_pose(Q + zeros), PLAIN.tool_pose(Q), strict=True):
+        assert np.allclose(now, before, atol=1e-12)
+    assert np.allclose(corrected.bias(Q + zeros, QD), PLAIN.bias(Q, QD), atol=1e-10)
+    assert np.allclose(corrected.mass_matrix(Q + zeros), PLAIN.mass_matrix(Q), atol=1e-12)
+    assert np.allclose(corrected.q_min - PLAIN.q_min, zeros)
+
+
+def test_a_payload_is_a_point_mass_at_its_centre_for_gravity() -> None:
+    mass, centre = 0.4, np.array([0.02, -0.01, 0.05])
+    loaded = arm(payload=[mass, *(mass * centre)])
+    position, rotation = PLAIN.tool_pose(Q)
+    jacobian = PLAIN.jacobian(Q)
+    lever = np.cross(rotation @ centre, [0.0, 0.0, mass * 9.81])
+    weight = jacobian.T @ np.concatenate([[0.0, 0.0, mass * 9.81], lever])
+    assert np.allclose(loaded.gravity(Q) - PLAIN.gravity(Q), weight, atol=1e-9)
+
+
+def test_gravity_of_a_tilted_base_is_that_of_an_upright_one_seen_from_it() -> None:
+    tilted = arm(base_tilt=[0.1, -0.2])
+    model = PLAIN.model.copy()
+    turn = pin.utils.rotate("x", 0.1) @ pin.utils.rotate("y", -0.2)
+    model.gravity.linear = turn.T @ np.array([0.0, 0.0, -9.81])
+    expected = pin.computeGeneralizedGravity(model, model.createData(), Q)
+    assert np.allclose(tilted.gravity(Q), expected, atol=1e-12)
+
+
+def test_friction_replaces_that_of_the_urdf_where_it_was_measured() -> None:
+    measured = arm(coulomb_friction=[-1.0, 2.0, -1.0, -1.0, -1.0, -1.0, 0.0])
+    expected = PLAIN.friction.copy()
+    expected[[1, 6]] = 2.0, 0.0
+    assert measured.friction.tolist() == expected.tolist()
+    assert measured.damping.tolist() == PLAIN.damping.tolist()
+
+
+def test_the_arm_keeps_its_identity() -> None:
+    corrected = arm(zeros=0.02, payload=[0.3, 0.0, 0.0, 0.01], base_tilt=[0.02, 0.0])
+    assert corrected.identity() == PLAIN.identity()
+
+
+def test_a_weak_motor_is_sent_more_so_that_the_arm_is_held_at_the_same_place() -> None:
+    """The torque that acts is what the model asks for; the checks see that torque."""
+    scales = np.array([1.0, 0.8, 1.1, 1.0, 1.0, 0.9, 1.0])
+    controllers = Controller(Arm(URDF, JOINTS)), Controller(arm(torque_scales=scales))
+    for step in range(400):
+        sent = [each.step(2_000_000 * (step + 1), Q, np.zeros(7)) for each in controllers]
+        if step == 0:
+            for each in controllers:
+                each.hold()
+    assert np.allclose(scales * sent[1], sent[0], atol=1e-9)
+    assert controllers[1].latched is None
+
+
+@pytest.mark.parametrize(
+    ("values", "reason"),
+    [
+        ({"zeros": [0.1, 0.2]}, "zeros .* must be 7 finite numbers, or one for all"),
+        ({"zeros": np.nan}, "zeros"),
+        ({"torque_scales": 0.0}, "torque_scales .* must be positive"),
+        ({"payload": [0.1, 0.0]}, "payload .* must be 4 finite numbers"),
+        ({"stiffness": 1.0}, "stiffness"),
+    ],
+)
+def test_other_numbers_are_refused_by_name(values: dict[str, object], reason: str) -> None:
+    with pytest.raises(ValueError, match=reason):
+        Corrections.of(7, **values)
+
+
+def test_a_payload_lighter_than_the_tool_is_no_arm() -> None:
+    with pytest.raises(ValueError, match="payload -5 kg leaves"):
+        arm(payload=[-5.0, 0.0, 0.0, 0.0])
