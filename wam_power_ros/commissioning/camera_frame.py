@@ -1,0 +1,232 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Frame of the cameras, pose of a body on the tool, and zeros of the joints, from postures at rest.
+
+The body at posture i is seen at C_i = Y F(q_i - z) X: Y is the pose of the base in the cameras'
+frame, F the forward kinematics, X the pose of the body in the tool, z the zeros of the joints. All
+are found together: an arm whose zeros are a degree off sees its own tool centimetres away from where
+the cameras do, whatever the frame. The zero of the first joint cannot be told from the yaw of the
+base, nor that of the last joint from the roll of the body; both count as 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from wam_power_ros import rotations
+from wam_power_ros.control.arm import Arm
+
+POSITION_NOISE = 5e-4  # [m] of a pose averaged at rest, per axis
+ROTATION_NOISE = np.deg2rad(0.2)  # [rad] per axis
+ZERO_SPREAD = np.deg2rad(2.0)  # [rad] expected of a zero before anything is measured
+OUTLIER = 5.0  # multiple of the residual of all postures from which one is rejected
+POSTURES_MIN = 10  # accepted postures without which nothing is said
+SPREAD_MIN = np.deg2rad(15.0)  # [rad] smallest range of the tool's orientation over the postures
+RESIDUAL_MAX = 10.0  # multiple of the noise: a mirrored axis gives hundreds
+UPRIGHT_MAX = np.deg2rad(5.0)  # [rad] between the vertical axes of base and cameras
+ZERO_MAX = np.deg2rad(5.0)  # [rad] beyond which a joint is to be zeroed anew
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """Position [m], shape (3,), and rotation matrix, shape (3, 3)."""
+
+    position: np.ndarray
+    rotation: np.ndarray
+
+    def inverse(self) -> Pose:
+        """The pose of the other frame in this one."""
+        turned = self.rotation.T
+        return Pose(-turned @ self.position, turned)
+
+
+@dataclass(frozen=True, eq=False)
+class CameraFrame:
+    """Result of `calibrate`.
+
+    Attributes:
+        world_to_base: Pose of the cameras' frame in the frame of the base.
+        body_in_tool: Pose of the body in the frame of the tool.
+        zeros: Reported minus true position of each joint, 0 for the first and last [rad].
+            Shape (n,).
+        zeros_sd: Standard deviation of each, from the residual [rad]. Shape (n,).
+        position_rms: Root mean square of the residual, of accepted postures [m].
+        rotation_rms: The same [rad].
+        rejected: Numbers of the postures that do not agree with the others, from 0.
+        upright: Angle between the vertical axes of base and cameras [rad].
+    """
+
+    world_to_base: Pose
+    body_in_tool: Pose
+    zeros: np.ndarray
+    zeros_sd: np.ndarray
+    position_rms: float
+    rotation_rms: float
+    rejected: tuple[int, ...]
+    upright: float
+
+
+def calibrate(
+    arm: Arm, q: np.ndarray, position: np.ndarray, rotation: np.ndarray
+) -> CameraFrame:
+    """Find the cameras' frame, the pose of the body on the tool, and the zeros.
+
+    Args:
+        arm: Arm as its URDF describes it, without corrections; its buffers are used.
+        q: Reported positions of the joints at rest [rad]. Shape (N, n).
+        position: Position of the body in the cameras' frame [m]. Shape (N, 3).
+        rotation: Its orientation. Shape (N, 3, 3).
+
+    Raises:
+        ValueError: The postures are too few or too much alike, or most of them do not agree: the
+            message says with what and what may be the cause.
+    """
+    if len(q) < POSTURES_MIN:
+        raise ValueError(f"{len(q)} postures, at least {POSTURES_MIN} are needed")
+    tools = [Pose(*arm.tool_pose(each)) for each in q]
+    spread = max(_angle(tools[0].rotation.T @ tool.rotation) for tool in tools)
+    if spread < SPREAD_MIN:
+        shown, least = np.rad2deg([spread, SPREAD_MIN])
+        text = f"the postures turn the tool by at most {shown:.0f} degrees"
+        raise ValueError(f"{text}, at least {least:.0f} are needed")
+    accepted = np.arange(len(q))
+    while True:
+        solution = _solve(arm, q[accepted], position[accepted], rotation[accepted])
+        sizes = np.abs(solution.fun[: 6 * len(accepted)]).reshape(-1, 6).max(axis=1)
+        typical = max(float(np.median(sizes)), 1.0)
+        worst = int(sizes.argmax())
+        if sizes[worst] <= OUTLIER * typical or typical > RESIDUAL_MAX:
+            break
+        accepted = np.delete(accepted, worst)
+        if len(accepted) < POSTURES_MIN:
+            text = f"only {len(accepted)} of {len(q)} postures agree with each other"
+            raise ValueError(f"{text}: a marker moves on the tool, or is often hidden")
+    if typical > RESIDUAL_MAX:
+        raise ValueError(
+            f"the postures disagree, the residual is {typical:.0f} times the noise: the cameras' "
+            "axes are mirrored (left-handed), the joints have another order or sign, or the body "
+            "is not fixed to the tool"
+        )
+    return _result(arm.n, solution, len(q), accepted)
+
+
+def concerns(found: CameraFrame) -> list[str]:
+    """Reasons not to use a result, as sentences; empty if there is none."""
+    reasons = []
+    if found.upright > UPRIGHT_MAX:
+        axis = found.world_to_base.rotation[2]  # base z in the cameras' frame
+        name = "xyz"[int(np.abs(axis).argmax())]
+        sign = "-" if axis[np.abs(axis).argmax()] < 0.0 else ""
+        reasons.append(
+            f"the base's z axis stands {np.rad2deg(found.upright):.0f} degrees from the cameras' z "
+            f"axis and is nearest to their {sign}{name}: set up_axis, or the cameras' ground plane"
+        )
+    for joint, zero in enumerate(found.zeros, start=1):
+        if abs(zero) > ZERO_MAX:
+            shown = np.rad2deg(zero)
+            reasons.append(f"joint {joint} is off by {shown:+.1f} degrees: zero it anew instead")
+    return reasons
+
+
+def _result(n: int, solution: object, count: int, accepted: np.ndarray) -> CameraFrame:
+    base, body, zeros = _parts(n, solution.x)  # type: ignore[attr-defined]
+    used = len(accepted)
+    rows = solution.fun[: 6 * used].reshape(-1, 6)  # type: ignore[attr-defined]
+    jacobian = solution.jac  # type: ignore[attr-defined]
+    scale = max(1.0, float(np.sqrt(np.mean(rows**2))))  # geometry errors count as noise
+    covariance = np.linalg.inv(jacobian.T @ jacobian)
+    deviations = scale * np.sqrt(covariance.diagonal())[12:]
+    zeros_sd = np.zeros(n)
+    zeros_sd[1:-1] = deviations
+    return CameraFrame(
+        world_to_base=base.inverse(),
+        body_in_tool=body,
+        zeros=zeros,
+        zeros_sd=zeros_sd,
+        position_rms=POSITION_NOISE * float(np.sqrt(np.mean(rows[:, :3] ** 2))),
+        rotation_rms=float(ROTATION_NOISE) * float(np.sqrt(np.mean(rows[:, 3:] ** 2))),
+        rejected=tuple(sorted(set(range(count)) - set(accepted.tolist()))),
+        upright=_angle_between(base.rotation[:, 2], np.array([0.0, 0.0, 1.0])),
+    )
+
+
+def _solve(arm: Arm, q: np.ndarray, position: np.ndarray, rotation: np.ndarray) -> object:
+    """Least squares on Y, X and the zeros, from the closed-form solution without zeros."""
+    base, body = closed_form([Pose(*arm.tool_pose(each)) for each in q], position, rotation)
+
+    def residuals(x: np.ndarray) -> np.ndarray:
+        turned, mounted, zeros = _parts(arm.n, x, base, body)
+        rows = []
+        for posture, seen, turn in zip(q, position, rotation, strict=True):
+            place, axes = arm.tool_pose(posture - zeros)
+            expected = turned.rotation @ (place + axes @ mounted.position) + turned.position
+            axes = turned.rotation @ axes @ mounted.rotation
+            rows.append((expected - seen) / POSITION_NOISE)
+            rows.append(rotations.log(axes.T @ turn) / ROTATION_NOISE)
+        return np.concatenate([*rows, x[12:] / ZERO_SPREAD])
+
+    start = least_squares(residuals, np.zeros(12 + arm.n - 2), x_scale="jac").x
+    found = least_squares(residuals, start, loss="huber", x_scale="jac")
+    found.fun = residuals(found.x)
+    found.x = np.concatenate([_numbers(*_parts(arm.n, found.x, base, body)[:2]), found.x[12:]])
+    return found
+
+
+def _parts(
+    n: int, x: np.ndarray, base: Pose | None = None, body: Pose | None = None
+) -> tuple[Pose, Pose, np.ndarray]:
+    """Poses and zeros (n,) of the numbers of a solution, relative to start poses if given."""
+    zeros = np.concatenate([[0.0], x[12:], [0.0]])
+    poses = []
+    for numbers, start in ((x[:6], base), (x[6:12], body)):
+        turn = rotations.exp(numbers[3:])
+        if start is not None:
+            poses.append(Pose(start.position + numbers[:3], turn @ start.rotation))
+        else:
+            poses.append(Pose(numbers[:3], turn))
+    return poses[0], poses[1], zeros
+
+
+def _numbers(*poses: Pose) -> np.ndarray:
+    parts = [(pose.position, rotations.log(pose.rotation)) for pose in poses]
+    return np.concatenate([number for part in parts for number in part])
+
+
+def closed_form(
+    tools: list[Pose], position: np.ndarray, rotation: np.ndarray
+) -> tuple[Pose, Pose]:
+    """Y and X of C_i = Y F_i X by two linear least squares: rotations, then positions.
+
+    Args:
+        tools: F_i, poses of the tool in the base.
+        position: Positions of the body in the cameras' frame [m]. Shape (N, 3).
+        rotation: Its orientations. Shape (N, 3, 3).
+    """
+    eye = np.eye(3)
+    rows = [  # of Y^T C_i - F_i X = 0, columns stacked
+        np.hstack([np.kron(seen.T, eye), -np.kron(eye, tool.rotation)])
+        for tool, seen in zip(tools, rotation, strict=True)
+    ]
+    null = np.linalg.svd(np.vstack(rows))[2][-1]
+    turned, mounted = (null[k : k + 9].reshape(3, 3, order="F") for k in (0, 9))
+    sign = np.sign(np.linalg.det(mounted))  # the null vector has any sign
+    base, body = (_nearest_rotation(sign * matrix) for matrix in (turned.T, mounted))
+    matrix = [np.hstack([base @ tool.rotation, eye]) for tool in tools]
+    right = [seen - base @ tool.position for tool, seen in zip(tools, position, strict=True)]
+    found = np.linalg.lstsq(np.vstack(matrix), np.concatenate(right), rcond=None)[0]
+    return Pose(found[3:], base), Pose(found[:3], body)
+
+
+def _nearest_rotation(matrix: np.ndarray) -> np.ndarray:
+    u, _, vt = np.linalg.svd(matrix)
+    return u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+
+
+def _angle(rotation: np.ndarray) -> float:
+    return float(np.linalg.norm(rotations.log(rotation)))
+
+
+def _angle_between(a: np.ndarray, b: np.ndarray) -> float:
+    return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
