@@ -182,7 +182,7 @@ class Arm:
         if np.any(self.armature < 0.0):
             raise ValueError(f"armature {self.armature.tolist()} must not be negative")
         self.model.armature = self.armature
-        self._tool = self._frame(tool_frame)
+        self.tool_frame = self._tool = self._frame(tool_frame)
         self._zero = np.zeros(self.n)
         self._data = self.model.createData()
         self._identity = self._identified()

@@ -24,6 +24,8 @@ class Corrections:
         torque_scales: True torque of each joint over the commanded one. Shape (n,).
         coulomb_friction: [N m]; negative where that of the URDF holds. Shape (n,).
         viscous_friction: [N m s/rad]; negative where that of the URDF holds. Shape (n,).
+        link_masses: Mass of what each joint moves before the next, over that of the URDF, and so
+            its moments. Shape (n,).
         payload: Mass at the tool beyond the URDF's [kg], and its first moment in the tool's frame
             [kg m]: a payload of mass m at c has m, m c. Shape (4,).
         base_tilt: Rotation of the base from upright, about its x axis and then its y axis [rad].
@@ -34,6 +36,7 @@ class Corrections:
     torque_scales: np.ndarray
     coulomb_friction: np.ndarray
     viscous_friction: np.ndarray
+    link_masses: np.ndarray
     payload: np.ndarray
     base_tilt: np.ndarray
 
@@ -44,7 +47,7 @@ class Corrections:
         Raises:
             ValueError: A quantity has neither one number nor as many as it needs.
         """
-        neutral = {"zeros": 0.0, "torque_scales": 1.0}
+        neutral = {"torque_scales": 1.0, "link_masses": 1.0}
         neutral |= {"coulomb_friction": -1.0, "viscous_friction": -1.0}
         sizes = {"payload": 4, "base_tilt": 2}
         arrays = {}
@@ -57,8 +60,9 @@ class Corrections:
             arrays[each.name] = np.broadcast_to(given.astype(float), (size,)).copy()
         if values:
             raise ValueError(f"{sorted(values)} are no corrections of an arm")
-        if np.any(arrays["torque_scales"] <= 0.0):
-            raise ValueError(f"torque_scales {arrays['torque_scales'].tolist()} must be positive")
+        for name in ("torque_scales", "link_masses"):
+            if np.any(arrays[name] <= 0.0):
+                raise ValueError(f"{name} {arrays[name].tolist()} must be positive")
         return cls(**arrays)
 
     @property
@@ -91,6 +95,12 @@ class Corrections:
         friction, damping = self.coulomb_friction, self.viscous_friction
         model.friction = np.where(friction < 0.0, model.friction, friction)
         model.damping = np.where(damping < 0.0, model.damping, damping)
+        for joint, share in enumerate(self.link_masses.tolist(), start=1):
+            if share != 1.0:
+                link = model.inertias[joint]
+                model.inertias[joint] = pin.Inertia(
+                    share * link.mass, link.lever, share * link.inertia
+                )
         if self.payload.any():
             self._load(model, model.frames[tool_frame])
 

@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Movement in which an arm measures itself: postures reached from both sides, then two sweeps.
+
+At each posture the arm comes to rest twice, from below and from above, so that the mean torque of
+both is without friction. The sweeps move all joints at once, slowly and as fast as the limits of a
+person beside the arm allow.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from wam_power_ros.control.arm import Arm
+from wam_power_ros.control.joint_references import MinJerk
+from wam_power_ros.control.safety import Limits, plane_fault
+
+KNOT = 0.01  # [s] between two samples of the movement
+APPROACH = 0.06  # [rad] by which each joint comes from below, then from above
+MOVE_SPEED, APPROACH_SPEED = 0.5, 0.1  # [rad/s] peak
+REST = 0.6  # [s] at a posture, from each side
+ELBOW_SPEED, TOOL_SPEED = 0.75, 1.1  # [m/s] of guarded points and tool
+RANGE = np.deg2rad(40.0)  # [rad] of each joint about home
+SWEEP_RANGE = np.deg2rad(30.0)
+HARMONICS = 4
+SLOW = 0.3  # speed of the slow sweep, relative to the faster one
+MARGIN = 0.1  # [rad] from a position limit
+_DRAWS = 2000  # of a posture, before none is taken to exist
+
+
+@dataclass(frozen=True, eq=False)
+class Excitation:
+    """A joint movement and what it contains.
+
+    Attributes:
+        t: Times from 0 [s]. Shape (T,).
+        q: Joint positions [rad]. Shape (T, n).
+        rests: Begin and end of each rest [s]; rests 2 k and 2 k + 1 are at posture k, from below
+            and from above. Shape (R, 2).
+        sweeps: Begin and end of each sweep [s]. Shape (S, 2).
+    """
+
+    t: np.ndarray
+    q: np.ndarray
+    rests: np.ndarray
+    sweeps: np.ndarray
+
+
+def excitation(
+    arm: Arm,
+    limits: Limits,
+    home: np.ndarray,
+    rng: np.random.Generator,
+    postures: int = 18,
+    seconds: tuple[float, float] = (30.0, 20.0),
+) -> Excitation:
+    """Plan the movement from rest at home to rest at home.
+
+    Args:
+        arm: Model of the arm; its buffers are used.
+        limits: Limits that every posture must keep.
+        home: Posture around which the arm moves [rad]. Shape (n,).
+        rng: Draws postures and sweeps.
+        postures: Number of postures.
+        seconds: Duration of the slow and of the faster sweep [s].
+
+    Raises:
+        ValueError: No posture around home keeps the limits.
+    """
+    rows, rests, sweeps = [home[None]], [], []
+    length = 1  # rows so far
+
+    def add(part: np.ndarray) -> tuple[float, float]:
+        nonlocal length
+        rows.append(part)
+        begun, length = length, length + len(part)
+        return (begun - 1) * KNOT, (length - 1) * KNOT
+
+    def move(goal: np.ndarray, speed: float) -> None:
+        add(_move(arm, rows[-1][-1], goal, speed))
+
+    for posture in _postures(arm, limits, home, rng, postures):
+        for side in (-APPROACH, APPROACH):
+            move(posture + side, MOVE_SPEED)
+            move(posture, APPROACH_SPEED)
+            rests.append(add(np.tile(posture, (round(REST / KNOT), 1))))
+    move(home, MOVE_SPEED)
+    for duration, share in zip(seconds, (SLOW, 1.0), strict=True):
+        add(np.tile(home, (round(0.2 / KNOT), 1)))
+        sweeps.append(add(_sweep(arm, limits, home, rng, duration, share)))
+    q = np.concatenate(rows)
+    return Excitation(np.arange(len(q)) * KNOT, q, np.array(rests), np.array(sweeps))
+
+
+def _move(arm: Arm, start: np.ndarray, goal: np.ndarray, speed: float) -> np.ndarray:
+    """Samples of a move, slowed down until the arm keeps its speeds. Shape (T, n)."""
+    while True:
+        path = MinJerk(start, goal, speed)
+        count = max(2, round(path.duration / KNOT))
+        states = [path.at(path.duration * k / count) for k in range(1, count + 1)]
+        peak = _relative_speed(arm, [(q, qd) for q, qd, _ in states])
+        if peak <= 1.0:
+            return np.array([q for q, _, _ in states])
+        speed /= 1.02 * peak
+
+
+def _relative_speed(arm: Arm, states: list[tuple[np.ndarray, np.ndarray]]) -> float:
+    """Largest speed over its limit."""
+    peak = 0.0
+    for q, qd in states:
+        guarded, tool = arm.speeds(q, qd)
+        peak = max(peak, tool / TOOL_SPEED, *(speed / ELBOW_SPEED for speed in guarded))
+    return peak
+
+
+def _allowed(arm: Arm, limits: Limits, q: np.ndarray) -> bool:
+    """Whether tool and guarded points are within workspace and plane, and joints in range."""
+    reach = APPROACH + MARGIN
+    if np.any(q < limits.q_min + reach) or np.any(q > limits.q_max - reach):
+        return False
+    motion = arm.motion(q, np.zeros(arm.n))
+    position = motion.position
+    if np.any(position < limits.workspace_min) or np.any(position > limits.workspace_max):
+        return False
+    points = dict(zip(arm.guarded, motion.guarded_positions, strict=True))
+    return plane_fault({**points, "tool": position.tolist()}, limits) is None
+
+
+def _postures(
+    arm: Arm, limits: Limits, home: np.ndarray, rng: np.random.Generator, count: int
+) -> list[np.ndarray]:
+    """Allowed postures, in an order that makes the way short. Shapes (n,)."""
+    found: list[np.ndarray] = []
+    for _ in range(_DRAWS):
+        q = home + RANGE * rng.uniform(-1.0, 1.0, arm.n)
+        low, high = limits.q_min + APPROACH + MARGIN, limits.q_max - APPROACH - MARGIN
+        q = np.minimum(np.maximum(q, low + 1e-6), high - 1e-6)
+        if _allowed(arm, limits, q):
+            found.append(q)
+        if len(found) == count:
+            break
+    else:
+        raise ValueError(
+            f"only {len(found)} of {count} postures within {np.rad2deg(RANGE):.0f} degrees of home "
+            "keep the limits of the arm: check home, workspace and plane"
+        )
+    ordered, here = [], home
+    while found:
+        nearest = int(np.argmin([np.abs(q - here).max() for q in found]))
+        here = found.pop(nearest)
+        ordered.append(here)
+    return ordered
+
+
+def _sweep(
+    arm: Arm,
+    limits: Limits,
+    home: np.ndarray,
+    rng: np.random.Generator,
+    seconds: float,
+    share: float,
+) -> np.ndarray:
+    """Sum of harmonics in every joint, from rest to rest at home. Shape (T, n)."""
+    for _ in range(_DRAWS):
+        number = np.arange(1, HARMONICS + 1)
+        phase = rng.uniform(0.0, 2.0 * np.pi, (HARMONICS, arm.n))
+        size = rng.uniform(0.5, 1.0, (HARMONICS, arm.n)) / number[:, None]
+
+        def at(s: np.ndarray) -> np.ndarray:
+            """Positions at phases s (T,), which begin and end at home."""
+            angle = 2.0 * np.pi * number * s[:, None]  # (T, H)
+            wave = np.einsum("hn,thn->tn", size, np.sin(angle[:, :, None] + phase))  # noqa: B023
+            ease = np.clip(np.minimum(s, s[-1] - s) / 0.5, 0.0, 1.0)
+            return wave * (ease**3 * (10.0 - 15.0 * ease + 6.0 * ease**2))[:, None]
+
+        period = 10.0  # [s], then stretched to the speed that is allowed
+        fine = at(np.linspace(0.0, 4.0, 2000))
+        scale = SWEEP_RANGE / np.abs(fine).max()
+        q = home + scale * fine
+        if all(_allowed(arm, limits, each) for each in q[::10]):
+            speed = np.gradient(q, 4.0 * period / 2000, axis=0)
+            period *= _relative_speed(arm, list(zip(q[::4], speed[::4], strict=True))) / share
+            t = np.arange(round(seconds / KNOT) + 1) * KNOT
+            return home + scale * at(t / period)
+    raise ValueError("no sweep around home keeps the limits: check home, workspace and plane")

@@ -1,0 +1,283 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Masses, torque constants, friction and tilt of an arm from the torques of a movement.
+
+A maximum-a-posteriori fit: torques are linear in what is unknown, but for the torque constants, and
+what a laboratory may find is known in advance to a few percent. The torques alone do not tell the mass of the tool
+from the scale of all torque constants, so the tool is weighed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+from scipy.signal import savgol_filter
+
+from wam_power_ros.commissioning.excitation import Excitation
+from wam_power_ros.control.arm import Arm
+from wam_power_ros.control.corrections import GRAVITY, Corrections
+
+WINDOW = 0.09  # [s] of the filter that differentiates positions
+SAMPLING = 0.01  # [s] from one sample that is used to the next
+SETTLED = 0.3  # [s] at the end of a rest that are averaged
+MOVING = 0.02  # [rad/s] from which a joint moves, and Coulomb friction has its full size
+STRIBECK_SPEED = 0.05  # [rad/s] at which friction at low speed has fallen by a factor of e
+ITERATIONS = 4  # of the fit, whose torque scales multiply what else is unknown
+DELAYS = 0.014  # [s] largest delay of the loop that is tried
+# Deviations that are expected before anything is measured
+LINKS, SCALES = 0.05, 0.05  # shares
+PAYLOAD, WEIGHED = 0.15, 0.002  # [kg] of the tool; on a scale
+MOMENT = 0.015  # [kg m] of the tool
+COULOMB, ASYMMETRY, STRIBECK, VISCOUS = 0.7, 0.15, 0.2, 0.7  # shares of the model's friction
+TILT = np.deg2rad(1.5)  # [rad]
+TORQUE_NOISE = 0.05  # [N m]
+FRICTION_NOISE = 0.04  # share of a joint's friction that varies
+REST_NOISE = 0.08  # the same in the mean of two rests
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """States of an arm, filtered, with the torques that acted.
+
+    Attributes:
+        q: Joint positions [rad]. Shape (N, n).
+        qd: Speeds [rad/s]. Shape (N, n).
+        qdd: Accelerations [rad/s^2]. Shape (N, n).
+        tau: Commanded torques [N m]. Shape (N, n).
+        used: Whether a joint's torque counts: near a reversal, friction is not known. Shape (N, n).
+    """
+
+    q: np.ndarray
+    qd: np.ndarray
+    qdd: np.ndarray
+    tau: np.ndarray
+    used: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Identified:
+    """Result of `identify`.
+
+    Attributes:
+        corrections: What was found.
+        asymmetry: Share by which Coulomb friction is larger forwards than on average. Shape (n,).
+        scales_sd: Standard deviations of the torque scales. Shape (n,).
+        moment_sd: Standard deviation of the payload's first moment [kg m]. Shape (3,).
+        payload_sd: Standard deviation of its mass [kg].
+        loop_delay: Time from a command to the motion [s].
+    """
+
+    corrections: Corrections
+    asymmetry: np.ndarray
+    scales_sd: np.ndarray
+    moment_sd: np.ndarray
+    payload_sd: float
+    loop_delay: float
+
+
+def sweep(
+    t: np.ndarray, q: np.ndarray, tau: np.ndarray, between: np.ndarray, delay: float
+) -> Samples:
+    """Samples of a part of a recording, filtered.
+
+    Args:
+        t: Times of the states, evenly spaced [s]. Shape (T,).
+        q: Reported positions [rad]. Shape (T, n).
+        tau: Commanded torques [N m]. Shape (T, n).
+        between: Begin and end [s].
+        delay: Time after which a torque acts [s].
+    """
+    period = float(np.median(np.diff(t)))
+    window = 2 * round(0.5 * WINDOW / period) + 1
+    part = slice(*np.searchsorted(t, between).tolist())
+    commanded = np.roll(tau, round(delay / period), axis=0)
+    rows = [savgol_filter(q[part], window, 3, order, period, axis=0) for order in range(3)]
+    rows.append(savgol_filter(commanded[part], window, 3, 0, period, axis=0))
+    inner = slice(window, -window, max(1, round(SAMPLING / period)))
+    positions, speeds, accelerations, torques = (each[inner] for each in rows)
+    used = np.abs(speeds) > MOVING + 0.5 * WINDOW * np.abs(accelerations)
+    return Samples(positions, speeds, accelerations, torques, used)
+
+
+def rests(t: np.ndarray, q: np.ndarray, tau: np.ndarray, planned: np.ndarray) -> Samples:
+    """Postures at rest with the mean torque of both sides; arguments as for `sweep`."""
+    rows = []
+    for _, end in planned:
+        part = slice(*np.searchsorted(t, (end - SETTLED, end)).tolist())
+        rows.append((q[part].mean(axis=0), tau[part].mean(axis=0)))
+    positions, torques = (np.array(column) for column in zip(*rows, strict=True))
+    positions, torques = (0.5 * (each[0::2] + each[1::2]) for each in (positions, torques))
+    still = np.zeros_like(positions)
+    return Samples(positions, still, still, torques, np.full(still.shape, True))
+
+
+def residual(arm: Arm, samples: Samples) -> np.ndarray:
+    """Torque that the model of an arm, corrections included, does not explain [N m]. (N, n)."""
+    scales = 1.0 if arm.torque_scales is None else arm.torque_scales
+    rows = zip(samples.q, samples.qd, samples.qdd, samples.tau, strict=True)
+    torques = [
+        scales * tau - arm.inverse_dynamics(q, qd, qdd) - arm.friction_torque(qd)
+        for q, qd, qdd, tau in rows
+    ]
+    return np.where(samples.used, torques, 0.0)
+
+
+def identify(
+    arm: Arm,
+    plan: Excitation,
+    t: np.ndarray,
+    q: np.ndarray,
+    tau: np.ndarray,
+    zeros: np.ndarray,
+    payload: float | None = None,
+) -> Identified:
+    """Find corrections of an arm from a recording of its movement.
+
+    Args:
+        arm: Arm as its URDF describes it, without corrections.
+        plan: The movement, whose beginning is at t = 0.
+        t: Times of the states [s]. Shape (T,).
+        q: Reported positions [rad]. Shape (T, n).
+        tau: Commanded torques, gravity included [N m]. Shape (T, n).
+        zeros: Zeros of the joints, from the cameras [rad]. Shape (n,).
+        payload: Mass of the tool beyond the URDF's, from a scale [kg]; None if it was not weighed.
+    """
+    period = float(np.median(np.diff(t)))
+    still = rests(t, q, tau, plan.rests)
+    moving = [sweep(t, q, tau, part, 0.0) for part in plan.sweeps]
+    linear = [_derivatives(arm, each, zeros) for each in (still, *moving)]
+    # Neighbouring samples are not independent: the filter averages over half a window.
+    share = np.sqrt(SAMPLING / (0.5 * WINDOW))
+    noise = [TORQUE_NOISE + REST_NOISE * arm.friction]
+    noise += [(TORQUE_NOISE + FRICTION_NOISE * arm.friction) / share] * len(moving)
+    weight = np.concatenate(
+        [each.used / sd for each, sd in zip((still, *moving), noise, strict=True)]
+    )
+    matrix, known = (np.concatenate(column) for column in zip(*linear, strict=True))
+    best: tuple[float, Identified] | None = None
+    for shift in range(round(DELAYS / period) + 1):
+        delay = shift * period
+        torques = [still.tau, *(sweep(t, q, tau, part, delay).tau for part in plan.sweeps)]
+        cost, found = _fit(arm, matrix, known, np.concatenate(torques), weight, payload)
+        if best is None or cost < best[0]:
+            corrections = replace(found.corrections, zeros=zeros)
+            best = cost, replace(found, corrections=corrections, loop_delay=delay)
+    if best is None:
+        raise ValueError(f"period {period} s of the states must be positive")
+    return best[1]
+
+
+def _fit(
+    arm: Arm,
+    matrix: np.ndarray,
+    known: np.ndarray,
+    tau: np.ndarray,
+    weight: np.ndarray,
+    payload: float | None,
+) -> tuple[float, Identified]:
+    """Cost and result of the fit: tau = (known + matrix x) / scales, for likely x and scales.
+
+    The scales divide the model. As factors on the measured torques they would all become too small,
+    and the masses with them, because that makes the noise smaller.
+
+    Args:
+        arm: Arm without corrections.
+        matrix: Derivatives of the torques by what is unknown. Shape (N, n, 5 n + 6).
+        known: Torques of the model without corrections [N m]. Shape (N, n).
+        tau: Commanded torques [N m]. Shape (N, n).
+        weight: 1 / standard deviation of each torque, 0 for those that do not count. Shape (N, n).
+        payload: Mass of the tool beyond the URDF's [kg]; None if it is not known.
+    """
+    n, count = arm.n, matrix.shape[2]
+    friction, viscous = arm.friction, np.maximum(arm.damping, 0.1 * arm.friction)
+    spread = np.concatenate(
+        [
+            np.full(n, LINKS),
+            [PAYLOAD if payload is None else WEIGHED],
+            np.full(3, MOMENT),
+            *(COULOMB * friction, ASYMMETRY * friction, STRIBECK * friction, VISCOUS * viscous),
+            np.full(2, TILT),
+            np.full(n, SCALES),
+        ]
+    )
+    expected = np.zeros(count + n)
+    expected[n] = payload or 0.0
+    precision = np.diag(1.0 / spread**2)
+    x = expected.copy()
+    for _ in range(ITERATIONS):
+        shares = 1.0 + x[count:]  # 1 / scales
+        model = known + matrix @ x[:count]
+        full = np.concatenate([shares[:, None] * matrix, model[:, :, None] * np.eye(n)], axis=2)
+        full = (weight[:, :, None] * full).reshape(-1, count + n)
+        wanted = (weight * (tau - shares * model)).ravel() + full @ x
+        covariance = np.linalg.inv(full.T @ full + precision)
+        x = covariance @ (full.T @ wanted + precision @ expected)
+    errors = weight * (tau - (1.0 + x[count:]) * (known + matrix @ x[:count]))
+    cost = float((errors**2).sum() + ((x - expected) ** 2 / spread**2).sum())
+    sd = np.sqrt(covariance.diagonal())
+    parts = np.split(x, np.cumsum([n, 1, 3, n, n, n, n, 2]))
+    links, mass, moment, coulomb, asymmetry, _, damping, tilt, shares = parts
+    coulomb = np.maximum(friction + coulomb, 0.0)
+    found = Corrections.of(
+        n,
+        torque_scales=1.0 / (1.0 + shares),
+        coulomb_friction=coulomb,
+        viscous_friction=np.maximum(arm.damping + damping, 0.0),
+        link_masses=1.0 + links,
+        payload=np.concatenate([mass, moment]),
+        base_tilt=tilt,
+    )
+    result = Identified(
+        corrections=found,
+        asymmetry=asymmetry / np.maximum(coulomb, 1e-9),
+        scales_sd=sd[count:],
+        moment_sd=sd[n + 1 : n + 4],
+        payload_sd=float(sd[n]),
+        loop_delay=0.0,
+    )
+    return cost, result
+
+
+def _derivatives(arm: Arm, samples: Samples, zeros: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Derivatives of the torques by what is unknown, in the order of `_fit`, and known torques.
+
+    Shapes (N, n, 5 n + 6) and (N, n).
+    """
+    model, n, frame = arm.model, arm.n, arm.model.frames[arm.tool_frame]
+    data, placement, last = model.createData(), frame.placement, 10 * (frame.parentJoint - 1)
+    masses = [link.toDynamicParameters() for link in list(model.inertias)[1:]]
+    sideways = [_pulled(model, axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))]
+    rows = []
+    for posture, qd, qdd in zip(samples.q, samples.qd, samples.qdd, strict=True):
+        q = posture - zeros
+        regressor = pin.computeJointTorqueRegressor(model, data, q, qd, qdd)  # (n, 10 n)
+        links = [regressor[:, 10 * k : 10 * k + 10] @ masses[k] for k in range(n)]
+        moments = regressor[:, last + 1 : last + 4]
+        mass = regressor[:, last] + moments @ placement.translation
+        forwards = np.tanh(qd / MOVING)
+        along = [pin.computeGeneralizedGravity(each, data, q).copy() for each in sideways]
+        columns = [*links, mass, *(moments @ placement.rotation).T]
+        diagonals = forwards, float(qd.any()) * np.ones(n), _slow(qd) * forwards, qd
+        matrix = np.hstack(
+            [
+                np.stack(columns, axis=1),
+                *(np.diag(each) for each in diagonals),
+                np.stack([-along[1], along[0]], axis=1),
+            ]
+        )
+        inertial = sum(links) + arm.armature * qdd
+        rows.append((matrix, inertial + arm.friction * forwards + arm.damping * qd))
+    matrices, known = zip(*rows, strict=True)
+    return np.array(matrices), np.array(known)
+
+
+def _slow(qd: np.ndarray) -> np.ndarray:
+    return np.exp(-((qd / STRIBECK_SPEED) ** 2))
+
+
+def _pulled(model: pin.Model, axis: tuple[float, float, float]) -> pin.Model:
+    """The model with gravity along an axis of the base."""
+    turned = model.copy()
+    turned.gravity.linear = GRAVITY * np.array(axis)
+    return turned
