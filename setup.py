@@ -76,6 +76,7 @@ setup(
         f"{NAME}.scenes": [
             "flip = hardware_sim.scenes.flip:Flip",
             "reach = hardware_sim.scenes.reach:Reach",
+            "markers = hardware_sim.scenes.markers:Markers",
         ],
         "wam_power_ros.tasks": [
             f"flip = {NAME}.tasks.flip.task:Flip",

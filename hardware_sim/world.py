@@ -139,7 +139,8 @@ class World:
         # views into MuJoCo's arrays
         self._q, self._qd, self._applied = data.qpos[:n], data.qvel[:n], data.qfrc_applied[:n]
         self._scene_qd = data.qvel[n:]
-        columns = _free_joint(model, self.scene.body)
+        self._mounted = getattr(self.scene, "mounted", None)
+        columns = _free_joint(model, "" if self._mounted else self.scene.body)
         self._body, self._body_twist = data.qpos[columns[0]], data.qvel[columns[1]]
         self._tool_position = data.xpos[self._tool]
         self._tool_rotation = data.xmat[self._tool].reshape(3, 3)
@@ -332,8 +333,8 @@ class World:
             q = self._q if self._hidden is None else self._q + self._zeros
             self._encoders.read(q.tolist())
             self._record(saturated)
-        if self._body.size and self._mocap.due(self.time_ns):
-            pose = self._body[:3].copy(), rotation_of(self._body)
+        if (self._body.size or self._mounted) and self._mocap.due(self.time_ns):
+            pose = self._body_pose()
             self._mocap.expose(self.time_ns, *self._seen(*pose))
 
     def _advance(self) -> bool:
@@ -355,6 +356,14 @@ class World:
             for substep in range(self._substeps):
                 self._guided_step(substep)
         return saturated
+
+    def _body_pose(self) -> tuple[np.ndarray, np.ndarray]:
+        """Position (3,) [m] and rotation (3, 3) of the tracked body."""
+        if self._mounted is None:
+            return self._body[:3].copy(), rotation_of(self._body)
+        position, rotation = self._mounted
+        mujoco.mj_kinematics(self.model, self.data)  # a step leaves the tool where it began
+        return self._tool_position + self._tool_rotation @ position, self._tool_rotation @ rotation
 
     def _seen(self, position: np.ndarray, rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Pose of a body in the cameras' frame, taken for that of the base."""

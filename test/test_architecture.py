@@ -44,6 +44,7 @@ ALLOWED: dict[str, set[str]] = {
     "bags": {"durable_files", "plain_yaml", "plain_json", "arm_identity"},
     "learning": {"plain_json", "faults", "rotations", "arm_identity"},
     "control": {"compiled", "faults", "regions", "rotations", "arm_identity", "learning"},
+    "commissioning": {"rotations", "control"},
     "tracking": {"rotations", "learning"},
     "tasks": {"faults", "plotting", "regions", "rotations", "learning"},
     "practice": {"durable_files", "plain_yaml", "plain_json", "faults", "learning", "tasks"},

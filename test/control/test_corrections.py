@@ -32,7 +32,9 @@ def test_without_a_correction_every_number_stays_bit_for_bit() -> None:
         assert getattr(same, name).tobytes() == getattr(PLAIN, name).tobytes()
     for quantity in ("bias", "inverse_dynamics"):
         given = (Q, QD) if quantity == "bias" else (Q, QD, QD)
-        assert getattr(same, quantity)(*given).tobytes() == getattr(PLAIN, quantity)(*given).tobytes()
+        assert (
+            getattr(same, quantity)(*given).tobytes() == getattr(PLAIN, quantity)(*given).tobytes()
+        )
 
 
 def test_an_arm_with_zeros_moves_at_reported_angles_as_the_plain_one_at_true_ones() -> None:

@@ -20,7 +20,14 @@ from pathlib import Path
 from typing import Any
 
 from wam_power_ros import __version__
-from wam_power_ros.cli import bags_command, commands, layouts, plan_command, score_command
+from wam_power_ros.cli import (
+    bags_command,
+    commands,
+    commission_command,
+    layouts,
+    plan_command,
+    score_command,
+)
 from wam_power_ros.cli.launcher import Devices, UsageError, pasteable
 from wam_power_ros.cli.parser import (
     Parser,
@@ -139,6 +146,7 @@ def _parser() -> argparse.ArgumentParser:
         "--simulate", action="store_true", help="replace the devices by simulated stand-ins"
     )
 
+    commission_command.add_to(add, _arm_options)
     plan_command.add_to(subparsers)
 
     policy = add(

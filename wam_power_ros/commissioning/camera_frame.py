@@ -68,9 +68,7 @@ class CameraFrame:
     upright: float
 
 
-def calibrate(
-    arm: Arm, q: np.ndarray, position: np.ndarray, rotation: np.ndarray
-) -> CameraFrame:
+def calibrate(arm: Arm, q: np.ndarray, position: np.ndarray, rotation: np.ndarray) -> CameraFrame:
     """Find the cameras' frame, the pose of the body on the tool, and the zeros.
 
     Args:
@@ -194,9 +192,7 @@ def _numbers(*poses: Pose) -> np.ndarray:
     return np.concatenate([number for part in parts for number in part])
 
 
-def closed_form(
-    tools: list[Pose], position: np.ndarray, rotation: np.ndarray
-) -> tuple[Pose, Pose]:
+def closed_form(tools: list[Pose], position: np.ndarray, rotation: np.ndarray) -> tuple[Pose, Pose]:
     """Y and X of C_i = Y F_i X by two linear least squares: rotations, then positions.
 
     Args:

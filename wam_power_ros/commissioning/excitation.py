@@ -8,6 +8,7 @@ person beside the arm allow.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +17,7 @@ from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.joint_references import MinJerk
 from wam_power_ros.control.safety import Limits, plane_fault
 
-KNOT = 0.01  # [s] between two samples of the movement
+KNOT = 0.02  # [s] between two samples of the movement
 APPROACH = 0.06  # [rad] by which each joint comes from below, then from above
 MOVE_SPEED, APPROACH_SPEED = 0.5, 0.1  # [rad/s] peak
 REST = 0.6  # [s] at a posture, from each side
@@ -52,8 +53,8 @@ def excitation(
     limits: Limits,
     home: np.ndarray,
     rng: np.random.Generator,
-    postures: int = 18,
-    seconds: tuple[float, float] = (30.0, 20.0),
+    postures: int = 22,
+    seconds: tuple[float, ...] = (30.0, 20.0, 15.0, 10.0),
 ) -> Excitation:
     """Plan the movement from rest at home to rest at home.
 
@@ -63,7 +64,7 @@ def excitation(
         home: Posture around which the arm moves [rad]. Shape (n,).
         rng: Draws postures and sweeps.
         postures: Number of postures.
-        seconds: Duration of the slow and of the faster sweep [s].
+        seconds: Duration of each sweep, a slow and a faster one in turn [s].
 
     Raises:
         ValueError: No posture around home keeps the limits.
@@ -86,7 +87,7 @@ def excitation(
             move(posture, APPROACH_SPEED)
             rests.append(add(np.tile(posture, (round(REST / KNOT), 1))))
     move(home, MOVE_SPEED)
-    for duration, share in zip(seconds, (SLOW, 1.0), strict=True):
+    for duration, share in zip(seconds, itertools.cycle((SLOW, 1.0))):  # noqa: B905
         add(np.tile(home, (round(0.2 / KNOT), 1)))
         sweeps.append(add(_sweep(arm, limits, home, rng, duration, share)))
     q = np.concatenate(rows)

@@ -112,12 +112,20 @@ def rests(t: np.ndarray, q: np.ndarray, tau: np.ndarray, planned: np.ndarray) ->
     return Samples(positions, still, still, torques, np.full(still.shape, True))
 
 
-def residual(arm: Arm, samples: Samples) -> np.ndarray:
-    """Torque that the model of an arm, corrections included, does not explain [N m]. (N, n)."""
+def residual(arm: Arm, samples: Samples, asymmetry: np.ndarray | None = None) -> np.ndarray:
+    """Torque that the model of an arm, corrections included, does not explain [N m]. (N, n).
+
+    Args:
+        arm: Arm.
+        samples: Samples.
+        asymmetry: Share by which Coulomb friction is larger forwards than on average, also in the
+            mean of two rests. Shape (n,).
+    """
+    offset = 0.0 if asymmetry is None else asymmetry * arm.friction
     scales = 1.0 if arm.torque_scales is None else arm.torque_scales
     rows = zip(samples.q, samples.qd, samples.qdd, samples.tau, strict=True)
     torques = [
-        scales * tau - arm.inverse_dynamics(q, qd, qdd) - arm.friction_torque(qd)
+        scales * tau - arm.inverse_dynamics(q, qd, qdd) - arm.friction_torque(qd) - offset
         for q, qd, qdd, tau in rows
     ]
     return np.where(samples.used, torques, 0.0)
@@ -258,7 +266,7 @@ def _derivatives(arm: Arm, samples: Samples, zeros: np.ndarray) -> tuple[np.ndar
         forwards = np.tanh(qd / MOVING)
         along = [pin.computeGeneralizedGravity(each, data, q).copy() for each in sideways]
         columns = [*links, mass, *(moments @ placement.rotation).T]
-        diagonals = forwards, float(qd.any()) * np.ones(n), _slow(qd) * forwards, qd
+        diagonals = forwards, np.ones(n), _slow(qd) * forwards, qd
         matrix = np.hstack(
             [
                 np.stack(columns, axis=1),

@@ -167,6 +167,7 @@ class Arm:
         except ElementTree.ParseError as error:
             raise ValueError(f"{refusal}: {error}") from None
         require_usable(tree, self.joint_names)
+        self._given = urdf, self.joint_names, tool_frame, tuple(guarded)
         try:
             full = pin.buildModelFromXML(urdf)
         except (ValueError, RuntimeError) as error:
@@ -211,6 +212,10 @@ class Arm:
     def __reduce__(self) -> NoReturn:
         """Refuse to copy: the views would still show the buffers of the original."""
         raise TypeError("an Arm cannot be copied; create another one from the same URDF")
+
+    def corrected(self, corrections: Corrections) -> Arm:
+        """Another model of this arm, with these corrections in place of its own."""
+        return Arm(*self._given, corrections)
 
     def _frame(self, name: str) -> int:
         if not self.model.existFrame(name):

@@ -108,13 +108,17 @@ class TorqueControllerParams(Params, MotionSettings):
     ]
     torque_scales: Annotated[
         tuple[Annotated[float, Field(ge=0.5, le=1.5)], ...],
-        Field(min_length=1, max_length=JOINTS_MAX, description="beyond, the torques' unit is wrong"),
+        Field(
+            min_length=1, max_length=JOINTS_MAX, description="beyond, the torques' unit is wrong"
+        ),
     ]
     coulomb_friction: Friction
     viscous_friction: Friction
     link_masses: Annotated[
         tuple[Annotated[float, Field(ge=0.5, le=1.5)], ...],
-        Field(min_length=1, max_length=JOINTS_MAX, description="beyond, the URDF is of another arm"),
+        Field(
+            min_length=1, max_length=JOINTS_MAX, description="beyond, the URDF is of another arm"
+        ),
     ]
     payload: tuple[Kilograms, Moment, Moment, Moment] = Field(
         description="in kg and kg m: beyond the tool that the URDF describes"

@@ -1,0 +1,289 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`wam-power commission`: the arm measures itself and the cameras, and writes a set-up file."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+from collections.abc import Callable
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from wam_power_ros import __version__, durable_files, rotations
+from wam_power_ros.bags.bag import Bag
+from wam_power_ros.bags.commands import read_commands
+from wam_power_ros.bags.reader import read_states
+from wam_power_ros.bags.table import body_columns
+from wam_power_ros.cli.launcher import (
+    Devices,
+    UsageError,
+    interrupt,
+    launch,
+    secured,
+    short_path,
+    timestamp,
+)
+from wam_power_ros.cli.plan import RECORDER, SIMULATION, TRACKER, plan_of
+from wam_power_ros.commissioning import camera_frame
+from wam_power_ros.commissioning.excitation import Excitation, excitation
+from wam_power_ros.commissioning.measurement import Commissioned, Recording, analyse
+from wam_power_ros.control.arm import Arm
+from wam_power_ros.control.corrections import Corrections
+from wam_power_ros.params import overlay
+from wam_power_ros.params.torque_controller_params import TorqueControllerParams
+
+MOVEMENT = "movement.npz"
+HALVED = 0.5  # share of the unexplained torque that may be left: otherwise nothing is written
+SCENE = "markers"  # of the stand-in
+
+
+def commission(
+    tool_mass: float | None, output: Path | None, folder: Path | None, devices: Devices
+) -> int:
+    """Move the arm, analyse the recording, print what was found and write a set-up file.
+
+    Args:
+        tool_mass: Mass of the tool from a scale [kg]; None if it was not weighed.
+        output: Set-up file to write; None for arm.yaml in the folder.
+        folder: Folder of the recording; one that has a recording is only analysed again.
+        devices: Choice of set-ups.
+    """
+    folder = (folder or Path("commissioning") / timestamp()).resolve()
+    setup = devices.parameters(folder=folder)
+    setup = setup.changed({RECORDER: {"stem": "commissioning"}, SIMULATION: {"scene": SCENE}})
+    controller = TorqueControllerParams.of_setup(setup)
+    if controller.driver_compensates_gravity:
+        raise UsageError(
+            "this driver adds gravity itself (driver_compensates_gravity): what its motors give is "
+            "not known, so the torques tell nothing"
+        )
+    arm = setup.arm()
+    if arm is None:
+        raise UsageError("the set-up has no URDF file of the arm: choose one with --config")
+    arm = arm.corrected(Corrections.of(arm.n))
+    movement, status = folder / MOVEMENT, 0
+    if not movement.exists():
+        status = _move(arm, setup, controller, movement, devices)
+    bags = sorted((folder / "bags").glob("commissioning*"))
+    if status or not bags:
+        movement.unlink(missing_ok=True)
+        return status or 1
+    with np.load(movement) as file:
+        plan = Excitation(*(file[name] for name in ("t", "q", "rests", "sweeps")))
+    recorded = _recording(bags[-1], setup)
+    given = None if tool_mass is None else tool_mass - _tool_mass(arm)
+    found = analyse(arm, plan, recorded, given)
+    for line in report(arm, found):
+        print(line)
+    reasons = refusals(found)
+    for reason in reasons:
+        print(f"not usable: {reason}")
+    if reasons:
+        print("Nothing was written.")
+        return 1
+    file = output or folder / "arm.yaml"
+    if file.exists():
+        kept = file.with_name(f"{file.name}.{timestamp()}")
+        file.rename(kept)
+        print(f"{short_path(file)} existed: kept as {short_path(kept)}")
+    durable_files.replace(file, setup_text(arm, setup, found))
+    print(f"Written: {short_path(file)}. Give it last: --config {short_path(file)}")
+    return 0
+
+
+def _move(
+    arm: Arm,
+    setup: overlay.Setup,
+    controller: TorqueControllerParams,
+    movement: Path,
+    devices: Devices,
+) -> int:
+    """Plan the movement, let the arm execute it and record it; returns the exit status."""
+    from wam_power_ros.params.resources import robot_description
+
+    limits = controller.controller(robot_description(controller.urdf)).limits
+    home = np.array(setup[SIMULATION]["home"])  # of every arm, simulated or not
+    plan = excitation(arm, limits, home, np.random.default_rng(0))
+    movement.parent.mkdir(parents=True, exist_ok=True)
+    np.savez(movement, t=plan.t, q=plan.q, rests=plan.rests, sweeps=plan.sweeps)
+    signal.signal(signal.SIGTERM, interrupt)
+    also = [TRACKER]
+    planned = plan_of(movement.parent, setup, devices.stand_ins, also=also, secure=secured())
+    with launch(planned) as launcher:
+        moving = launcher.script(
+            "commission",
+            movement=str(movement),
+            joint_names=setup.joint_names,
+            state_topic=controller.state_topic,
+            person=not devices.stand_ins,
+        )
+        while True:
+            try:
+                return launcher.processes.wait(moving)
+            except KeyboardInterrupt:
+                moving.process.send_signal(signal.SIGINT)
+
+
+def _recording(path: Path, setup: overlay.Setup) -> Recording:
+    """Read states, torques and poses of a bag."""
+    bag, names = Bag(path), setup.joint_names
+    states = read_states(bag, names)
+    topic = setup["torque_controller"]["command_topic"]
+    tau = read_commands(bag, topic if topic.startswith("/") else f"/{topic}", states.stamps, names)
+    body = setup[TRACKER]["body"]
+    columns, _ = body_columns(bag, states.stamps)
+    stamps = np.array([-1 if s is None else s for s in columns.get(f"body.{body}.stamp_ns", [])])
+    rows = np.flatnonzero(np.diff(stamps, prepend=-1) > 0) if len(stamps) else np.array([], int)
+    pose = (
+        [np.array(columns[f"body.{body}.{part}"], float)[rows] for part in _POSE]
+        if len(rows)
+        else []
+    )
+    origin = states.stamps[0]
+    position = np.stack(pose[:3], axis=1) if pose else np.empty((0, 3))
+    rotation = rotations.matrix(np.stack(pose[3:], axis=1)) if pose else np.empty((0, 3, 3))
+    return Recording(
+        t=(states.stamps - origin) * 1e-9,
+        q=states.q,
+        tau=tau,
+        seen_t=(stamps[rows] - origin) * 1e-9,
+        position=position,
+        rotation=rotation,
+    )
+
+
+_POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+
+
+def _tool_mass(arm: Arm) -> float:
+    """Mass of the tool's link in the URDF [kg]: of what the last joint moves."""
+    return float(arm.model.inertias[arm.model.frames[arm.tool_frame].parentJoint].mass)
+
+
+def report(arm: Arm, found: Commissioned) -> list[str]:
+    """What was found, in lines of text."""
+    lines, cameras, measured = [], found.cameras, found.arm
+    degrees = np.rad2deg
+    if cameras is None:
+        lines.append("cameras    saw no body: frame and zeros were not measured")
+    else:
+        x, y, z = cameras.world_to_base.position
+        rejected = ", ".join(str(number + 1) for number in cameras.rejected) or "none"
+        lines += [
+            f"cameras    residual {cameras.position_rms * 1e3:.1f} mm, "
+            f"{degrees(cameras.rotation_rms):.2f} degrees; rests rejected: {rejected}",
+            f"           frame moved by {x:.4f}, {y:.4f}, {z:.4f} m; base's z against the cameras' "
+            f"{degrees(cameras.upright):.1f} degrees",
+            f"           at {HELD_OUT_TEXT}: {found.check_position * 1e3:.1f} mm, "
+            f"{degrees(found.check_rotation):.2f} degrees",
+            f"           stamps late by {found.latency * 1e3:.1f} ms beyond latency_offset",
+        ]
+        zeros = zip(arm.joint_names, cameras.zeros, cameras.zeros_sd, strict=True)
+        shown = ", ".join(
+            f"{name} {degrees(zero):+.2f} +-{degrees(sd):.2f}" for name, zero, sd in zeros if sd
+        )
+        lines.append(f"zeros      {shown} degrees; the first and the last cannot be seen")
+    c = measured.corrections
+    lines += [
+        f"friction   {_joined(c.coulomb_friction, '.2f')} N m (model {_joined(arm.friction, '.2f')})",
+        f"motors     torque over commanded {_joined(c.torque_scales, '.3f')} "
+        f"+-{float(measured.scales_sd.max()):.3f}",
+        f"payload    {c.payload[0]:+.3f} +-{measured.payload_sd:.3f} kg beyond the model, moment "
+        f"{_joined(c.payload[1:], '+.4f')} kg m +-{float(measured.moment_sd.max()):.4f}",
+        f"base       tilted by {_joined(degrees(c.base_tilt), '+.2f')} degrees",
+        f"loop       {measured.loop_delay * 1e3:.0f} ms from a torque to its motion",
+        "torque not explained, other movements [N m rms]: "
+        + ", ".join(
+            f"{name} {getattr(found.before, name):.2f} -> {getattr(found.after, name):.2f}"
+            for name in ("rest", "slow", "fast")
+        ),
+    ]
+    return lines
+
+
+HELD_OUT_TEXT = "4 postures that were not used"
+
+
+def _joined(values: np.ndarray, spec: str) -> str:
+    return " ".join(format(float(value), spec) for value in values)
+
+
+def refusals(found: Commissioned) -> list[str]:
+    """Reasons not to write the result; empty if there is none."""
+    reasons = [] if found.cameras is None else camera_frame.concerns(found.cameras)
+    if not found.after.slow <= max(HALVED * found.before.slow, 0.1):
+        reasons.append(
+            f"the unexplained torque in slow movements is {found.after.slow:.2f} N m, not half of "
+            f"the {found.before.slow:.2f} N m before: the tool, the joints or the torques' unit are "
+            "other ones than the set-up says"
+        )
+    scales = found.arm.corrections.torque_scales
+    for joint, scale in enumerate(scales, start=1):
+        if not 0.85 <= scale <= 1.15:
+            reasons.append(f"joint {joint} gives {scale:.2f} of the commanded torque, 0.85 to 1.15")
+    return reasons
+
+
+def setup_text(arm: Arm, setup: overlay.Setup, found: Commissioned) -> str:
+    """Set-up file with what was found."""
+    c = found.arm.corrections
+    controller: dict[str, Any] = {
+        "joint_zeros": _rounded(c.zeros, 6),
+        "torque_scales": _rounded(c.torque_scales, 4),
+        "coulomb_friction": _rounded(c.coulomb_friction, 4),
+        "viscous_friction": _rounded(c.viscous_friction, 4),
+        "link_masses": _rounded(c.link_masses, 4),
+        "payload": _rounded(c.payload, 5),
+        "base_tilt": _rounded(c.base_tilt, 5),
+    }
+    nodes: dict[str, Any] = {"torque_controller": controller}
+    if found.cameras is not None:
+        known = setup[TRACKER]["world_to_base"]
+        turn, offset = found.cameras.world_to_base.rotation, found.cameras.world_to_base.position
+        position = turn @ np.array(known[:3]) + offset
+        quat = rotations.quat_xyzw(turn @ rotations.matrix(np.array(known[3:])))
+        late = setup[TRACKER]["latency_offset"] + found.latency
+        nodes[TRACKER] = {
+            "world_to_base": [*_rounded(position, 5), *_rounded(quat, 7)],
+            "latency_offset": round(max(0.0, late), 5),
+        }
+    sections = {f"/**/{name}": {"ros__parameters": values} for name, values in nodes.items()}
+    header = [
+        f"# What {arm.name} and its cameras measured of themselves on {date.today().isoformat()}, "
+        f"wam_power_ros {__version__}.",
+        "# Joints in the order of model_joint_names. Measure again after a change of tool, zeros or "
+        "cameras.",
+        *(f"# {line}" for line in report(arm, found)),
+    ]
+    body = yaml.safe_dump(sections, sort_keys=False, default_flow_style=None, width=1000)
+    return "\n".join([*header, body])
+
+
+def _rounded(values: np.ndarray, digits: int) -> list[float]:
+    return [round(float(value), digits) + 0.0 for value in values]
+
+
+def add_to(
+    add: Callable[..., argparse.ArgumentParser],
+    arm_options: Callable[[argparse.ArgumentParser], None],
+) -> None:
+    """Add the command to the parser."""
+    parser = add(
+        "commission",
+        commission,
+        "let the arm measure its zeros, friction, tool and cameras; writes a set-up file",
+        "Move the arm for about four minutes, with markers fixed to its empty tool, and compare "
+        "what encoders, torques and cameras say. Hardware: nobody within reach.",
+    )
+    parser.add_argument(
+        "--tool-mass", type=float, help="of what the last joint carries [kg], weighed"
+    )
+    parser.add_argument("--output", type=Path, help="set-up file (default: arm.yaml in the folder)")
+    parser.add_argument(
+        "--folder", type=Path, help="of the recording; an existing one is analysed again"
+    )
+    arm_options(parser)
