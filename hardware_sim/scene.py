@@ -9,6 +9,7 @@ from xml.etree import ElementTree
 import mujoco
 
 from hardware_sim.ground_truth import TOOL_SITE
+from hardware_sim.hidden_arm import HiddenArm
 from hardware_sim.scenes import Scene
 from hardware_sim.settings import WorldSettings
 from hardware_sim.wam import JOINTS
@@ -18,13 +19,16 @@ AIR_DENSITY = 1.2  # [kg/m^3]
 _FIXED, _BODY = 1, 2  # collision bits: only bodies collide, with tool and ground
 
 
-def build(urdf: str, scene: Scene, settings: WorldSettings) -> mujoco.MjModel:
+def build(
+    urdf: str, scene: Scene, settings: WorldSettings, hidden: HiddenArm | None = None
+) -> mujoco.MjModel:
     """Compile the model of an arm in a scene.
 
     Args:
         urdf: Text of the arm's URDF.
         scene: Scene that adds its bodies, and shapes of the tool that touch them.
         settings: Settings of the world.
+        hidden: How the arm differs from its URDF; None if it does not.
 
     Returns:
         A model whose first degrees of freedom are the arm's joints, followed by those of the scene,
@@ -35,8 +39,8 @@ def build(urdf: str, scene: Scene, settings: WorldSettings) -> mujoco.MjModel:
     """
     friction = settings.friction
     spec = arm(urdf, settings.model_joint_names)
-    if settings.hidden is not None:
-        settings.hidden.change(spec, settings.model_joint_names, settings.tool_frame)
+    if hidden is not None:
+        hidden.change(spec, settings.model_joint_names, settings.tool_frame)
     option = spec.option
     option.timestep = TIMESTEP
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST

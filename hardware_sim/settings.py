@@ -7,10 +7,10 @@ import zlib
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, InstanceOf, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 from typing_extensions import Self
 
-from hardware_sim.hidden_arm import HiddenArm, hidden_arm
+from hardware_sim.hidden_arm import hidden_arm
 from hardware_sim.sensors import MocapSettings
 from hardware_sim.wam import JOINTS, PERIOD
 from wam_power_ros.control.arm import GuardedPoint, guarded_points
@@ -65,7 +65,6 @@ class WorldSettings(BaseModel):
         unknown: Replaces some settings by random ones, see `drawn`: never (""), once for all
             rollouts ("session"), anew for each rollout ("rollout"), or by an arm that differs from
             its model as one on a laboratory's first day does ("lab").
-        hidden: How the arm differs from its model; None if it does not.
         friction: Sliding friction between tool and body.
         body_offset_sd: Standard deviation of the body's initial position at the tool, per axis [m].
         body_mass: Mass of the body, relative to nominal.
@@ -103,7 +102,6 @@ class WorldSettings(BaseModel):
     torque_constants: tuple[Scale, ...] = Field((), max_length=JOINTS_MAX)
     payload: float = Field(0.0, ge=0.0, le=5.0)
     unknown: Literal["", "session", "rollout", "lab"] = ""
-    hidden: InstanceOf[HiddenArm] | None = None
     friction: Spread = 0.2
     body_offset_sd: Spread = 0.003
     body_mass: Scale = 1.0
@@ -146,9 +144,8 @@ class WorldSettings(BaseModel):
         """
         n = len(self.model_joint_names)
         if self.unknown == "lab":
-            hidden = hidden_arm(seed, n)
-            delay = {"command_delay_ticks": self.ticks(hidden.delay)}
-            return self.model_copy(update={"hidden": hidden, **delay})
+            delay = self.ticks(hidden_arm(seed, n).delay)
+            return self.model_copy(update={"command_delay_ticks": delay})
         rng = np.random.default_rng([seed, zlib.crc32(f"unknown world{rollout_id}".encode())])
         drawn = {
             "body_mass": float(rng.uniform(0.7, 1.3)),
@@ -183,7 +180,7 @@ class WamSimParams(Params, WorldSettings):
     file = "wam_sim.yaml"
     constants: ClassVar = {  # set by studies, and by the unknown world
         *("watchdog_damping", "friction_share", "torque_constants", "payload"),
-        *("body_mass", "body_size", "level", "hidden"),
+        *("body_mass", "body_size", "level"),
     }
 
     pace: Literal["lockstep", "real_time"]

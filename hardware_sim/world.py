@@ -19,6 +19,7 @@ import numpy as np
 from hardware_sim import scene
 from hardware_sim.demonstrator import Demonstrator
 from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth, rotation_of
+from hardware_sim.hidden_arm import hidden_arm
 from hardware_sim.motors import DirectDrives, Motors
 from hardware_sim.scenes import Scene, scene_type
 from hardware_sim.sensors import Encoders, Mocap, MocapFrame, MocapSettings, quantize_geared
@@ -55,6 +56,7 @@ class World:
     Attributes:
         settings: Settings of the world.
         scene: Scene around the arm.
+        hidden: How the arm differs from its model; None if it does not.
         time_ns: Time of the simulation [ns].
         frozen: True while only clock and cameras go on; physics, encoders and commands wait for
             `release`.
@@ -102,6 +104,8 @@ class World:
         self._mocap = Mocap(layout, mocap)
         self._velocity = np.zeros(6)
         self._carrying: tuple[MinJerk, int] | None = None  # path and its beginning [ns]
+        self.hidden = hidden_arm(seed, self.n) if settings.unknown == "lab" else None
+        self._zeros = np.zeros(self.n) if self.hidden is None else self.hidden.zeros
         self._build(settings.drawn(seed) if settings.unknown else settings)
 
         self.time_ns = self._period_ns
@@ -129,11 +133,9 @@ class World:
         self.settings = settings
         self.scene = self._make_scene(settings)
         n = self.n
-        self.model = model = scene.build(self.urdf, self.scene, settings)
+        self.model = model = scene.build(self.urdf, self.scene, settings, self.hidden)
         self.data = data = mujoco.MjData(model)
         self._tool = model.body(settings.tool_frame).id
-        self._hidden = settings.hidden
-        self._zeros = np.zeros(n) if self._hidden is None else self._hidden.zeros
         self._friction = settings.friction_share * model.dof_frictionloss[:n]
         self._watchdog_damping = (settings.watchdog_damping * model.dof_M0[:n]).tolist()
         # views into MuJoCo's arrays
@@ -189,8 +191,8 @@ class World:
         wind = noise * settings.wind_sd * rng.standard_normal(3)
         scale = 1.0 + noise * settings.torque_scale_sd * rng.standard_normal(n)
         scale *= settings.torque_constants or 1.0
-        if self._hidden is not None:
-            scale *= self._hidden.motors
+        if self.hidden is not None:
+            scale *= self.hidden.motors
         friction = 1.0 + noise * settings.friction_sd * rng.standard_normal(n)
         self._torque_scale: list[float] = scale.tolist()
         model.dof_frictionloss[:n] = self._friction * np.maximum(friction, 0.0)
@@ -330,7 +332,7 @@ class World:
             else:
                 self._command, self._ticks_since_command = command, 0
             saturated = self._advance()
-            q = self._q if self._hidden is None else self._q + self._zeros
+            q = self._q if self.hidden is None else self._q + self._zeros
             self._encoders.read(q.tolist())
             self._record(saturated)
         if (self._body.size or self._mounted) and self._mocap.due(self.time_ns):
@@ -348,8 +350,8 @@ class World:
             given = self.motors.limit(self._effort, qd)
             saturated = given is not self._effort
             self._applied[:] = [a * b for a, b in zip(given, self._torque_scale, strict=True)]
-        if self._hidden is not None:
-            self._applied[:] -= self._hidden.drag(self._qd, self.model.dof_frictionloss[: self.n])
+        if self.hidden is not None:
+            self._applied[:] -= self.hidden.drag(self._qd, self.model.dof_frictionloss[: self.n])
         if self._demonstrator is None:
             mujoco.mj_step(self.model, self.data, self._substeps)
         else:
@@ -367,9 +369,9 @@ class World:
 
     def _seen(self, position: np.ndarray, rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Pose of a body in the cameras' frame, taken for that of the base."""
-        if self._hidden is None:
+        if self.hidden is None:
             return position, rotation
-        turn, offset = self._hidden.cameras
+        turn, offset = self.hidden.cameras
         return turn @ position + offset, turn @ rotation
 
     def _commanded_torque(self) -> list[float]:
@@ -425,7 +427,7 @@ class World:
 
     def truth(self) -> Truth:
         """Ground truth since the release: id, outcome by the scene, `RolloutLog.arm_truth`."""
-        tool = self._arm.tool_pose(self._q) if self._hidden is None else self.tool_pose
+        tool = self._arm.tool_pose(self._q) if self.hidden is None else self.tool_pose
         now = Snapshot(self._body, *tool)
         truth, peaks = self.scene.truth(self._log, now), self._log.arm_truth(self.motors)
         return {"id": self.rollout_id, **truth, **peaks}

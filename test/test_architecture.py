@@ -77,26 +77,27 @@ ALLOWED["benchmark"] = {*ALLOWED}
 BUDGET = {
     "ground": 1280,  # the modules of wam_power_ros/ itself
     "learning": 2420,
-    "control": 4220,
+    "control": 4390,
+    "commissioning": 960,
     "tracking": 600,
     "tasks": 2680,
     "practice": 2100,
     "conformance": 1120,
-    "bags": 2600,
-    "params": 1090,
+    "bags": 2660,
+    "params": 1140,
     "ros": 2680,
     "client": 1260,
     "nodes": 3040,
-    "console": 920,
+    "console": 1000,
     "view": 1360,
     "reporting": 930,
     "in_process": 350,
-    "cli": 2770,
-    "hardware_sim": 2890,
+    "cli": 3080,
+    "hardware_sim": 3100,
     "launch": 260,
     "examples": 380,
     "reproduction": 3350,
-    "benchmark": 4960,
+    "benchmark": 4950,
 }
 PURE = (
     "faults",
@@ -199,7 +200,7 @@ def test_every_module_stands_in_a_folder_of_the_table() -> None:
 def test_no_folder_has_more_lines_than_its_budget() -> None:
     lines = dict.fromkeys(BUDGET, 0)
     for top in (*INSTALLED, *(ROOT / name for name in TOPS)):
-        for path in top.rglob("*.py"):
+        for path in (*top.rglob("*.py"), *top.rglob("*.c")):
             if "__pycache__" not in path.parts:
                 _, *parts = path.relative_to(top.parent).parts
                 within = top == PACKAGE

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scene in which an arm is commissioned: markers are fixed to its tool, and nothing else is there."""
+"""Scene in which an arm is commissioned: there are markers on its tool, and nothing else."""
 
 from __future__ import annotations
 

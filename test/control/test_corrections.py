@@ -50,7 +50,7 @@ def test_an_arm_with_zeros_moves_at_reported_angles_as_the_plain_one_at_true_one
 def test_a_payload_is_a_point_mass_at_its_centre_for_gravity() -> None:
     mass, centre = 0.4, np.array([0.02, -0.01, 0.05])
     loaded = arm(payload=[mass, *(mass * centre)])
-    position, rotation = PLAIN.tool_pose(Q)
+    _, rotation = PLAIN.tool_pose(Q)
     jacobian = PLAIN.jacobian(Q)
     lever = np.cross(rotation @ centre, [0.0, 0.0, mass * 9.81])
     weight = jacobian.T @ np.concatenate([[0.0, 0.0, mass * 9.81], lever])

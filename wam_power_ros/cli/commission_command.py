@@ -38,6 +38,8 @@ from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 
 MOVEMENT = "movement.npz"
 HALVED = 0.5  # share of the unexplained torque that may be left: otherwise nothing is written
+EXPLAINED = 0.3  # [N m] unexplained torque that is acceptable whatever it was before
+RELIEF = 0.8  # share of the friction that is taken off while a person guides the arm
 SCENE = "markers"  # of the stand-in
 
 
@@ -189,7 +191,8 @@ def report(arm: Arm, found: Commissioned) -> list[str]:
         lines.append(f"zeros      {shown} degrees; the first and the last cannot be seen")
     c = measured.corrections
     lines += [
-        f"friction   {_joined(c.coulomb_friction, '.2f')} N m (model {_joined(arm.friction, '.2f')})",
+        f"friction   {_joined(c.coulomb_friction, '.2f')} N m, "
+        f"of the model {_joined(arm.friction, '.2f')} N m",
         f"motors     torque over commanded {_joined(c.torque_scales, '.3f')} "
         f"+-{float(measured.scales_sd.max()):.3f}",
         f"payload    {c.payload[0]:+.3f} +-{measured.payload_sd:.3f} kg beyond the model, moment "
@@ -215,11 +218,11 @@ def _joined(values: np.ndarray, spec: str) -> str:
 def refusals(found: Commissioned) -> list[str]:
     """Reasons not to write the result; empty if there is none."""
     reasons = [] if found.cameras is None else camera_frame.concerns(found.cameras)
-    if not found.after.slow <= max(HALVED * found.before.slow, 0.1):
+    if not found.after.slow <= max(HALVED * found.before.slow, EXPLAINED):
         reasons.append(
             f"the unexplained torque in slow movements is {found.after.slow:.2f} N m, not half of "
-            f"the {found.before.slow:.2f} N m before: the tool, the joints or the torques' unit are "
-            "other ones than the set-up says"
+            f"the {found.before.slow:.2f} N m before: the tool, the joints or the torques' unit "
+            "are other ones than the set-up says"
         )
     scales = found.arm.corrections.torque_scales
     for joint, scale in enumerate(scales, start=1):
@@ -239,6 +242,9 @@ def setup_text(arm: Arm, setup: overlay.Setup, found: Commissioned) -> str:
         "link_masses": _rounded(c.link_masses, 4),
         "payload": _rounded(c.payload, 5),
         "base_tilt": _rounded(c.base_tilt, 5),
+        "loop_delay": round(found.arm.loop_delay, 4),
+        # Of the smaller of both directions
+        "teaching_friction": round(RELIEF * (1.0 - float(np.abs(found.arm.asymmetry).max())), 3),
     }
     nodes: dict[str, Any] = {"torque_controller": controller}
     if found.cameras is not None:
@@ -253,10 +259,10 @@ def setup_text(arm: Arm, setup: overlay.Setup, found: Commissioned) -> str:
         }
     sections = {f"/**/{name}": {"ros__parameters": values} for name, values in nodes.items()}
     header = [
-        f"# What {arm.name} and its cameras measured of themselves on {date.today().isoformat()}, "
+        f"# Measured by {arm.name} and its cameras on {date.today().isoformat()}, with "
         f"wam_power_ros {__version__}.",
-        "# Joints in the order of model_joint_names. Measure again after a change of tool, zeros or "
-        "cameras.",
+        "# Joints in the order of model_joint_names. Measure again after a change of tool, zeros "
+        "or cameras.",
         *(f"# {line}" for line in report(arm, found)),
     ]
     body = yaml.safe_dump(sections, sort_keys=False, default_flow_style=None, width=1000)

@@ -28,10 +28,10 @@ from wam_power_ros.client.requests import FIRST_TIMEOUT, Requests, succeeded
 from wam_power_ros.client.rollouts import Executed, Ready, Rollouts, RolloutSettings
 from wam_power_ros.control import replay_trajectory
 from wam_power_ros.control.arm import Arm
+from wam_power_ros.control.corrections import Corrections
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import robot_description
-from wam_power_ros.params.torque_controller_params import corrections_of
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer, ServiceError
 from wam_power_ros.ros.joint_messages import JointMovement, JointStateReader, movement_message
@@ -338,7 +338,7 @@ def connected(
             setup["pancake_tracker"]["body"],
             Arm(
                 *(urdf, controller["model_joint_names"], controller["tool_frame"], ()),
-                corrections_of(controller),
+                Corrections.of_parameters(controller),
             ),
             RolloutSettings.of(setup["learner"]),
             float(controller["settle_time"]),

@@ -3,9 +3,9 @@
 
 The body at posture i is seen at C_i = Y F(q_i - z) X: Y is the pose of the base in the cameras'
 frame, F the forward kinematics, X the pose of the body in the tool, z the zeros of the joints. All
-are found together: an arm whose zeros are a degree off sees its own tool centimetres away from where
-the cameras do, whatever the frame. The zero of the first joint cannot be told from the yaw of the
-base, nor that of the last joint from the roll of the body; both count as 0.
+are found together: an arm whose zeros are a degree off believes its tool centimetres away from
+where the cameras see it, whatever the frame. The zero of the first joint cannot be told from the
+yaw of the base, nor that of the last joint from the roll of the body; both count as 0.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import OptimizeResult, least_squares
 
 from wam_power_ros import rotations
 from wam_power_ros.control.arm import Arm
@@ -95,7 +95,7 @@ def calibrate(arm: Arm, q: np.ndarray, position: np.ndarray, rotation: np.ndarra
         sizes = np.abs(solution.fun[: 6 * len(accepted)]).reshape(-1, 6).max(axis=1)
         typical = max(float(np.median(sizes)), 1.0)
         worst = int(sizes.argmax())
-        if sizes[worst] <= OUTLIER * typical or typical > RESIDUAL_MAX:
+        if sizes[worst] <= OUTLIER * typical:
             break
         accepted = np.delete(accepted, worst)
         if len(accepted) < POSTURES_MIN:
@@ -128,11 +128,11 @@ def concerns(found: CameraFrame) -> list[str]:
     return reasons
 
 
-def _result(n: int, solution: object, count: int, accepted: np.ndarray) -> CameraFrame:
-    base, body, zeros = _parts(n, solution.x)  # type: ignore[attr-defined]
+def _result(n: int, solution: OptimizeResult, count: int, accepted: np.ndarray) -> CameraFrame:
+    base, body, zeros = _parts(n, solution.x)
     used = len(accepted)
-    rows = solution.fun[: 6 * used].reshape(-1, 6)  # type: ignore[attr-defined]
-    jacobian = solution.jac  # type: ignore[attr-defined]
+    rows = solution.fun[: 6 * used].reshape(-1, 6)
+    jacobian = solution.jac
     scale = max(1.0, float(np.sqrt(np.mean(rows**2))))  # geometry errors count as noise
     covariance = np.linalg.inv(jacobian.T @ jacobian)
     deviations = scale * np.sqrt(covariance.diagonal())[12:]
@@ -150,7 +150,7 @@ def _result(n: int, solution: object, count: int, accepted: np.ndarray) -> Camer
     )
 
 
-def _solve(arm: Arm, q: np.ndarray, position: np.ndarray, rotation: np.ndarray) -> object:
+def _solve(arm: Arm, q: np.ndarray, position: np.ndarray, rotation: np.ndarray) -> OptimizeResult:
     """Least squares on Y, X and the zeros, from the closed-form solution without zeros."""
     base, body = closed_form([Pose(*arm.tool_pose(each)) for each in q], position, rotation)
 

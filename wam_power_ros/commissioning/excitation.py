@@ -87,7 +87,7 @@ def excitation(
             move(posture, APPROACH_SPEED)
             rests.append(add(np.tile(posture, (round(REST / KNOT), 1))))
     move(home, MOVE_SPEED)
-    for duration, share in zip(seconds, itertools.cycle((SLOW, 1.0))):  # noqa: B905
+    for duration, share in zip(seconds, itertools.cycle((SLOW, 1.0))):
         add(np.tile(home, (round(0.2 / KNOT), 1)))
         sweeps.append(add(_sweep(arm, limits, home, rng, duration, share)))
     q = np.concatenate(rows)
@@ -164,24 +164,30 @@ def _sweep(
 ) -> np.ndarray:
     """Sum of harmonics in every joint, from rest to rest at home. Shape (T, n)."""
     for _ in range(_DRAWS):
-        number = np.arange(1, HARMONICS + 1)
         phase = rng.uniform(0.0, 2.0 * np.pi, (HARMONICS, arm.n))
-        size = rng.uniform(0.5, 1.0, (HARMONICS, arm.n)) / number[:, None]
-
-        def at(s: np.ndarray) -> np.ndarray:
-            """Positions at phases s (T,), which begin and end at home."""
-            angle = 2.0 * np.pi * number * s[:, None]  # (T, H)
-            wave = np.einsum("hn,thn->tn", size, np.sin(angle[:, :, None] + phase))  # noqa: B023
-            ease = np.clip(np.minimum(s, s[-1] - s) / 0.5, 0.0, 1.0)
-            return wave * (ease**3 * (10.0 - 15.0 * ease + 6.0 * ease**2))[:, None]
-
+        size = rng.uniform(0.5, 1.0, (HARMONICS, arm.n))
         period = 10.0  # [s], then stretched to the speed that is allowed
-        fine = at(np.linspace(0.0, 4.0, 2000))
+        fine = _wave(np.linspace(0.0, 4.0, 2000), phase, size)
         scale = SWEEP_RANGE / np.abs(fine).max()
         q = home + scale * fine
         if all(_allowed(arm, limits, each) for each in q[::10]):
             speed = np.gradient(q, 4.0 * period / 2000, axis=0)
             period *= _relative_speed(arm, list(zip(q[::4], speed[::4], strict=True))) / share
             t = np.arange(round(seconds / KNOT) + 1) * KNOT
-            return home + scale * at(t / period)
+            return home + scale * _wave(t / period, phase, size)
     raise ValueError("no sweep around home keeps the limits: check home, workspace and plane")
+
+
+def _wave(s: np.ndarray, phase: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Harmonics of one period, which begin and end at zero. Shape (T, n).
+
+    Args:
+        s: Periods since the beginning. Shape (T,).
+        phase: Phases of the harmonics in each joint [rad]. Shape (H, n).
+        size: Sizes of the harmonics, before the higher ones are made smaller. Shape (H, n).
+    """
+    number = np.arange(1, len(size) + 1)
+    angle = 2.0 * np.pi * number * s[:, None]  # (T, H)
+    wave = np.einsum("hn,thn->tn", size / number[:, None], np.sin(angle[:, :, None] + phase))
+    ease = np.clip(np.minimum(s, s[-1] - s) / 0.5, 0.0, 1.0)
+    return wave * (ease**3 * (10.0 - 15.0 * ease + 6.0 * ease**2))[:, None]

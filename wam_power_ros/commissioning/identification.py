@@ -2,8 +2,8 @@
 """Masses, torque constants, friction and tilt of an arm from the torques of a movement.
 
 A maximum-a-posteriori fit: torques are linear in what is unknown, but for the torque constants, and
-what a laboratory may find is known in advance to a few percent. The torques alone do not tell the mass of the tool
-from the scale of all torque constants, so the tool is weighed.
+what a laboratory may find is known in advance to a few percent. The torques alone do not tell the
+mass of the tool from the scale of all torque constants, so the tool is weighed.
 """
 
 from __future__ import annotations

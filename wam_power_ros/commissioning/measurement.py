@@ -138,7 +138,7 @@ def begun(plan: Excitation, t: np.ndarray, q: np.ndarray) -> float:
         return float(np.sqrt(np.mean((reached - plan.q[::10]) ** 2)))
 
     step, best = SEARCH_STEP, float(t[0])
-    starts = best + np.arange(0.0, room + step, step)
+    starts: np.ndarray = best + np.arange(0.0, room + step, step)
     while step > 5e-4:
         best = float(starts[np.argmin([error(start) for start in starts])])
         step /= 5.0

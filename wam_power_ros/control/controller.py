@@ -621,7 +621,10 @@ class Controller:
         beyond = self.unexplained.guided(state.q, step)
         if self._lockstep:  # a demonstration in simulation may not depend on the hold before it
             beyond = self.unexplained.compensation
-        return self._damped_gravity(state, safety.teaching_damping(motion.tool_speed), beyond)
+        tau = self._damped_gravity(state, safety.teaching_damping(motion.tool_speed), beyond)
+        if not (share := self.settings.teaching_friction):
+            return tau
+        return tau + share * safety.friction_relief(self.arm.friction, state.qd)
 
     def _damped_gravity(self, state: JointState, damping: float, beyond: np.ndarray) -> np.ndarray:
         """g(q) and a torque beyond the model, damped [N m]. Shape (n,)."""

@@ -29,6 +29,10 @@ class MotionSettings(BaseModel):
             stable up to about 2800 with a delay of 8 ms, up to about 4800 with 4 ms.
         damping_max: Largest damping of a policy [1/s]. Its product with the delay of the loop must
             stay well below pi / 2: with 8 ms the loop is unstable from 196 on.
+        teaching_friction: Share of the Coulomb friction that is taken off a joint which a person
+            moves; more than 0.8 of the true one lets the arm run on after it was let go.
+        loop_delay: Time from a torque to the motion that the states show [s]; 0 if it was not
+            measured.
         contact_share: Bound on the torque residual in hold, move and replay, beyond twice the
             joint's friction, as a share of the joint's torque limit; above it is a contact, and a
             fault.
@@ -84,6 +88,15 @@ class MotionSettings(BaseModel):
         ge=1.0,
         le=150.0,
         description="in 1/s: from 196 on a loop with 8 ms of delay is unstable",
+    )
+    teaching_friction: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=0.8,
+        description="a share; with all of it and 20 % the arm runs away",
+    )
+    loop_delay: float = Field(
+        default=0.0, ge=0.0, le=0.03, description="in s: 0 if not measured; beyond, unstable"
     )
     contact_share: float = Field(
         default=0.05,

@@ -6,6 +6,7 @@ The arm's identity stays that of its URDF: the same arm, better known.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -64,6 +65,17 @@ class Corrections:
             if np.any(arrays[name] <= 0.0):
                 raise ValueError(f"{name} {arrays[name].tolist()} must be positive")
         return cls(**arrays)
+
+    @classmethod
+    def of_parameters(cls, parameters: Mapping[str, Any]) -> Corrections:
+        """Corrections of the parameters of the torque controller, by name.
+
+        Raises:
+            ValueError: As for `of`.
+        """
+        names = [each.name for each in fields(cls)]
+        values = {name: parameters["joint_zeros" if name == "zeros" else name] for name in names}
+        return cls.of(len(parameters["model_joint_names"]), **values)
 
     @property
     def gravity(self) -> np.ndarray:

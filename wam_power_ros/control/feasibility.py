@@ -28,6 +28,7 @@ _STEP = 0.001  # [s] of the integration of the model
 POSITION_MARGIN = 0.05  # [rad] smallest distance from a position limit
 SPEED_SHARE = 0.9  # usable share of the speed limits: the arm differs from the model
 OVERRUN_SHARE = 0.98  # factor on it for each rollout in which the arm was faster than the model
+_FILTER_STATES = 2  # by which the filter of the velocities adds to a measured delay
 _FRICTION_SPEED = 0.01  # [rad/s] below it Coulomb friction falls to zero with the speed
 
 
@@ -105,6 +106,8 @@ def simulate_policy(
     while not controller.ready:
         rest()
     rests, delay = (at_rate(count, settings.period) for count in (_REST_TICKS, TORQUE_DELAY))
+    if settings.loop_delay:
+        delay = round(settings.loop_delay / settings.period) + _FILTER_STATES
     sent = deque((rest() for _ in range(rests)), maxlen=delay + 1)
     controller.execute()
     qd_peak, elbow_peak, tool_peak = np.zeros(arm.n), 0.0, 0.0

@@ -34,6 +34,7 @@ FAULT_STATES = 3  # consecutive states beyond a motion limit that are a fault, a
 OUTWARDS = 0.05  # [rad/s] from which a joint beyond a position limit moves further outwards
 REST_SPEED = 0.05  # [m/s] largest speed of an arm at rest
 REST_SPIN = 4.0 * REST_SPEED  # [rad/s] largest angular velocity of its tool
+RELIEF_SPEED = 0.03  # [rad/s] from which a joint counts as moved by a person
 FAULT_DAMPING = 20.0  # [1/s] decay rate of all joint motion in a fault
 # Decay rate of all joint motion while teaching, at TEACHING_SPEED. It grows with the square of the
 # speed, so that a person does not feel it at low speed and needs about 10 N at 2.5 m/s.
@@ -251,6 +252,15 @@ def damped_gravity(
         [N m]. Shape (n,).
     """
     return gravity - damping * mass.dot(qd)
+
+
+def friction_relief(friction: np.ndarray, qd: np.ndarray) -> np.ndarray:
+    """Coulomb friction (n,) [N m] of joints that move at speeds (n,) [rad/s], signed; else zero.
+
+    Joints that stand still get none, so that it never sets an arm in motion.
+    """
+    moving = np.maximum(np.abs(qd) - RELIEF_SPEED, 0.0)
+    return friction * np.copysign(np.tanh(moving / RELIEF_SPEED), qd)
 
 
 def teaching_damping(speed: float) -> float:

@@ -78,7 +78,7 @@ class Setup(Mapping[str, dict[str, Any]]):
             ValueError: The URDF lacks joints or links that the set-up names.
         """
         from wam_power_ros.control.arm import Arm, guarded_points
-        from wam_power_ros.params.torque_controller_params import corrections_of
+        from wam_power_ros.control.corrections import Corrections
 
         controller = self["torque_controller"]
         if not controller["urdf"]:
@@ -87,7 +87,8 @@ class Setup(Mapping[str, dict[str, Any]]):
         points = (controller[f"guarded_{part}"] for part in ("names", "links", "points"))
         names, tool = controller["model_joint_names"], controller["tool_frame"]
         try:
-            return Arm(urdf, names, tool, guarded_points(*points), corrections_of(controller))
+            corrections = Corrections.of_parameters(controller)
+            return Arm(urdf, names, tool, guarded_points(*points), corrections)
         except ValueError as error:
             where = "torque_controller: urdf, model_joint_names, tool_frame, guarded_links"
             raise ValueError(f"{controller['urdf']}: {error} ({where})") from None

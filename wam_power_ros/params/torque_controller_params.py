@@ -3,9 +3,8 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -68,17 +67,6 @@ def require_same_joints(joint_names: Sequence[str], model_joint_names: Sequence[
                 "base to tip. The order in the joint states does not matter, they are matched by "
                 "name; torques are sent in this order"
             )
-
-
-def corrections_of(parameters: Mapping[str, Any]) -> Corrections:
-    """What was measured on an arm, of the parameters of its controller.
-
-    Raises:
-        ValueError: A list has neither one number nor one for each joint.
-    """
-    names = [each.name for each in dataclasses.fields(Corrections)]
-    values = {name: parameters["joint_zeros" if name == "zeros" else name] for name in names}
-    return Corrections.of(len(parameters["model_joint_names"]), **values)
 
 
 class TorqueControllerParams(Params, MotionSettings):
@@ -181,7 +169,7 @@ class TorqueControllerParams(Params, MotionSettings):
     def _together(self) -> Self:
         """Check combinations of parameters, and the stricter bounds on a real arm."""
         require_same_joints(self.joint_names, self.model_joint_names)
-        corrections_of(self.model_dump())
+        _ = self.corrections  # raises for a list of another length
         if not self.simulation:
             if self.autostart:
                 raise ValueError(
@@ -209,7 +197,7 @@ class TorqueControllerParams(Params, MotionSettings):
     @property
     def corrections(self) -> Corrections:
         """What was measured on this arm."""
-        return corrections_of(self.model_dump())
+        return Corrections.of_parameters(self.model_dump())
 
     def controller(self, urdf: str, latched: Fault | None = None) -> Controller:
         """Build the controller for the arm of a URDF, with a fault that is still latched.

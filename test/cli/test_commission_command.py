@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`wam-power commission` on a recording that exists: what is printed, written and refused."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import true_arm
+from nav_msgs.msg import Odometry
+from rclpy.serialization import serialize_message
+
+from wam_power_ros import rotations
+from wam_power_ros.bags import layout
+from wam_power_ros.bags.bag import Bag
+from wam_power_ros.bags.commands import read_commands
+from wam_power_ros.bags.writer import BagWriter
+from wam_power_ros.cli import main
+from wam_power_ros.commissioning.measurement import Recording
+from wam_power_ros.control.corrections import Corrections
+from wam_power_ros.params import overlay
+from wam_power_ros.params.torque_controller_params import TorqueControllerParams
+from wam_power_ros.ros.joint_messages import JointStateWriter, TorqueWriter
+from wam_power_ros.ros.stamps import time_message
+
+START = 1_700_000_000_000_000_000
+COMMANDS = "/effort_controller/commands"
+QOS = [layout.qos(reliable=True, latched=False)]
+
+
+def bag_of(path: Path, recorded: Recording, kind: str = "multiarray") -> Path:
+    """Bag of a recording, as our recorder writes it."""
+    write_state, write = JointStateWriter(true_arm.JOINTS), TorqueWriter(true_arm.JOINTS, kind)
+    command = "std_msgs/msg/Float64MultiArray" if kind == "multiarray" else layout.JOINT_STATE
+    writer = BagWriter(path)
+    writer.add("/joint_states", layout.JOINT_STATE, QOS)
+    writer.add(COMMANDS, command, QOS)
+    writer.add("/pancake/state", "nav_msgs/msg/Odometry", QOS)
+    for t, q, tau in zip(recorded.t, recorded.q, recorded.tau, strict=True):
+        stamp = START + round(1e9 * t)
+        writer.write("/joint_states", stamp, serialize_message(write_state(stamp, q, (), ())))
+        writer.write(COMMANDS, stamp, serialize_message(write(stamp, "replay", tau)))
+    quats = rotations.quat_xyzw(recorded.rotation)
+    for t, position, quat in zip(recorded.seen_t, recorded.position, quats, strict=True):
+        message, stamp = Odometry(), START + round(1e9 * t)
+        message.header.stamp = time_message(stamp)
+        p, o = message.pose.pose.position, message.pose.pose.orientation
+        p.x, p.y, p.z = position.tolist()
+        o.x, o.y, o.z, o.w = quat.tolist()
+        writer.write("/pancake/state", stamp, serialize_message(message))
+    return writer.close({"joint_names": json.dumps(true_arm.JOINTS)})
+
+
+def thinned(recorded: Recording) -> Recording:
+    """Every second state: half the time to write and read."""
+    rows = slice(None, None, 2)
+    states = (each[rows] for each in (recorded.t, recorded.q, recorded.tau))
+    return Recording(*states, recorded.seen_t, recorded.position, recorded.rotation)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with the movement and a recording of it."""
+    made = tmp_path_factory.mktemp("commissioning")
+    plan = true_arm.planned()
+    np.savez(made / "movement.npz", t=plan.t, q=plan.q, rests=plan.rests, sweeps=plan.sweeps)
+    (made / "bags").mkdir()
+    bag_of(made / "bags/commissioning_1", thinned(true_arm.recording(plan, true_arm.truth())))
+    return made
+
+
+def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
+    monkeypatch.setattr("sys.argv", ["wam-power", "commission", *words])
+    return main.main()
+
+
+def test_the_file_that_is_written_corrects_the_arm_and_its_cameras(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = folder / "lab.yaml"
+    assert run(monkeypatch, "--folder", str(folder), "--output", str(file)) == 0
+    shown = capsys.readouterr().out
+    assert f"--config {file}" in shown
+    for word in ("cameras", "zeros", "friction", "motors", "payload", "not explained"):
+        assert word in shown
+    setup = overlay.setup([str(file)], simulated=True)
+    params = TorqueControllerParams.of_setup(setup)
+    assert np.allclose(params.joint_zeros, true_arm.ZEROS, atol=np.deg2rad(0.3))
+    assert 0.0 < params.teaching_friction <= 0.8
+    position = np.array(setup["pancake_tracker"]["world_to_base"][:3])
+    assert np.allclose(position, true_arm.CAMERAS.inverse().position, atol=3e-3)
+    assert setup["pancake_tracker"]["latency_offset"] == pytest.approx(0.003, abs=1e-3)
+    truth = true_arm.plain().corrected(true_arm.truth())
+    q = true_arm.HOME + 0.2
+    assert np.linalg.norm(setup.arm().tool_pose(q)[0] - truth.tool_pose(q)[0]) < 5e-3
+
+
+def test_a_file_that_exists_is_kept_under_another_name(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = folder / "mine.yaml"
+    file.write_text("# by hand\n")
+    assert run(monkeypatch, "--folder", str(folder), "--output", str(file)) == 0
+    assert "existed: kept as" in capsys.readouterr().out
+    (kept,) = folder.glob("mine.yaml.*")
+    assert kept.read_text() == "# by hand\n"
+
+
+def test_nothing_is_written_when_the_joints_have_to_be_zeroed(
+    folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    zeros = true_arm.ZEROS + np.deg2rad([0.0, 0.0, 0.0, 7.0, 0.0, 0.0, 0.0])
+    wrong = Corrections.of(7, zeros=zeros)
+    (tmp_path / "movement.npz").write_bytes((folder / "movement.npz").read_bytes())
+    bag_of(
+        tmp_path / "bags/commissioning_1",
+        thinned(true_arm.recording(true_arm.planned(), wrong, noise=0.2)),
+    )
+    assert run(monkeypatch, "--folder", str(tmp_path)) == 1
+    shown = capsys.readouterr().out
+    assert "not usable: joint 4 is off by +" in shown
+    assert "Nothing was written." in shown
+    assert not (tmp_path / "arm.yaml").exists()
+
+
+def test_a_driver_that_adds_gravity_is_refused(
+    folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    extra = tmp_path / "adds.yaml"
+    extra.write_text(
+        "/**/torque_controller:\n  ros__parameters:\n    driver_compensates_gravity: true\n"
+    )
+    words = ["--folder", str(folder), "--config", str(extra), "--simulate"]
+    assert run(monkeypatch, *words) == 2
+    assert "driver_compensates_gravity" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("kind", ["multiarray", "joint_state"])
+def test_torques_are_read_by_the_states_that_they_answer(tmp_path: Path, kind: str) -> None:
+    count = 60
+    t, nothing = 1.0 + 0.002 * np.arange(count), np.empty((0, 3))
+    tau = np.arange(7.0 * count).reshape(count, 7)
+    given = Recording(t, np.zeros_like(tau), tau, np.empty(0), nothing, np.empty((0, 3, 3)))
+    stamps = START + np.round(1e9 * t).astype(np.int64)
+    bag = Bag(bag_of(tmp_path / "bag", given, kind))
+    assert np.array_equal(read_commands(bag, COMMANDS, stamps, true_arm.JOINTS), tau)
+    later = np.append(stamps, stamps[-1] + 2_000_000)
+    assert np.array_equal(read_commands(bag, COMMANDS, later, true_arm.JOINTS)[-1], tau[-1])
+
+
+@pytest.mark.parametrize(
+    ("ask", "reason"),
+    [
+        (lambda bag, s: read_commands(bag, "/other", s, true_arm.JOINTS), "no topic /other"),
+        (lambda bag, s: read_commands(bag, "/pancake/state", s, true_arm.JOINTS), "of type"),
+        (lambda bag, s: read_commands(bag, COMMANDS, s, true_arm.JOINTS[:6]), "7 torques"),
+        (lambda bag, s: read_commands(bag, COMMANDS, s + 1, true_arm.JOINTS), "were answered"),
+    ],
+)
+def test_torques_that_cannot_be_read_are_named(
+    tmp_path: Path, ask: Callable[[Bag, np.ndarray], object], reason: str
+) -> None:
+    t = 1.0 + 0.002 * np.arange(20)
+    zero, nothing = np.zeros((20, 7)), np.empty((0, 3))
+    given = Recording(t, zero, zero, np.empty(0), nothing, np.empty((0, 3, 3)))
+    bag = Bag(bag_of(tmp_path / "bag", given))
+    with pytest.raises(ValueError, match=reason):
+        ask(bag, START + np.round(1e9 * t).astype(np.int64))

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Frame and zeros from postures; what cannot be right is named."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import true_arm
+
+from wam_power_ros import rotations
+from wam_power_ros.commissioning.camera_frame import Pose, calibrate, closed_form, concerns
+
+ARM = true_arm.plain()
+
+
+def postures(count: int = 20, spread: float = 40.0) -> np.ndarray:
+    rng = np.random.default_rng(3)
+    return true_arm.HOME + np.deg2rad(spread) * rng.uniform(-1.0, 1.0, (count, 7))
+
+
+def seen(q: np.ndarray, zeros: np.ndarray = true_arm.ZEROS) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (N, 3) and orientations (N, 3, 3) of the body without noise."""
+    poses = [true_arm._seen(ARM, each - zeros) for each in q]
+    return np.array([p.position for p in poses]), np.array([p.rotation for p in poses])
+
+
+def test_without_noise_and_zeros_the_closed_form_is_exact() -> None:
+    q = postures()
+    base, body = closed_form([Pose(*ARM.tool_pose(each)) for each in q], *seen(q, np.zeros(7)))
+    for got, expected in ((base, true_arm.CAMERAS), (body, true_arm.MOUNTED)):
+        assert np.allclose(got.position, expected.position, atol=1e-9)
+        assert np.allclose(got.rotation, expected.rotation, atol=1e-9)
+
+
+def test_zeros_are_exact_without_noise() -> None:
+    found = calibrate(ARM, q := postures(), *seen(q))
+    assert np.allclose(found.zeros, true_arm.ZEROS, atol=1e-4)
+    assert found.rejected == ()
+
+
+@pytest.mark.parametrize("wrong", [[4], [0, 11]])
+def test_a_body_that_was_seen_elsewhere_is_rejected_by_number(wrong: list[int]) -> None:
+    q = postures()
+    position, rotation = seen(q)
+    position[wrong] += 0.03
+    found = calibrate(ARM, q, position, rotation)
+    assert found.rejected == tuple(wrong)
+    assert np.allclose(found.zeros, true_arm.ZEROS, atol=np.deg2rad(0.1))
+
+
+def test_few_postures_are_refused() -> None:
+    q = postures(9)
+    with pytest.raises(ValueError, match="9 postures, at least 10 are needed"):
+        calibrate(ARM, q, *seen(q))
+
+
+def test_postures_that_are_all_alike_are_refused() -> None:
+    q = postures(spread=3.0)
+    with pytest.raises(ValueError, match="turn the tool by at most"):
+        calibrate(ARM, q, *seen(q))
+
+
+def test_a_mirrored_axis_of_the_cameras_is_refused_with_the_cause() -> None:
+    q = postures()
+    position, rotation = seen(q)
+    mirror = np.diag([1.0, -1.0, 1.0])
+    with pytest.raises(ValueError, match="mirrored"):
+        calibrate(ARM, q, position @ mirror, mirror @ rotation @ mirror)
+
+
+def test_a_joint_with_another_sign_is_refused() -> None:
+    q = postures()
+    places = seen(q)
+    q[:, 3] = 2.0 * true_arm.HOME[3] - q[:, 3]
+    with pytest.raises(ValueError, match="order or sign"):
+        calibrate(ARM, q, *places)
+
+
+def test_cameras_whose_y_axis_is_up_are_named() -> None:
+    q = postures()
+    position, rotation = seen(q)
+    turn = rotations.exp(np.array([-0.5 * np.pi, 0.0, 0.0]))
+    reasons = concerns(calibrate(ARM, q, position @ turn.T, turn @ rotation))
+    assert len(reasons) == 1
+    assert "degrees from the cameras' z axis and is nearest to their y: set up_axis" in reasons[0]
+
+
+def test_a_zero_of_many_degrees_is_to_be_set_anew() -> None:
+    zeros = np.deg2rad([0.0, 0.0, 0.0, 7.0, 0.0, 0.0, 0.0])
+    q = postures(40)
+    reasons = concerns(calibrate(ARM, q, *seen(q, zeros)))
+    assert reasons == ["joint 4 is off by +7.0 degrees: zero it anew instead"]

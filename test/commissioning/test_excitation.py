@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The movement of the commissioning keeps its limits and holds what the analysis needs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy
+import true_arm
+
+from wam_power_ros.commissioning import excitation as module
+from wam_power_ros.control.safety import limits_of
+
+ARM = true_arm.plain()
+LIMITS = limits_of(ARM)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_speeds_and_ranges_are_kept_and_it_ends_where_it_began(seed: int) -> None:
+    plan = true_arm.planned(seed)
+    t = np.arange(0.0, plan.t[-1], 0.01)
+    spline = scipy.interpolate.CubicSpline(plan.t, plan.q)
+    q, qd = spline(t), spline(t, 1)
+    assert np.all(q > LIMITS.q_min)
+    assert np.all(q < LIMITS.q_max)
+    speeds = [ARM.speeds(*state) for state in zip(q, qd, strict=True)]
+    assert max(max(guarded) for guarded, _ in speeds) < 0.8
+    assert max(tool for _, tool in speeds) < 1.2
+    for end in (plan.q[0], plan.q[-1]):
+        assert np.allclose(end, true_arm.HOME)
+
+
+def test_every_posture_is_reached_from_below_and_from_above() -> None:
+    plan = true_arm.planned()
+    spline = scipy.interpolate.CubicSpline(plan.t, plan.q)
+    for number, (begin, end) in enumerate(plan.rests):
+        assert np.allclose(spline(begin + 0.1), spline(end - 0.1), atol=1e-6)
+        before = spline(begin - 0.2) - spline(end)
+        assert np.all(before < 0.0 if number % 2 == 0 else before > 0.0)
+    below, above = plan.rests[0::2, 1], plan.rests[1::2, 1]
+    assert np.allclose(spline(below), spline(above), atol=1e-6)
+
+
+def test_a_place_without_room_is_refused() -> None:
+    table = limits_of(ARM, plane=[0.0, 0.0, 1.0, 1.5])
+    with pytest.raises(ValueError, match="keep the limits of the arm: check home, workspace"):
+        module.excitation(ARM, table, true_arm.HOME, np.random.default_rng(0))

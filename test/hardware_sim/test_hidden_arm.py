@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An arm that differs from its model, as drawn for a laboratory."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hardware_sim.hidden_arm import hidden_arm
+from hardware_sim.scenes import scene_type
+from hardware_sim.scenes.markers import MOUNTED, Markers
+from hardware_sim.settings import WorldSettings
+from hardware_sim.world import World
+
+
+def world(seed: int = 0, scene: str = "reach", **settings: object) -> World:
+    return World(scene_type(scene), WorldSettings(unknown="lab", **settings), seed)
+
+
+def test_the_encoders_report_angles_with_zeros() -> None:
+    lab = world()
+    posture = lab.home
+    lab.reset("zeros", posture)
+    assert np.allclose(lab.joint_state().q, posture, atol=1e-3)
+    assert np.allclose(lab.joint_state().q - lab._q, lab.hidden.zeros, atol=1e-3)
+
+
+def test_the_same_seed_draws_the_same_arm_and_another_seed_another_one() -> None:
+    arms = [hidden_arm(seed, 7) for seed in (3, 3, 4)]
+    for name in ("payload", "links", "friction", "motors", "zeros", "geometry", "delay"):
+        same, again, _ = (np.asarray(getattr(arm, name)) for arm in arms)
+        assert same.tobytes() == again.tobytes(), name
+    assert arms[0].payload != arms[2].payload
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_every_drawn_deviation_is_within_its_range(seed: int) -> None:
+    arm = hidden_arm(seed, 7)
+    assert abs(arm.payload) <= 0.12
+    assert np.all((arm.friction >= 0.5) & (arm.friction <= 2.0))
+    assert np.all((np.abs(arm.zeros) >= np.deg2rad(1.0)) & (np.abs(arm.zeros) <= np.deg2rad(3.0)))
+    assert np.linalg.norm(arm.geometry[:, :3], axis=1) == pytest.approx(np.full(7, 5e-4))
+    assert arm.delay in (0.002, 0.004, 0.006, 0.008)
+
+
+def test_masses_friction_and_gravity_of_the_physics_are_those_of_the_arm() -> None:
+    lab, nominal = world(), World(scene_type("reach"), WorldSettings(), 0)
+    hidden = lab.hidden
+    for number in range(1, 7):
+        link = nominal.model.body(f"wam_link{number}").id
+        share = lab.model.body_mass[link] / nominal.model.body_mass[link]
+        assert share == pytest.approx(hidden.links[number - 1])
+    pan = nominal.model.body("pan").id
+    assert lab.model.body_mass[pan] - nominal.model.body_mass[pan] == pytest.approx(hidden.payload)
+    ratio = lab.model.dof_frictionloss[:7] / nominal.model.dof_frictionloss[:7]
+    assert np.all(np.abs(ratio / hidden.friction - 1.0) < 0.5)  # a rollout varies it, too
+    assert np.linalg.norm(lab.model.opt.gravity) == pytest.approx(9.81)
+    tilt = np.arccos(-lab.model.opt.gravity[2] / 9.81)
+    assert tilt == pytest.approx(np.deg2rad(1.0), rel=0.01)
+
+
+def test_the_controller_is_told_nothing() -> None:
+    assert world().urdf == World(scene_type("reach"), WorldSettings(), 0).urdf
+
+
+def test_markers_on_the_tool_are_seen_where_the_tool_is() -> None:
+    lab = World(Markers, WorldSettings(), 0)
+    for _ in range(60):
+        lab.step(lab._arm.gravity(lab.joint_state().q))
+    frames = lab.mocap_frames()
+    position, rotation = lab.tool_pose
+    expected = position + rotation @ MOUNTED[0]
+    assert frames
+    assert np.linalg.norm(frames[-1].position - expected) < 0.005
