@@ -32,8 +32,10 @@ def ready(in_pan: list[float], speed: float = 0.0) -> str:
         ([0.0, 0.0, 0.029], 0.049, ""),
         ([0.08, 0.08, 0.003], 0.0, "not in the pan: 0.080, 0.080, 0.003 m"),
         ([-0.11, 0.0, 0.003], 0.0, "not in the pan"),
-        ([0.0, 0.0, -0.011], 0.0, "not in the pan"),
-        ([0.0, 0.0, 0.031], 0.0, "not in the pan"),
+        ([0.0, 0.0, -0.011], 0.0, "at rest -11 mm from the pan's floor"),
+        ([0.0, 0.0, 0.031], 0.0, "at rest +31 mm from the pan's floor, where nothing can hold it"),
+        ([0.0, 0.0, 0.031], 0.06, "not in the pan"),
+        ([0.0, 0.0, -0.8], 0.0, "not in the pan"),
         ([0.0, 0.0, 0.003], 0.06, "moves at 0.06 m/s"),
     ],
 )

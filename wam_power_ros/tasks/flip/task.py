@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
 _OFFSET_MAX = 0.10  # largest distance of the pancake from the pan's centre before a rollout [m]
 _HEIGHT_RANGE = (-0.01, 0.03)  # height of its centre above the pan's floor before a rollout [m]
+_MISPLACED_MAX = 0.15  # height up to which a body at rest is one in the pan that is seen wrongly [m]
 _REST_SPEED_MAX = 0.05  # largest speed at rest [m/s]
 
 
@@ -75,10 +76,16 @@ class Flip(Task):
             return "the pancake is not seen"
         x, y, height = tool.rotation.T @ (body.position - tool.position)
         low, high = _HEIGHT_RANGE
-        if math.hypot(x, y) >= _OFFSET_MAX or not low < height < high:
-            return f"the pancake is not in the pan: {x:.3f}, {y:.3f}, {height:.3f} m in its frame"
-        speed = float(np.linalg.norm(body.velocity))
-        return "" if speed < _REST_SPEED_MAX else f"the pancake moves at {speed:.2f} m/s"
+        above, speed = math.hypot(x, y) < _OFFSET_MAX, float(np.linalg.norm(body.velocity))
+        if above and low < height < high:
+            return "" if speed < _REST_SPEED_MAX else f"the pancake moves at {speed:.2f} m/s"
+        if above and abs(height) < _MISPLACED_MAX and speed < _REST_SPEED_MAX:
+            return (
+                f"the pancake is seen at rest {height * 1e3:+.0f} mm from the pan's floor, where "
+                "nothing can hold it: a joint's zero or the cameras' frame is wrong; measure them "
+                "with wam-power commission"
+            )
+        return f"the pancake is not in the pan: {x:.3f}, {y:.3f}, {height:.3f} m in its frame"
 
     def assess(self, policy: Policy, rollout: Rollout) -> Assessment:
         """Return and success of a rollout of `policy`."""
