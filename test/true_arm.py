@@ -21,7 +21,7 @@ HOME = np.deg2rad([0.0, 20.0, 0.0, 122.0, 0.0, -27.0, 0.0])
 MOUNTED = Pose(np.array([0.02, -0.01, 0.01]), rotations.exp(np.array([0.05, 0.1, 0.3])))
 CAMERAS = Pose(np.array([0.015, -0.01, 0.02]), rotations.exp(np.array([0.01, -0.012, 0.03])))
 ZEROS = np.deg2rad([0.0, 2.0, -1.5, 1.0, 2.5, -3.0, 0.0])  # the first and last cannot be seen
-PERIOD, FRAMES = 0.002, 0.01  # [s]
+PERIOD, FRAMES = 0.004, 0.02  # [s]
 
 
 def plain() -> Arm:
@@ -44,13 +44,13 @@ def truth() -> Corrections:
 def planned(seed: int = 0) -> Excitation:
     arm = plain()
     rng = np.random.default_rng(seed)
-    return excitation(arm, limits_of(arm), HOME, rng, 16, (12.0, 10.0, 8.0, 6.0))
+    return excitation(arm, limits_of(arm), HOME, rng, 14, (10.0, 8.0, 6.0, 4.0))
 
 
 def recording(
-    plan: Excitation, true: Corrections, delay: int = 2, late: float = 0.003, noise: float = 1.0
+    plan: Excitation, true: Corrections, delay: int = 1, late: float = 0.003, noise: float = 1.0
 ) -> Recording:
-    """States 500 times a second and poses 100 times, 0.7 s before the movement begins.
+    """States 250 times a second and poses 50 times, from the beginning of the movement on.
 
     Args:
         plan: The movement, which the arm follows exactly.

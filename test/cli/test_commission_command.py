@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +29,7 @@ from wam_power_ros.ros.stamps import time_message
 
 START = 1_700_000_000_000_000_000
 COMMANDS = "/effort_controller/commands"
+ARM = true_arm.plain()
 QOS = [layout.qos(reliable=True, latched=False)]
 
 
@@ -54,13 +56,6 @@ def bag_of(path: Path, recorded: Recording, kind: str = "multiarray") -> Path:
     return writer.close({"joint_names": json.dumps(true_arm.JOINTS)})
 
 
-def thinned(recorded: Recording) -> Recording:
-    """Every second state: half the time to write and read."""
-    rows = slice(None, None, 2)
-    states = (each[rows] for each in (recorded.t, recorded.q, recorded.tau))
-    return Recording(*states, recorded.seen_t, recorded.position, recorded.rotation)
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder with the movement and a recording of it."""
@@ -68,7 +63,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     plan = true_arm.planned()
     np.savez(made / "movement.npz", t=plan.t, q=plan.q, rests=plan.rests, sweeps=plan.sweeps)
     (made / "bags").mkdir()
-    bag_of(made / "bags/commissioning_1", thinned(true_arm.recording(plan, true_arm.truth())))
+    bag_of(made / "bags/commissioning_1", true_arm.recording(plan, true_arm.truth()))
     return made
 
 
@@ -77,13 +72,17 @@ def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
     return main.main()
 
 
-def test_the_file_that_is_written_corrects_the_arm_and_its_cameras(
+def test_the_file_that_is_written_corrects_the_arm_and_keeps_an_older_one(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = folder / "lab.yaml"
+    file.write_text("# by hand\n")
     assert run(monkeypatch, "--folder", str(folder), "--output", str(file)) == 0
     shown = capsys.readouterr().out
     assert f"--config {file}" in shown
+    assert "existed: kept as" in shown
+    (kept,) = folder.glob("lab.yaml.*")
+    assert kept.read_text() == "# by hand\n"
     for word in ("cameras", "zeros", "friction", "motors", "payload", "not explained"):
         assert word in shown
     setup = overlay.setup([str(file)], simulated=True)
@@ -98,17 +97,6 @@ def test_the_file_that_is_written_corrects_the_arm_and_its_cameras(
     assert np.linalg.norm(setup.arm().tool_pose(q)[0] - truth.tool_pose(q)[0]) < 5e-3
 
 
-def test_a_file_that_exists_is_kept_under_another_name(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    file = folder / "mine.yaml"
-    file.write_text("# by hand\n")
-    assert run(monkeypatch, "--folder", str(folder), "--output", str(file)) == 0
-    assert "existed: kept as" in capsys.readouterr().out
-    (kept,) = folder.glob("mine.yaml.*")
-    assert kept.read_text() == "# by hand\n"
-
-
 def test_nothing_is_written_when_the_joints_have_to_be_zeroed(
     folder: Path,
     tmp_path: Path,
@@ -120,7 +108,7 @@ def test_nothing_is_written_when_the_joints_have_to_be_zeroed(
     (tmp_path / "movement.npz").write_bytes((folder / "movement.npz").read_bytes())
     bag_of(
         tmp_path / "bags/commissioning_1",
-        thinned(true_arm.recording(true_arm.planned(), wrong, noise=0.2)),
+        true_arm.recording(true_arm.planned(), wrong, noise=0.2),
     )
     assert run(monkeypatch, "--folder", str(tmp_path)) == 1
     shown = capsys.readouterr().out
@@ -129,7 +117,7 @@ def test_nothing_is_written_when_the_joints_have_to_be_zeroed(
     assert not (tmp_path / "arm.yaml").exists()
 
 
-def test_a_driver_that_adds_gravity_is_refused(
+def test_where_the_driver_adds_gravity_friction_alone_is_measured(
     folder: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -139,9 +127,21 @@ def test_a_driver_that_adds_gravity_is_refused(
     extra.write_text(
         "/**/torque_controller:\n  ros__parameters:\n    driver_compensates_gravity: true\n"
     )
-    words = ["--folder", str(folder), "--config", str(extra), "--simulate"]
-    assert run(monkeypatch, *words) == 2
-    assert "driver_compensates_gravity" in capsys.readouterr().err
+    rubbing = Corrections.of(7, zeros=true_arm.ZEROS, coulomb_friction=1.5 * ARM.friction)
+    recorded, model = true_arm.recording(true_arm.planned(), rubbing), ARM.corrected(rubbing)
+    gravity = np.array([model.gravity(q) for q in recorded.q])
+    (tmp_path / "movement.npz").write_bytes((folder / "movement.npz").read_bytes())
+    sent = replace(recorded, tau=recorded.tau - gravity)
+    bag_of(tmp_path / "bags/commissioning_1", sent)
+    words = ["--folder", str(tmp_path), "--config", str(extra), "--simulate"]
+    assert run(monkeypatch, *words) == 0
+    assert "masses, torque constants and tilt are not measured" in capsys.readouterr().out
+    params = TorqueControllerParams.of_setup(
+        overlay.setup([str(extra), str(tmp_path / "arm.yaml")], simulated=True)
+    )
+    assert np.allclose(params.coulomb_friction, 1.5 * ARM.friction, rtol=0.06)
+    assert np.allclose(params.torque_scales, 1.0, atol=1e-3)
+    assert np.allclose(params.payload, 0.0, atol=1e-3)
 
 
 @pytest.mark.parametrize("kind", ["multiarray", "joint_state"])

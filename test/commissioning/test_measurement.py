@@ -71,15 +71,15 @@ def test_without_a_body_in_view_the_torques_are_still_used(recorded: Recording) 
 
 
 def test_the_beginning_of_the_movement_is_found_in_the_recording(recorded: Recording) -> None:
-    rest = np.tile(recorded.q[0], (700, 1))
-    t = np.arange(len(recorded.t) + 1400) * 0.002
-    q = np.vstack([rest, recorded.q, np.tile(recorded.q[-1], (700, 1))])
+    rest = np.tile(recorded.q[0], (350, 1))
+    t = np.arange(len(recorded.t) + 700) * true_arm.PERIOD
+    q = np.vstack([rest, recorded.q, np.tile(recorded.q[-1], (350, 1))])
     assert begun(PLAN, t, q) == pytest.approx(1.4, abs=0.003)
 
 
 def test_a_recording_that_was_ended_early_is_refused(recorded: Recording) -> None:
     with pytest.raises(ValueError, match="ended early"):
-        begun(PLAN, recorded.t[:-2000], recorded.q[:-2000])
+        begun(PLAN, recorded.t[:-1000], recorded.q[:-1000])
 
 
 def test_a_recording_of_another_movement_is_refused(recorded: Recording) -> None:

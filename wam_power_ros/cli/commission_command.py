@@ -58,11 +58,7 @@ def commission(
     setup = devices.parameters(folder=folder)
     setup = setup.changed({RECORDER: {"stem": "commissioning"}, SIMULATION: {"scene": SCENE}})
     controller = TorqueControllerParams.of_setup(setup)
-    if controller.driver_compensates_gravity:
-        raise UsageError(
-            "this driver adds gravity itself (driver_compensates_gravity): what its motors give is "
-            "not known, so the torques tell nothing"
-        )
+    gravity_added = controller.driver_compensates_gravity
     arm = setup.arm()
     if arm is None:
         raise UsageError("the set-up has no URDF file of the arm: choose one with --config")
@@ -78,7 +74,10 @@ def commission(
         plan = Excitation(*(file[name] for name in ("t", "q", "rests", "sweeps")))
     recorded = _recording(bags[-1], setup)
     given = None if tool_mass is None else tool_mass - _tool_mass(arm)
-    found = analyse(arm, plan, recorded, given)
+    found = analyse(arm, plan, recorded, given, gravity_added)
+    if gravity_added:
+        print("The driver adds gravity by a model of its own, which is taken for that of the URDF:")
+        print("masses, torque constants and tilt are not measured.")
     for line in report(arm, found):
         print(line)
     reasons = refusals(found)

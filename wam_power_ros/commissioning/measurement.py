@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,7 +28,7 @@ class Recording:
     Attributes:
         t: Times of the states [s]. Shape (M,).
         q: Reported positions [rad]. Shape (M, n).
-        tau: Commanded torques, gravity included [N m]. Shape (M, n).
+        tau: Commanded torques, without gravity if the driver adds it [N m]. Shape (M, n).
         seen_t: Times of the poses [s]. Shape (P,).
         position: Position of the body in the frame that is taken for the base's [m]. Shape (P, 3).
         rotation: Its orientation. Shape (P, 3, 3).
@@ -81,7 +81,11 @@ class Commissioned:
 
 
 def analyse(
-    arm: Arm, plan: Excitation, recorded: Recording, payload: float | None = None
+    arm: Arm,
+    plan: Excitation,
+    recorded: Recording,
+    payload: float | None = None,
+    gravity_added: bool = False,
 ) -> Commissioned:
     """Find what differs from the URDF, and check it on postures and sweeps that were not used.
 
@@ -90,6 +94,7 @@ def analyse(
         plan: The movement.
         recorded: Recording of it.
         payload: Mass of the tool beyond the URDF's, from a scale [kg]; None if it was not weighed.
+        gravity_added: Whether the driver adds gravity, see `identification.identify`.
 
     Raises:
         ValueError: The recording is of another movement, or what the cameras saw is not usable.
@@ -107,7 +112,12 @@ def analyse(
         check = _error(arm, cameras, *_at_rest(t, recorded, seen_t, last))
         latency = _latency(arm, cameras, t, recorded, seen_t, plan.sweeps[FITTED_SWEEPS - 1])
     fitted = Excitation(plan.t, plan.q, used, plan.sweeps[:FITTED_SWEEPS])
-    found = identification.identify(arm, fitted, t, recorded.q, recorded.tau, zeros, payload)
+    found = identification.identify(
+        arm, fitted, t, recorded.q, recorded.tau, zeros, payload, gravity_added
+    )
+    if gravity_added:
+        carried = np.array([arm.gravity(each - zeros) for each in recorded.q])
+        recorded = replace(recorded, tau=recorded.tau + carried)
     return Commissioned(
         *(cameras, latency, *check, found),
         before=_residual(arm, plan, t, recorded, found.loop_delay),

@@ -36,7 +36,9 @@ if TYPE_CHECKING:
 
 _OFFSET_MAX = 0.10  # largest distance of the pancake from the pan's centre before a rollout [m]
 _HEIGHT_RANGE = (-0.01, 0.03)  # height of its centre above the pan's floor before a rollout [m]
-_MISPLACED_MAX = 0.15  # height up to which a body at rest is one in the pan that is seen wrongly [m]
+_MISPLACED_MAX = (
+    0.15  # height up to which a body at rest is one in the pan that is seen wrongly [m]
+)
 _REST_SPEED_MAX = 0.05  # largest speed at rest [m/s]
 
 
