@@ -92,7 +92,7 @@ BUDGET = {
     "view": 1360,
     "reporting": 930,
     "in_process": 350,
-    "cli": 3070,
+    "cli": 3220,
     "hardware_sim": 3110,
     "launch": 260,
     "examples": 380,

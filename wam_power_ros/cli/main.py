@@ -24,6 +24,7 @@ from wam_power_ros.cli import (
     bags_command,
     commands,
     commission_command,
+    doctor_command,
     layouts,
     plan_command,
     score_command,
@@ -147,6 +148,7 @@ def _parser() -> argparse.ArgumentParser:
     )
 
     commission_command.add_to(add, _arm_options)
+    doctor_command.add_to(add, _arm_options)
     plan_command.add_to(subparsers)
 
     policy = add(

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`wam-power doctor` says what was measured, what was not, and which command comes next."""
+
+from __future__ import annotations
+
+from datetime import date
+from pathlib import Path
+
+import pytest
+
+from wam_power_ros.cli import doctor_command, main
+from wam_power_ros.cli.launcher import Devices
+
+MEASURED = """# Measured by wam7 and its cameras on 2026-06-01, with wam_power_ros 0.1.0.
+/**/torque_controller:
+  ros__parameters:
+    joint_zeros: [0.0, 0.03, 0.01, 0.0, 0.0, 0.0, 0.0]
+    coulomb_friction: [2.0]
+    torque_scales: [0.98]
+    loop_delay: 0.006
+/**/pancake_tracker:
+  ros__parameters:
+    world_to_base: [1.2, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+"""
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> str:
+    file = tmp_path / "lab.yaml"
+    file.write_text(MEASURED)
+    return str(file)
+
+
+def shown(
+    capsys: pytest.CaptureFixture[str], devices: Devices, today: str = "2026-06-11"
+) -> tuple[int, str]:
+    status = doctor_command.doctor(devices, date.fromisoformat(today))
+    return status, capsys.readouterr().out
+
+
+def test_an_arm_that_was_never_measured_is_sent_to_commission(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    status, text = shown(capsys, Devices(["openarm", "natnet_ros2"]))
+    assert status == 1
+    assert "Missing: frame, zeros, friction, loop delay, motors, tool." in text
+    assert "commission --config openarm --config natnet_ros2\n" in text
+    assert "check_driver --config openarm --config natnet_ros2" in text
+
+
+def test_nothing_is_missing_on_an_arm_that_was_measured(
+    capsys: pytest.CaptureFixture[str], lab: str
+) -> None:
+    status, text = shown(capsys, Devices(["openarm", "natnet_ros2", lab]))
+    assert status == 0
+    assert "Nothing is missing here" in text
+    assert "largest 1.7 degrees" in text
+    assert "measured 2026-06-01, 10 days ago" in text
+
+
+def test_an_old_measurement_is_a_warning(capsys: pytest.CaptureFixture[str], lab: str) -> None:
+    status, text = shown(capsys, Devices(["openarm", lab]), "2026-12-01")
+    assert status == 0
+    (row,) = (line for line in text.splitlines() if " age " in line)
+    assert "WARN" in row
+
+
+def test_motors_are_not_asked_for_where_the_driver_adds_gravity(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    _, text = shown(capsys, Devices(["geodude"]))
+    assert "the driver adds gravity: its model counts" in text
+    assert "Missing: frame, zeros, friction, loop delay." in text
+
+
+def test_low_limits_of_the_elbow_are_a_warning_that_names_what_a_flip_needs(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    _, text = shown(capsys, Devices(["geodude"]))
+    assert "a flip needs about 1.5 m/s of the elbow" in text
+    _, text = shown(capsys, Devices(["geodude", "full_speed"]))
+    assert "a flip needs" not in text
+
+
+def test_the_command_is_known(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.argv", ["wam-power", "doctor", "--config", "geodude"])
+    assert main.main() == 1
+    assert "Next, once the drivers conform" in capsys.readouterr().out

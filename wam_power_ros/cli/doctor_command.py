@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`wam-power doctor`: how far a lab is from its first demonstration, and what comes next.
+
+It reads the machine and the set-up and starts nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import resource
+import shlex
+from collections.abc import Callable, Sequence
+from datetime import date
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from wam_power_ros import compiled
+from wam_power_ros.cli.launcher import Devices, program_command
+from wam_power_ros.params import overlay
+from wam_power_ros.params.torque_controller_params import TorqueControllerParams
+
+OK, WARN, NO = "ok", "WARN", "NO"
+ELBOW_FLIP = 1.5  # [m/s] of the elbow that a flip needs
+OLD = 90  # days after which a measurement is old: cables stretch, grease ages
+MEMLOCK = 512e6  # [B] of locked memory that the controller needs
+MEASURED = re.compile(r"^# Measured by .* on (\d{4}-\d{2}-\d{2})", re.MULTILINE)
+
+
+class Row(NamedTuple):
+    """One finding: of what, `OK`, `WARN` or `NO`, text, and the command that comes next if NO."""
+
+    name: str
+    verdict: str
+    text: str
+    then: str = ""
+
+
+def doctor(devices: Devices, today: date | None = None) -> int:
+    """Print the rows and what comes next; returns 0 if nothing is missing, else 1."""
+    setup = devices.parameters()
+    words = shlex.join(devices.words)
+    rows = [*machine(), *described(setup), *measured(setup, devices.config, today or date.today())]
+    for number, row in enumerate(rows, start=1):
+        print(f"{number:2d} {row.name:12s} {row.verdict:4s}  {row.text}")
+    missing = [row for row in rows if row.verdict == NO]
+    program = program_command()
+    check = f"ros2 run wam_power_ros check_driver {words}".rstrip()
+    if not missing:
+        print("Nothing is missing here. What the drivers do is not looked at; ask them once a day:")
+        print(f"  {check}")
+        return 0
+    print(f"Missing: {', '.join(row.name for row in missing)}. Next, once the drivers conform")
+    print(f"({check}):")
+    print(f"  {program} {missing[0].then} {words}".rstrip())
+    return 1
+
+
+def machine() -> list[Row]:
+    """Rights and speed of this machine."""
+    root = os.geteuid() == 0
+    priority = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
+    locked = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
+    unlimited = locked == resource.RLIM_INFINITY or locked >= MEMLOCK
+    granted = root or (priority >= 60 and unlimited)
+    shown = "unlimited" if locked == resource.RLIM_INFINITY else f"{locked / 1e6:.0f} MB"
+    real_time = Path("/sys/kernel/realtime")
+    preemptible = real_time.exists() and real_time.read_text().strip() == "1"
+    text = f"rtprio {'any' if root else priority}, memlock {'any' if root else shown}"
+    if not granted:
+        text += "; at least 60 and 512 MB are needed: /etc/security/limits.d"
+    kernel = (
+        "PREEMPT_RT" if preemptible else "an ordinary kernel: about 1 of 10 000 torques is late"
+    )
+    loops = "compiled" if compiled.kernel is not None else "in Python: install gcc, then again"
+    return [
+        Row("rights", OK if granted else WARN, text),
+        Row("machine", OK, f"{os.cpu_count()} cores, {kernel}; inner loops {loops}"),
+    ]
+
+
+def described(setup: overlay.Setup) -> list[Row]:
+    """What the set-up says of arm and limits."""
+    params = TorqueControllerParams.of_setup(setup)
+    arm = setup.arm()
+    name = "from /robot_description" if arm is None else arm.name
+    kind = "simulated" if params.simulation else "a real arm"
+    rows = [Row("arm", OK, f"{name}, {len(params.joint_names)} joints, {kind}")]
+    fast = params.elbow_speed_max >= ELBOW_FLIP
+    limit = f"elbow {params.elbow_speed_max:g} m/s, tool {params.tool_speed_max:g} m/s"
+    need = "" if fast else f"; a flip needs about {ELBOW_FLIP:g} m/s of the elbow (full_speed)"
+    rows.append(Row("speeds", OK if fast else WARN, f"{limit}{need}"))
+    held = params.hold_to_run or params.simulation
+    text = "an enabling switch is required" if params.hold_to_run else "no enabling switch required"
+    rows.append(Row("switch", OK if held else WARN, text))
+    return rows
+
+
+def measured(setup: overlay.Setup, config: Sequence[str], today: date) -> list[Row]:
+    """What was measured on this arm."""
+    params, cameras = TorqueControllerParams.of_setup(setup), setup["pancake_tracker"]
+    frame = np.array(cameras["world_to_base"])
+    known = not np.allclose(frame, [0, 0, 0, 0, 0, 0, 1])
+    zeros = np.array(params.joint_zeros)
+    friction = np.array(params.coulomb_friction)
+    loads = not (np.allclose(params.torque_scales, 1.0) and np.allclose(params.payload, 0.0))
+    largest = f"largest {np.rad2deg(np.abs(zeros).max()):.1f} degrees"
+    rows = [
+        _row("frame", known, "of the cameras, in world_to_base"),
+        _row("zeros", bool(zeros.any()), largest if zeros.any() else "of the joints"),
+        _row("friction", bool(np.any(friction >= 0.0)), "of the joints"),
+        _row("loop delay", params.loop_delay > 0.0, f"{params.loop_delay * 1e3:.0f} ms"),
+    ]
+    if params.driver_compensates_gravity:
+        rows.append(Row("motors, tool", OK, "the driver adds gravity: its model counts"))
+    else:
+        rows.append(_row("motors, tool", loads, "torque constants, payload, tilt"))
+    for name in config:
+        if found := MEASURED.search(overlay.find(name).read_text()):
+            age = (today - date.fromisoformat(found[1])).days
+            text = f"measured {found[1]}, {age} days ago, in {name}"
+            rows.append(Row("age", OK if age <= OLD else WARN, text))
+    return rows
+
+
+def _row(name: str, done: bool, text: str) -> Row:
+    return Row(name, OK, text) if done else Row(name, NO, "never measured", "commission")
+
+
+def add_to(
+    add: Callable[..., argparse.ArgumentParser],
+    arm_options: Callable[[argparse.ArgumentParser], None],
+) -> None:
+    """Add the command to the parser."""
+    parser = add(
+        "doctor",
+        lambda devices: doctor(devices),
+        "say what is missing before the first demonstration, and what comes next",
+        "Read this machine and the set-up; start nothing. Status 1 if something is missing.",
+    )
+    arm_options(parser)
