@@ -25,7 +25,7 @@ from wam_power_ros.cli.launcher import (
     pasteable,
     program_command,
 )
-from wam_power_ros.cli.session_options import SessionOptions
+from wam_power_ros.cli.session_options import SessionOptions, learner_parameters, with_origin
 from wam_power_ros.params import overlay
 from wam_power_ros.practice.session import Session, read
 from wam_power_ros.practice.settings import preset
@@ -244,3 +244,35 @@ def test_resuming_is_offered_only_for_what_is_on_disk(
     (folder / "rollouts.jsonl").unlink()
     lost = said()
     assert "cannot be resumed: " in lost and "To resume" not in lost
+
+
+@pytest.fixture
+def origin(tmp_path: Path) -> Path:
+    """Session in whose folder a policy was learnt."""
+    folder, policy = tmp_path / "simulated", demonstrated_policy()
+    demonstrations = [str(min((ROOT / "bags").glob("demo_*")))]
+    settings = preset("flip")
+    with Session.begin(folder, settings, 0, [policy], demonstrations=demonstrations) as session:
+        session.save_policy(policy)
+    return folder
+
+
+def test_a_session_from_another_one_has_its_task_demonstrations_and_policy(origin: Path) -> None:
+    asked = with_origin(SessionOptions(origin=origin), Devices())
+    given = learner_parameters(origin.parent / "new", asked, 0, asked.task or "")
+    assert asked.task == "flip"
+    assert given["demonstrations"] == read(origin).header.demonstrations
+    assert given["policy"] == str(origin / "policy.json")
+    assert asked.words == ["--from", str(origin), "--task", "flip", "--demonstrations", "0"]
+    assert with_origin(SessionOptions(task="reach"), Devices()).origin is None
+
+
+def test_a_session_from_another_one_is_refused_where_that_does_not_fit(
+    origin: Path, refusal: Callable[..., str]
+) -> None:
+    given = ("learn", "--from", str(origin))
+    assert "is one of flip, not of reach" in refusal(*given, "--task", "reach")
+    bag = read(origin).header.demonstrations[0]
+    assert "brings its own demonstrations: omit --bags" in refusal(*given, "--bags", bag)
+    (origin / "policy.json").unlink()
+    assert "has learnt no policy yet" in refusal(*given)

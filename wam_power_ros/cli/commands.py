@@ -41,6 +41,7 @@ from wam_power_ros.cli.session_options import (
     chosen,
     existing_session,
     learner_parameters,
+    with_origin,
 )
 from wam_power_ros.console import prompt
 from wam_power_ros.entry import INTERRUPTED
@@ -101,6 +102,7 @@ def learn(
         folder = existing_session(session)
     else:
         folder = (session or SESSIONS / f"{timestamp()}-seed-{asked.seed or 0}").resolve()
+    asked = with_origin(asked, devices)
     seed, task = chosen(folder, asked, devices)
     if resumed := Session.exists(folder):
         begun = read(folder)
@@ -223,8 +225,7 @@ def run_policy(
     policy: Path, rollouts: int, task: str | None, folder: Path | None, devices: Devices
 ) -> int:
     """Execute a saved policy with the arm, as often as asked."""
-    from wam_power_ros.console.run_policy import read_policy
-    from wam_power_ros.practice.session import Session, read
+    from wam_power_ros.practice.session import Session, read, read_policy
 
     if policy.is_dir():
         policy = policy / "policy.json"
@@ -236,7 +237,7 @@ def run_policy(
     parameters = devices.parameters(name, folder=folder)
     if (arm := parameters.arm()) is None:
         raise UsageError("the set-up has no URDF file of the arm: choose one with --config")
-    read_policy(policy, arm)
+    read_policy(policy, arm.identity())
     learner = parameters[LEARNER]
     settings = ("scene_reset", "reset_faults", "service_timeout", "rollout_timeout", "patience")
     model = ("urdf", "model_joint_names", "tool_frame")

@@ -118,6 +118,8 @@ def session_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--trials", type=natural, help="budget of rollouts (default: the preset's)")
     bags = "learn from these demonstrations, record none"
     parser.add_argument("--bags", type=Path, nargs="+", default=(), help=bags)
+    origin = "begin with the policy of this session, such as one in simulation; record none"
+    parser.add_argument("--from", type=Path, dest="origin", metavar="SESSION", help=origin)
 
 
 def _known(group: str) -> str:

@@ -31,6 +31,7 @@ from wam_power_ros.cli.session_options import (
     SessionOptions,
     chosen,
     learner_parameters,
+    with_origin,
 )
 from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
 from wam_power_ros.params.resources import robot_description
@@ -94,6 +95,7 @@ def plan(
     devices = Devices(config, stand_ins and (bool(config) or pace == "real_time"))
     if session:
         folder = session.expanduser().resolve()
+        asked = with_origin(asked, devices)
         seed, task = chosen(folder, asked, devices)
         parameters = devices.parameters(task, seed, folder)
         given = learner_parameters(folder, asked, seed, task)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from wam_power_ros.practice.session import SessionHeader
 
 SESSIONS = Path("sessions")
+POLICY = "policy.json"  # in the folder of a session
 DEFAULT_TASK = "flip"
 
 
@@ -29,6 +30,7 @@ class SessionOptions:
         seed: Seed of exploration and simulation.
         demonstrations: Number of demonstrations to record.
         bags: Demonstrations to learn from instead.
+        origin: Folder of a session whose policy is where this one begins.
     """
 
     task: str | None = None
@@ -38,12 +40,15 @@ class SessionOptions:
     seed: int | None = None
     demonstrations: int = 0
     bags: Sequence[Path] = ()
+    origin: Path | None = None
 
     @property
     def words(self) -> list[str]:
         """Command-line words that ask the same."""
         given = {name: value for name, value in vars(self).items() if value not in (None, "")}
-        bags = given.pop("bags")
+        bags, origin = given.pop("bags"), given.pop("origin", None)
+        if origin is not None:  # has the demonstrations, too
+            given, bags = {"from": origin, **given}, ()
         words = [word for name, value in given.items() for word in (f"--{name}", str(value))]
         return [*words, "--bags", *map(str, bags)] if bags else words
 
@@ -87,6 +92,31 @@ def chosen(folder: Path, asked: SessionOptions, devices: Devices) -> tuple[int, 
     return header.seed, header.settings.task
 
 
+def with_origin(asked: SessionOptions, devices: Devices) -> SessionOptions:
+    """The options with task and demonstrations of the session that a new one begins from.
+
+    Raises:
+        UsageError: It has no policy yet, is of another task, or bags are named as well.
+        ValueError: Its policy is one of another arm.
+    """
+    if asked.origin is None:
+        return asked
+    from wam_power_ros.practice import session
+
+    folder = existing_session(asked.origin)
+    header, policy = session.read(folder).header, folder / POLICY
+    task = header.settings.task
+    if not policy.is_file():
+        raise UsageError(f"the session in {folder} has learnt no policy yet")
+    if asked.task not in (None, task):
+        raise UsageError(f"the policy in {folder} is one of {task}, not of {asked.task}")
+    if asked.bags:
+        raise UsageError("--from brings its own demonstrations: omit --bags")
+    if (arm := devices.parameters(task).arm()) is not None:
+        session.read_policy(policy, arm.identity())
+    return replace(asked, task=task, bags=[*map(Path, header.demonstrations)], origin=folder)
+
+
 def learner_parameters(folder: Path, asked: SessionOptions, seed: int, task: str) -> dict[str, Any]:
     """Parameters of the learner of a session; one that is resumed keeps its own settings."""
     return {
@@ -97,6 +127,7 @@ def learner_parameters(folder: Path, asked: SessionOptions, seed: int, task: str
         "preset": asked.preset,
         "trials": asked.trials or 0,
         "demonstrations": [str(bag.resolve()) for bag in asked.bags] or [""],
+        "policy": "" if asked.origin is None else str(asked.origin / POLICY),
     }
 
 

@@ -18,7 +18,6 @@ from pathlib import Path
 from pydantic import Field
 from rclpy.node import Node
 
-from wam_power_ros.arm_identity import refusal
 from wam_power_ros.client.link import LOG_AFTER, Link
 from wam_power_ros.client.robot import Robot, Stopped
 from wam_power_ros.client.rollouts import Executed, RolloutSettings
@@ -26,7 +25,6 @@ from wam_power_ros.console.prompt import ask, show
 from wam_power_ros.console.replay import SETTLE_TIME
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.entry import INTERRUPTED
-from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.params.node_params import Names, Params, Timeout
 from wam_power_ros.params.resources import robot_description
@@ -75,22 +73,6 @@ class RunningPolicy(Node):
         self.params = RunPolicyParams.of(self)
 
 
-def read_policy(path: Path, arm: Arm) -> Policy:
-    """Read a saved policy.
-
-    Raises:
-        ValueError: The file is not a policy, or one of another arm.
-        OSError: It cannot be read.
-    """
-    try:
-        policy = policies.from_json(path.read_text(encoding="utf-8"))
-    except ValueError as error:  # also of bytes that are no text
-        raise ValueError(f"{path} is not a policy: {error}") from None
-    if why := refusal(policy.arm, arm.identity()):
-        raise ValueError(f"{path}: policy {policy.id} {why}")
-    return policy
-
-
 def task_of(folder: str, name: str) -> tuple[Task | None, str]:
     """Task that scores the rollouts; None, with the reason, if it needs a session and has none."""
     if folder:
@@ -107,7 +89,7 @@ def run(node: RunningPolicy) -> int:
     params = node.params
     urdf = robot_description(params.urdf)
     arm = Arm(urdf, params.model_joint_names, params.tool_frame, guarded=())
-    policy = read_policy(Path(params.policy), arm)
+    policy = session.read_policy(Path(params.policy), arm.identity())
     task, unscored = task_of(params.session, params.task)
     tool = Pose(*arm.tool_pose(policy.q_start))
     names = [each.name for each in fields(RolloutSettings)]

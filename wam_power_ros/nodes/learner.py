@@ -17,6 +17,7 @@ import math
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path as FilePath
 
 import rclpy
@@ -30,6 +31,7 @@ from wam_power_ros import plain_json
 from wam_power_ros.arm_identity import refusal, remark
 from wam_power_ros.client.link import Link
 from wam_power_ros.client.rollouts import Executed, Rollouts, RolloutSettings
+from wam_power_ros.learning.policy import with_id
 from wam_power_ros.nodes.demonstrations import Demonstrations
 from wam_power_ros.nodes.markers import Markers
 from wam_power_ros.nodes.simulated_arm import SimulatedArm
@@ -37,7 +39,7 @@ from wam_power_ros.params.node_params import Names, Params, Timeout
 from wam_power_ros.params.torque_controller_params import require_same_joints
 from wam_power_ros.practice import plugins
 from wam_power_ros.practice.practice import RATING_MAX, Practice
-from wam_power_ros.practice.session import Session, read
+from wam_power_ros.practice.session import Session, read, read_policy
 from wam_power_ros.practice.session_log import Event, Record, Trial
 from wam_power_ros.practice.settings import SessionSettings, preset
 from wam_power_ros.ros import interface
@@ -67,6 +69,7 @@ class LearnerParams(Params):
     )  # parameter files of the controller, for the simulation
     session: str  # folder
     demonstrations: tuple[str, ...] = Field(max_length=1000)  # bags; not needed to resume
+    policy: str  # file of a learnt policy to begin with, instead of their fit; empty: none
     task: str
     preset: str  # of the task; empty: its first
     learner: str  # empty: the preset's
@@ -282,6 +285,9 @@ class Learner(Node):
             named = list(filter(None, params.demonstrations))
             bags, demonstrations, candidates = self._demonstrations.candidates(settings, named)
             context = self._kind.context_of(demonstrations, self._arm.region)
+            if params.policy:
+                carried = read_policy(FilePath(params.policy), self._arm.identity)
+                candidates = [with_id(replace(carried, arm=self._arm.identity), "carried-over")]
             session = Session.begin(
                 folder, settings, params.seed, candidates, context=context, demonstrations=bags
             )

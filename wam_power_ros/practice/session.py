@@ -34,6 +34,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from wam_power_ros import durable_files, plain_json, plain_yaml
+from wam_power_ros.arm_identity import ArmIdentity, refusal
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.practice.improvement import ArmModel
@@ -44,6 +45,22 @@ from wam_power_ros.practice.settings import SessionSettings, in_one_line
 from wam_power_ros.tasks.task import Task
 
 PACKAGES = ("numpy", "scipy", "pydantic", "pin", "mujoco", "rosbags", "ros-jazzy-rclpy")
+
+
+def read_policy(path: Path, arm: ArmIdentity) -> Policy:
+    """Read a saved policy of an arm.
+
+    Raises:
+        ValueError: The file is not a policy, or one of another arm.
+        OSError: It cannot be read.
+    """
+    try:
+        policy = policies.from_json(path.read_text(encoding="utf-8"))
+    except ValueError as error:  # also of bytes that are no text
+        raise ValueError(f"{path} is not a policy: {error}") from None
+    if why := refusal(policy.arm, arm):
+        raise ValueError(f"{path}: policy {policy.id} {why}")
+    return policy
 
 
 class SessionHeader(BaseModel):
