@@ -253,6 +253,9 @@ def origin(tmp_path: Path) -> Path:
     demonstrations = [str(min((ROOT / "bags").glob("demo_*")))]
     settings = preset("flip")
     with Session.begin(folder, settings, 0, [policy], demonstrations=demonstrations) as session:
+        practice = practice_of([policy], settings, seed=0)
+        trial = practice.next_trial()
+        session.append(practice.learn_assessed(trial, toss(trial, practice.task.settings)))
         session.save_policy(policy)
     return folder
 
