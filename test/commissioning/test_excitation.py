@@ -9,7 +9,12 @@ import scipy
 import true_arm
 
 from wam_power_ros.commissioning import excitation as module
+from wam_power_ros.control.replay_trajectory import sampled
 from wam_power_ros.control.safety import limits_of
+from wam_power_ros.params import overlay
+from wam_power_ros.params.resources import robot_description
+from wam_power_ros.params.torque_controller_params import TorqueControllerParams
+from wam_power_ros.ros.joint_messages import JointMovement
 
 ARM = true_arm.plain()
 LIMITS = limits_of(ARM)
@@ -30,6 +35,18 @@ def test_speeds_and_ranges_are_kept_and_it_ends_where_it_began(seed: int) -> Non
         assert np.allclose(end, true_arm.HOME)
 
 
+def test_lower_limits_of_an_arm_are_kept_with_room() -> None:
+    slow = limits_of(ARM, elbow_speed=0.5, tool_speed=0.6, qd_max=np.full(7, 0.5))
+    rng = np.random.default_rng(0)
+    plan = module.excitation(ARM, slow, true_arm.HOME, rng, 4, (6.0, 6.0))
+    spline = scipy.interpolate.CubicSpline(plan.t, plan.q)
+    t = np.arange(0.0, plan.t[-1], 0.01)
+    states = list(zip(spline(t), spline(t, 1), strict=True))
+    assert max(tool for _, tool in (ARM.speeds(*state) for state in states)) < 0.9 * 0.6
+    assert max(max(guarded) for guarded, _ in (ARM.speeds(*state) for state in states)) < 0.9 * 0.5
+    assert max(np.abs(qd).max() for _, qd in states) < 0.9 * 0.5
+
+
 def test_every_posture_is_reached_from_below_and_from_above() -> None:
     plan = true_arm.planned()
     spline = scipy.interpolate.CubicSpline(plan.t, plan.q)
@@ -39,6 +56,18 @@ def test_every_posture_is_reached_from_below_and_from_above() -> None:
         assert np.all(before < 0.0 if number % 2 == 0 else before > 0.0)
     below, above = plan.rests[0::2, 1], plan.rests[1::2, 1]
     assert np.allclose(spline(below), spline(above), atol=1e-6)
+
+
+@pytest.mark.parametrize("arm", ["geodude", "libbarrett", "ur", "franka", "openarm"])
+def test_every_arm_of_a_set_up_has_room_for_its_movement(arm: str) -> None:
+    setup = overlay.setup([arm], simulated=True)
+    params = TorqueControllerParams.of_setup(setup)
+    core = params.controller(robot_description(params.urdf))
+    home = np.array(setup["wam_sim"]["home"])
+    plan = module.excitation(setup.arm(), core.limits, home, np.random.default_rng(0))
+    assert plan.t[-1] < 300.0
+    movement = JointMovement(plan.t, plan.q)
+    sampled(movement, 1.0, params.period, core.limits)  # raises beyond a limit
 
 
 def test_a_place_without_room_is_refused() -> None:

@@ -21,7 +21,8 @@ KNOT = 0.02  # [s] between two samples of the movement
 APPROACH = 0.06  # [rad] by which each joint comes from below, then from above
 MOVE_SPEED, APPROACH_SPEED = 0.5, 0.1  # [rad/s] peak
 REST = 0.6  # [s] at a posture, from each side
-ELBOW_SPEED, TOOL_SPEED = 0.75, 1.1  # [m/s] of guarded points and tool
+ELBOW_SPEED, TOOL_SPEED = 0.75, 1.1  # [m/s] of guarded points and tool, at most
+LIMIT_SHARE = 0.8  # of the arm's own speed limits, if they are lower
 RANGE = np.deg2rad(40.0)  # [rad] of each joint about home
 SWEEP_RANGE = np.deg2rad(30.0)
 HARMONICS = 4
@@ -79,46 +80,63 @@ def excitation(
         return (begun - 1) * KNOT, (length - 1) * KNOT
 
     def move(goal: np.ndarray, speed: float) -> None:
-        add(_move(arm, rows[-1][-1], goal, speed))
+        add(_move(arm, limits, rows[-1][-1], goal, speed))
 
     for posture in _postures(arm, limits, home, rng, postures):
         for side in (-APPROACH, APPROACH):
             move(posture + side, MOVE_SPEED)
             move(posture, APPROACH_SPEED)
             rests.append(add(np.tile(posture, (round(REST / KNOT), 1))))
-    move(home, MOVE_SPEED)
+    # Sweeps need room on both sides, which a home near a limit has not.
+    low, high = _range(limits)
+    room = np.minimum(SWEEP_RANGE, 0.5 * (high - low))
+    centre = np.minimum(np.maximum(home, low + room), high - room)
+    move(centre, MOVE_SPEED)
     for duration, share in zip(seconds, itertools.cycle((SLOW, 1.0))):
-        add(np.tile(home, (round(0.2 / KNOT), 1)))
-        sweeps.append(add(_sweep(arm, limits, home, rng, duration, share)))
+        add(np.tile(centre, (round(0.2 / KNOT), 1)))
+        sweeps.append(add(_sweep(arm, limits, centre, room, rng, duration, share)))
+    move(home, MOVE_SPEED)
     q = np.concatenate(rows)
     return Excitation(np.arange(len(q)) * KNOT, q, np.array(rests), np.array(sweeps))
 
 
-def _move(arm: Arm, start: np.ndarray, goal: np.ndarray, speed: float) -> np.ndarray:
+def _move(
+    arm: Arm, limits: Limits, start: np.ndarray, goal: np.ndarray, speed: float
+) -> np.ndarray:
     """Samples of a move, slowed down until the arm keeps its speeds. Shape (T, n)."""
     while True:
         path = MinJerk(start, goal, speed)
         count = max(2, round(path.duration / KNOT))
         states = [path.at(path.duration * k / count) for k in range(1, count + 1)]
-        peak = _relative_speed(arm, [(q, qd) for q, qd, _ in states])
+        peak = _relative_speed(arm, limits, [(q, qd) for q, qd, _ in states])
         if peak <= 1.0:
             return np.array([q for q, _, _ in states])
         speed /= 1.02 * peak
 
 
-def _relative_speed(arm: Arm, states: list[tuple[np.ndarray, np.ndarray]]) -> float:
-    """Largest speed over its limit."""
+def _relative_speed(arm: Arm, limits: Limits, states: list[tuple[np.ndarray, np.ndarray]]) -> float:
+    """Largest speed of guarded points, tool and joints over its limit."""
+    elbow_max = min(ELBOW_SPEED, LIMIT_SHARE * limits.elbow_speed)
+    tool_max = min(TOOL_SPEED, LIMIT_SHARE * limits.tool_speed)
+    joint_max = LIMIT_SHARE * limits.qd_max
     peak = 0.0
     for q, qd in states:
         guarded, tool = arm.speeds(q, qd)
-        peak = max(peak, tool / TOOL_SPEED, *(speed / ELBOW_SPEED for speed in guarded))
+        joint = float((np.abs(qd) / joint_max).max())
+        peak = max(peak, joint, tool / tool_max, *(speed / elbow_max for speed in guarded))
     return peak
+
+
+def _range(limits: Limits) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest positions of a posture [rad]. Shapes (n,)."""
+    reach = APPROACH + MARGIN
+    return limits.q_min + reach, limits.q_max - reach
 
 
 def _allowed(arm: Arm, limits: Limits, q: np.ndarray) -> bool:
     """Whether tool and guarded points are within workspace and plane, and joints in range."""
-    reach = APPROACH + MARGIN
-    if np.any(q < limits.q_min + reach) or np.any(q > limits.q_max - reach):
+    low, high = _range(limits)
+    if np.any(q < low) or np.any(q > high):
         return False
     motion = arm.motion(q, np.zeros(arm.n))
     position = motion.position
@@ -133,10 +151,10 @@ def _postures(
 ) -> list[np.ndarray]:
     """Allowed postures, in an order that makes the way short. Shapes (n,)."""
     found: list[np.ndarray] = []
+    low, high = _range(limits)
     for _ in range(_DRAWS):
         q = home + RANGE * rng.uniform(-1.0, 1.0, arm.n)
-        low, high = limits.q_min + APPROACH + MARGIN, limits.q_max - APPROACH - MARGIN
-        q = np.minimum(np.maximum(q, low + 1e-6), high - 1e-6)
+        q = np.minimum(np.maximum(q, low), high)
         if _allowed(arm, limits, q):
             found.append(q)
         if len(found) == count:
@@ -157,25 +175,27 @@ def _postures(
 def _sweep(
     arm: Arm,
     limits: Limits,
-    home: np.ndarray,
+    centre: np.ndarray,
+    room: np.ndarray,
     rng: np.random.Generator,
     seconds: float,
     share: float,
 ) -> np.ndarray:
-    """Sum of harmonics in every joint, from rest to rest at home. Shape (T, n)."""
+    """Sum of harmonics in every joint, from rest to rest at the centre. Shape (T, n)."""
     for _ in range(_DRAWS):
         phase = rng.uniform(0.0, 2.0 * np.pi, (HARMONICS, arm.n))
         size = rng.uniform(0.5, 1.0, (HARMONICS, arm.n))
         period = 10.0  # [s], then stretched to the speed that is allowed
         fine = _wave(np.linspace(0.0, 4.0, 2000), phase, size)
-        scale = SWEEP_RANGE / np.abs(fine).max()
-        q = home + scale * fine
+        scale = 0.99 * room / np.abs(fine).max(axis=0)
+        q = centre + scale * fine
         if all(_allowed(arm, limits, each) for each in q[::10]):
             speed = np.gradient(q, 4.0 * period / 2000, axis=0)
-            period *= _relative_speed(arm, list(zip(q[::4], speed[::4], strict=True))) / share
+            states = list(zip(q[::4], speed[::4], strict=True))
+            period *= _relative_speed(arm, limits, states) / share
             t = np.arange(round(seconds / KNOT) + 1) * KNOT
-            return home + scale * _wave(t / period, phase, size)
-    raise ValueError("no sweep around home keeps the limits: check home, workspace and plane")
+            return centre + scale * _wave(t / period, phase, size)
+    raise ValueError("no sweep near home keeps the limits: check home, workspace and plane")
 
 
 def _wave(s: np.ndarray, phase: np.ndarray, size: np.ndarray) -> np.ndarray:
