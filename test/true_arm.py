@@ -61,8 +61,8 @@ def recording(
     """
     arm, rng = plain().corrected(true), np.random.default_rng(1)
     spline = scipy.interpolate.CubicSpline(plan.t, plan.q)
-    t = np.arange(round(plan.t[-1] / PERIOD) + 1) * PERIOD
-    q, qd, qdd = (spline(t, order) for order in range(3))
+    t = np.arange(round((plan.t[-1] + 0.02) / PERIOD)) * PERIOD
+    q, qd, qdd = (spline(np.minimum(t, plan.t[-1]), order) for order in range(3))
     qd, qdd = (np.where(np.abs(each) < 1e-6, 0.0, each) for each in (qd, qdd))
     direction = np.zeros(7)  # of the motion before a rest, which friction still holds against
     tau = np.empty_like(q)
