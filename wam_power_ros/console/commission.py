@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field
 from rclpy.node import Node
 
-from wam_power_ros.client.link import LOG_AFTER, Link
+from wam_power_ros.client.link import Link
 from wam_power_ros.client.robot import Robot, Stopped
 from wam_power_ros.console.prompt import ask, show
 from wam_power_ros.entry import INTERRUPTED
@@ -22,6 +22,7 @@ from wam_power_ros.params.node_params import Params
 from wam_power_ros.ros.answers import ServiceError
 from wam_power_ros.ros.node_runner import run_script
 
+LOG_PERIOD = 30.0  # [s] between two lines about the movement under way
 SETTLE_TIME = 1.0  # [s] recorded after a stop, while the arm comes to rest
 
 
@@ -54,7 +55,7 @@ def move(node: Commissioning) -> int:
     params = node.params
     with np.load(Path(params.movement)) as file:
         t, q = file["t"], file["q"]
-    with Link(node, log_period=LOG_AFTER) as link:
+    with Link(node, log_period=LOG_PERIOD) as link:
         robot = Robot(link, params.state_topic, joint_names=params.joint_names)
         robot.stop()  # succeeds once the controller is active
         if params.person:
