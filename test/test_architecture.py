@@ -86,7 +86,7 @@ BUDGET = {
     "ground": 1280,  # the modules of wam_power_ros/ itself
     "learning": 2420,
     "control": 4400,
-    "commissioning": 1000,
+    "commissioning": 1010,
     "tracking": 600,
     "tasks": 2690,
     "practice": 2120,

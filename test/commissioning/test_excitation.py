@@ -31,6 +31,8 @@ def test_speeds_and_ranges_are_kept_and_it_ends_where_it_began(seed: int) -> Non
     speeds = [ARM.speeds(*state) for state in zip(q, qd, strict=True)]
     assert max(max(guarded) for guarded, _ in speeds) < 0.8
     assert max(tool for _, tool in speeds) < 1.2
+    before = t < plan.sweeps[0, 0]
+    assert np.abs(spline(t, 2)[before]).max() < 1.5  # rad/s^2: also a short move is no jerk
     for end in (plan.q[0], plan.q[-1]):
         assert np.allclose(end, true_arm.HOME)
 

@@ -9,6 +9,7 @@ person beside the arm allow.
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,8 @@ from wam_power_ros.control.safety import Limits, plane_fault
 KNOT = 0.02  # [s] between two samples of the movement
 APPROACH = 0.06  # [rad] by which each joint comes from below, then from above
 MOVE_SPEED, APPROACH_SPEED = 0.5, 0.1  # [rad/s] peak
+MOVE_ACCELERATION = 1.0  # [rad/s^2] peak: a short move must not be a jerk
+CARRIED_SHARE = 0.6  # of the torque limits that gravity may need at a posture
 REST = 0.6  # [s] at a posture, from each side
 ELBOW_SPEED, TOOL_SPEED = 0.75, 1.1  # [m/s] of guarded points and tool, at most
 LIMIT_SHARE = 0.8  # of the arm's own speed limits, if they are lower
@@ -104,6 +107,10 @@ def _move(
     arm: Arm, limits: Limits, start: np.ndarray, goal: np.ndarray, speed: float
 ) -> np.ndarray:
     """Samples of a move, slowed down until the arm keeps its speeds. Shape (T, n)."""
+    distance = float(np.abs(goal - start).max())
+    if not distance:
+        return np.empty((0, arm.n))
+    speed = min(speed, 0.78 * math.sqrt(distance * MOVE_ACCELERATION))  # of a minimum jerk
     while True:
         path = MinJerk(start, goal, speed)
         count = max(2, round(path.duration / KNOT))
@@ -134,9 +141,11 @@ def _range(limits: Limits) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _allowed(arm: Arm, limits: Limits, q: np.ndarray) -> bool:
-    """Whether tool and guarded points are within workspace and plane, and joints in range."""
+    """Whether joints, tool and guarded points are in their ranges, and gravity is carried."""
     low, high = _range(limits)
     if np.any(q < low) or np.any(q > high):
+        return False
+    if np.any(np.abs(arm.gravity(q)) > CARRIED_SHARE * limits.torque):
         return False
     motion = arm.motion(q, np.zeros(arm.n))
     position = motion.position
