@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Settings of ball-in-a-cup, and its presets."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from wam_power_ros.learning.demonstration import Movement
+from wam_power_ros.learning.dmp import FitSettings
+from wam_power_ros.learning.parametrization import NoiseScales
+
+# A swing of 2.2 s with accelerations of 9 m/s^2, which alternate every 0.3 s.
+CUP_FIT = FitSettings(
+    count=16,
+    width=0.5,
+    k_min=150.0,
+    k_max=500.0,
+    damping=32.0,
+    movement=Movement(start=0.05, end=0.05),
+)
+
+
+class CupNoise(NoiseScales):
+    """Standard deviation of the exploration noise of a swing.
+
+    Attributes:
+        vigour: Noise of the vigour [1].
+        catch_shift: Noise of the catch shift along x and along y [m].
+    """
+
+    vigour: float = Field(default=0.02, gt=0.0, le=1.0)
+    catch_shift: float = Field(default=0.02, gt=0.0, le=1.0)
+
+
+class CupSettings(BaseModel):
+    """Settings of the task.
+
+    Attributes:
+        variant: Learnt parameters, see `cup_parametrization`.
+        noise: Standard deviation of the exploration noise of each group of parameters.
+        sharpness: alpha of the return exp(-alpha d^2) [1/m^2]; 100 in [Kober2011].
+        shift_gain: Fraction of the distance d by which the catch shift of a rollout is corrected in
+            hindsight [1]; 0: no correction. Needs the variant "swing".
+        shift_limit: Largest correction of the catch shift per rollout [m].
+        vigour_gain: Fraction of the height missing to `apex` for which the vigour of a rollout is
+            corrected in hindsight [1]; 0: no correction. Needs the variant "swing".
+        apex: Height above the rim that a ball needs for a fall into the cup [m].
+        success_distance: Largest d of a success, whose ball also ends in the cup [m].
+        settle_time: Time that a rollout continues after the movement [s].
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    variant: Literal["swing", "attractors", "full", "diagonal", "symmetric"]
+    noise: CupNoise
+    sharpness: float = Field(gt=0.0, le=1000.0)
+    shift_gain: float = Field(default=0.0, ge=0.0, le=1.0)
+    shift_limit: float = Field(default=0.1, gt=0.0, le=1.0)
+    vigour_gain: float = Field(default=0.0, ge=0.0, le=1.0)
+    apex: float = Field(default=0.1, gt=0.0, le=1.0)
+    success_distance: float = Field(default=0.04, gt=0.0, le=1.0)
+    settle_time: float = Field(default=1.0, ge=0.0, le=10.0)
+
+
+_COMMON: Mapping[str, Any] = {
+    "noise": {"stiffness": 0.1, "attractor": 0.005, "rotation": 0.03},
+    "learner": {"name": "power", "sigma": 6, "weights": "sharpened", "decay": 0.97},
+    "budget": 75,
+    "mean_every": 5,
+    "confirm": 8,
+    "retests": 10,
+}
+PRESETS: Mapping[str, Mapping[str, Any]] = {
+    "cup": {
+        **_COMMON,
+        "variant": "swing",
+        "sharpness": 30.0,
+        "shift_gain": 0.5,
+        "vigour_gain": 0.5,
+    },
+    # What Kober and Peters learnt with: the return alone, and attractors alone.
+    "kober": {**_COMMON, "variant": "attractors", "sharpness": 100.0},
+}

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Observation of a swing: where the ball came down through the plane of the rim, and how it ended.
+
+The ball hangs from the middle of the cup's floor, which is the origin of the tool. Its path has the
+frame rate of the cameras; between two frames it is taken to fall freely, as it does once the string
+is slack.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from wam_power_ros import rotations
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
+
+STRING = 0.40  # [m] from the cup's floor to the centre of the ball
+RIM = 0.07  # [m] height of the rim above the floor
+CUP_RADIUS = 0.05  # [m] inside
+BALL_RADIUS = 0.018  # [m]
+GRAVITY = 9.81  # [m/s^2]
+STEP = 0.001  # [s] in which the crossing is sought
+GAP_MAX = 0.1  # [s] between two frames around the crossing; beyond, it was not seen
+END_TIME = 0.25  # [s] at the end of a rollout, in which the frames tell where the ball has ended
+
+
+@dataclass(frozen=True)
+class Swing:
+    """What was observed of a swing.
+
+    Attributes:
+        apex: Largest height of the ball above the plane of the rim, negative below it [m].
+        t_c: Time at which it first came down through this plane [s]; None if it never did.
+        miss: Ball minus middle of the cup at t_c, along x and y of the base [m]; None without t_c.
+        caught: Whether the ball is in the cup at the end.
+    """
+
+    apex: float
+    t_c: float | None
+    miss: tuple[float, float] | None
+    caught: bool
+
+    @property
+    def distance(self) -> float:
+        """Horizontal distance at t_c [m]; infinite without a crossing."""
+        return math.inf if self.miss is None else math.hypot(*self.miss)
+
+    def to_json(self) -> dict[str, Any]:
+        """As JSON data."""
+        return asdict(self) | {"miss": None if self.miss is None else list(self.miss)}
+
+
+def swing_of(seen: Mapping[str, Any]) -> Swing:
+    """Swing from its JSON data."""
+    miss = None if seen["miss"] is None else (float(seen["miss"][0]), float(seen["miss"][1]))
+    return Swing(float(seen["apex"]), seen["t_c"], miss, bool(seen["caught"]))
+
+
+def in_cup(position: np.ndarray) -> bool:
+    """Whether a ball at a position (3,) in the frame of the cup [m] is in it."""
+    x, y, z = position.tolist()
+    return math.hypot(x, y) < CUP_RADIUS and 0.0 < z < RIM
+
+
+def observe_swing(cup: EndEffectorPath, ball: BodyPath) -> Swing | None:
+    """Observe a swing.
+
+    Args:
+        cup: Path of the cup.
+        ball: Path of the ball.
+
+    Returns:
+        None if the ball was not seen when it came down, or at the end.
+    """
+    if len(ball.t) < 2 or cup.t[-1] - ball.t[-1] > END_TIME:
+        return None
+    t = np.arange(ball.t[0], ball.t[-1], STEP)
+    after = np.clip(np.searchsorted(ball.t, t, side="right"), 1, len(ball.t) - 1)
+    since, until = t - ball.t[after - 1], ball.t[after] - t  # to the frames around each time
+    position = _interpolated(t, ball.t, ball.position)
+    position[:, 2] += 0.5 * GRAVITY * since * until
+    relative = position - _interpolated(t, cup.t, cup.position)
+    normals = rotations.matrix(cup.quat_xyzw)[:, :, 2]
+    relative -= RIM * _interpolated(t, cup.t, normals)
+    height = relative[:, 2]
+    down = np.flatnonzero((height[:-1] > 0.0) & (height[1:] <= 0.0))
+    t_c = miss = None
+    if len(down):
+        k = int(down[0]) + 1
+        if since[k] + until[k] > GAP_MAX:
+            return None
+        t_c, miss = float(t[k]), (float(relative[k, 0]), float(relative[k, 1]))
+    last = ball.t >= cup.t[-1] - END_TIME
+    ended = np.median(ball.position[last], axis=0) - cup.position[-1]
+    caught = in_cup(rotations.matrix(cup.quat_xyzw[-1:])[0].T @ ended)
+    return Swing(float(height.max()), t_c, miss, caught)
+
+
+def _interpolated(t: np.ndarray, known: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Linear interpolation of the columns of values (M, 3), known at (M,), at times t (T,)."""
+    return np.stack([np.interp(t, known, column) for column in values.T], axis=1)

@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ball-in-a-cup: swing the ball up, and let it fall into the cup."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from wam_power_ros.learning.parametrization import Parametrization
+from wam_power_ros.learning.policy import Policy
+from wam_power_ros.learning.rollout import Rollout
+from wam_power_ros.tasks.ball_in_cup.parametrization import SHIFTS, cup_parametrization
+from wam_power_ros.tasks.ball_in_cup.settings import CUP_FIT, PRESETS, CupSettings
+from wam_power_ros.tasks.ball_in_cup.swing import STRING, Swing, in_cup, observe_swing, swing_of
+from wam_power_ros.tasks.task import (
+    Assessment,
+    BodyState,
+    Goal,
+    LoggedRollout,
+    Pose,
+    Task,
+    cut_short,
+    fault_assessment,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+HANGING_TOLERANCE = 0.05  # [m] of the ball from below the cup before a rollout
+REST_SPEED = 0.05  # [m/s] of a ball at rest
+HEIGHT_OF_VIGOUR = 3.0  # [m] additional apex per unit of vigour, measured on demonstrated swings
+
+
+class BallInCup(Task):
+    """The task `ball_in_cup`; see `tasks.task.Task`.
+
+    The return is that of [Kober2011]: exp(-alpha d^2), with the horizontal distance d of ball and
+    cup when the ball first comes down through the plane of the rim; 0 if it never does. It is flat
+    where the string stays taut, and a ball may fall beside the cup and be snapped into it, so a
+    success needs both: a small d, and the ball in the cup at the end.
+    """
+
+    name: ClassVar[str] = "ball_in_cup"
+    body: ClassVar[str] = "ball"
+    single_policy: ClassVar[bool] = False
+    fit_settings = CUP_FIT
+    Settings: ClassVar[type[CupSettings]] = CupSettings
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = PRESETS
+    goal = Goal(
+        achieved="caught the ball",
+        first="first catch",
+        retests="in the cup",
+        question="whether the ball was in the cup",
+        observed="caught",
+        true="caught",
+    )
+
+    def parametrization(self, policy: Policy) -> Parametrization:
+        """Learnt parameters of a policy; see `Task`."""
+        return cup_parametrization(policy, self.settings.variant, self.settings.noise)
+
+    def ready(self, body: BodyState | None, tool: Pose) -> str:
+        """Check that the ball hangs below the cup, at rest; see `Task`."""
+        if body is None:
+            return "the ball is not seen"
+        offset = body.position - tool.position
+        if in_cup(tool.rotation.T @ offset):
+            return "the ball is in the cup: empty it"
+        beside = float(np.linalg.norm(offset + [0.0, 0.0, STRING]))
+        speed = float(np.linalg.norm(body.velocity))
+        if speed > REST_SPEED:
+            return f"the ball swings at {speed:.2f} m/s"
+        if beside > HANGING_TOLERANCE:
+            return f"the ball is {beside:.2f} m from where it hangs, {STRING} m below the cup"
+        return ""
+
+    def assess(self, policy: Policy, rollout: Rollout) -> Assessment:
+        """Return and success of a rollout of `policy`."""
+        if rollout.fault is not None:
+            return fault_assessment(rollout.fault)
+        if why := cut_short(policy, rollout, self.settle_time):
+            return Assessment(None, why=why)
+        swing = None if rollout.body is None else observe_swing(rollout.tool, rollout.body)
+        if swing is None:
+            return Assessment(None, why="the ball was not seen when it came down or at the end")
+        ret, why = 0.0, "the ball did not rise above the rim"
+        if swing.t_c is not None:
+            ret, why = math.exp(-self.settings.sharpness * swing.distance**2), ""
+        success = swing.caught and swing.distance <= self.settings.success_distance
+        return Assessment(ret, {"distance": ret}, swing.to_json(), success, why)
+
+    def hindsight(
+        self, assessment: Assessment, parametrization: Parametrization
+    ) -> Sequence[np.ndarray]:
+        """Shift the catch to where the ball came down; more vigour for one that stayed low."""
+        if assessment.observation is None:
+            return ()
+        settings, swing = self.settings, swing_of(assessment.observation)
+        wanted = {}
+        if swing.miss is not None:
+            limit = settings.shift_limit
+            for name, error in zip(SHIFTS, swing.miss, strict=True):
+                wanted[name] = float(np.clip(settings.shift_gain * error, -limit, limit))
+        if swing.apex < settings.apex:
+            missing = (settings.apex - swing.apex) / HEIGHT_OF_VIGOUR
+            wanted["vigour"] = settings.vigour_gain * missing
+        shifts = []
+        for name, change in wanted.items():
+            if change and name in parametrization.groups:
+                index = parametrization.groups[name]
+                shift = np.zeros(parametrization.size)
+                shift[index] = change / parametrization.scale[index]
+                shifts.append(shift)
+        return shifts
+
+    def outcome(self, record: LoggedRollout) -> str:
+        """Distance from the cup and end of the ball, as tracked; see `Task`."""
+        if record.fault:
+            return f"fault: {record.fault}"
+        if record.observation is None:
+            return record.why or "not seen"
+        swing = swing_of(record.observation)
+        if swing.t_c is None:
+            return f"{-100 * swing.apex:.0f} cm below the rim"
+        return f"{100 * swing.distance:.1f} cm beside, {_end(swing)}"
+
+    def summary(self, records: Sequence[LoggedRollout]) -> list[str]:
+        """Catches and distances of the re-tests; see `Task`."""
+        retests = [record for record in records if record.kind == "retest"]
+        seen = [swing_of(r.observation) for r in retests if r.observation]
+        if not seen:
+            return []
+        caught = sum(swing.caught for swing in seen)
+        text = f"re-tests of the final policy: {caught} of {len(retests)} in the cup"
+        if missed := [swing.distance for swing in seen if swing.t_c is not None]:
+            text += f", at most {100 * max(missed):.1f} cm beside its middle"
+        return [text]
+
+    def achieved(self, record: LoggedRollout) -> bool:
+        """Whether the ball was in the cup at the end; see `Task`."""
+        return bool(not record.fault and (record.observation or {}).get("caught"))
+
+    def measured(self, retests: Sequence[LoggedRollout]) -> Mapping[str, str]:
+        """Median distance of the re-tests; see `Task`."""
+        swings = [swing_of(record.observation) for record in retests if record.observation]
+        known = [swing.distance for swing in swings if swing.t_c is not None]
+        return {"median distance of the re-tests": f"{100 * np.median(known):.1f} cm"} if known else {}
+
+    def figure(self, rollout: Rollout) -> tuple[Figure, str] | None:
+        """Cup and ball from the side; see `Task`."""
+        from wam_power_ros.tasks.ball_in_cup.figures import side_view  # imports matplotlib: slow
+
+        if rollout.body is None:
+            return None
+        swing = observe_swing(rollout.tool, rollout.body)
+        t_c = None if swing is None else swing.t_c
+        return side_view(rollout.tool, rollout.body, t_c), "Dots are camera frames of the ball."
+
+
+def _end(swing: Swing) -> str:
+    return "in the cup" if swing.caught else "missed"
