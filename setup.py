@@ -25,7 +25,7 @@ def shared(*folders: str) -> list[tuple[str, list[str]]]:
     files = [path for folder in folders for path in sorted((HERE / folder).rglob("*"))]
     places: dict[str, list[str]] = {}
     for path in files:
-        if path.is_file() and "__pycache__" not in path.parts:
+        if path.is_file() and "__pycache__" not in path.parts and path.name[0] != ".":
             place = path.relative_to(HERE)
             places.setdefault(f"share/{NAME}/{place.parent}", []).append(str(place))
     return list(places.items())

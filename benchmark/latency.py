@@ -2,14 +2,14 @@
 """Latency from state to torque in real time: the controller compared with a bare echo node.
 
     python -m benchmark.latency [--seconds 60] [--load 0] [--stages] [--messages]
-                                 [--view]
+                                 [--view] [--period 0.001]
 
-The stand-in publishes 500 states a second on the wall clock. The controller answers each with a
-torque. The echo, a bare rclpy node in a separate process, answers with the same message holding
-zeros. The stand-in's process times both, in the same run and with the same scheduling, so machine
-and middleware cancel in the ratio. Each topic has one reader. --messages counts the periods missed
-while the most difficult messages arrive (`messages`). With --view, the page of `wam-power view`
-follows the arm during the measurement.
+The stand-in publishes 500 states a second, or one each --period, on the wall clock. The controller
+answers each with a torque. The echo, a bare rclpy node in a separate process, answers with the same
+message holding zeros. The stand-in's process times both, in the same run and with the same
+scheduling, so machine and middleware cancel in the ratio. Each topic has one reader. --messages
+counts the periods missed while the most difficult messages arrive (`messages`). With --view, the
+page of `wam-power view` follows the arm during the measurement.
 """
 
 from __future__ import annotations
@@ -114,6 +114,7 @@ def measure(
     stages: bool = False,
     hardest: bool = False,
     view: bool = False,
+    period: float = PERIOD_NS * 1e-9,
 ) -> dict[str, dict[str, float]]:
     """Measure latencies of controller and echo in one run, and the CPU time of each process.
 
@@ -124,6 +125,7 @@ def measure(
         stages: Also time the stages of the controller, at a small cost, and print them.
         hardest: Publish the messages of `benchmark.messages` instead, and print the table.
         view: Let the page of `wam-power view` follow the arm.
+        period: Time between two states [s].
 
     Returns:
         Per process: periods met [%], quantiles of the latency [us] or rate of the states [Hz],
@@ -142,6 +144,7 @@ def measure(
                         "wam_sim",
                         "optitrack_sim",
                         pace="real_time",
+                        period=period,
                         realtime_priority=priority["stand-in"],
                     ),
                 ],
@@ -156,7 +159,10 @@ def measure(
                         else ["wam_power_ros.nodes.torque_controller"]
                     ),
                     *ros_arguments(
-                        "torque_controller", "simulation", realtime_priority=priority["controller"]
+                        "torque_controller",
+                        "simulation",
+                        realtime_priority=priority["controller"],
+                        period=period,
                     ),
                 ],
             )
@@ -195,17 +201,17 @@ def measure(
     seconds = (ended_ns - begun_ns) * 1e-9
     cpu = {name: 100.0 * (after[name] - before[name]) / seconds for name in after}
     return {
-        "controller": {**_figures(rows, 1), "cpu": cpu["controller"]},
-        "echo": {**_figures(rows, 2), "cpu": cpu["echo"]},
+        "controller": {**_figures(rows, 1, period), "cpu": cpu["controller"]},
+        "echo": {**_figures(rows, 2, period), "cpu": cpu["echo"]},
         "stand-in": {"rate": len(rows) / seconds, "cpu": cpu["stand-in"]},
     }
 
 
-def _figures(rows: np.ndarray, column: int) -> dict[str, float]:
+def _figures(rows: np.ndarray, column: int, period: float) -> dict[str, float]:
     """Periods met [%] and quantiles of the latency [us]; a lost answer counts as missed."""
     answered = rows[rows[:, column] > 0]
     latency = (answered[:, column] - answered[:, 0]) * 1e-3
-    met = 100.0 * np.count_nonzero(latency <= PERIOD_NS * 1e-3) / max(len(rows), 1)
+    met = 100.0 * np.count_nonzero(latency <= period * 1e6) / max(len(rows), 1)
     quantiles = np.percentile(latency, [50.0, 99.0, 99.9]) if len(latency) else np.full(3, np.nan)
     return {"met": met, **dict(zip(("p50", "p99", "p99.9"), quantiles.tolist(), strict=True))}
 
@@ -261,6 +267,9 @@ def main() -> int:
     parser.add_argument(
         "--view", action="store_true", help="with the page of `wam-power view` following the arm"
     )
+    parser.add_argument(
+        "--period", type=float, default=PERIOD_NS * 1e-9, help="between two states [s]"
+    )
     parser.add_argument("--json", type=Path, help="also write the figures to this file")
     parser.add_argument("--role", help=argparse.SUPPRESS)
     options, _ = parser.parse_known_args()
@@ -276,7 +285,9 @@ def main() -> int:
         if fifo and not may_schedule():
             print(f"{title}: skipped, not permitted here (rtprio in /etc/security/limits.d)")
             continue
-        results[title] = measure(options.seconds, fifo, options.load, view=options.view)
+        results[title] = measure(
+            options.seconds, fifo, options.load, view=options.view, period=options.period
+        )
         print(table(title, results[title]))
         if options.messages:
             measure(0.0, fifo, options.load, hardest=True)

@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """A driver: 500 joint states a second out, torques in, a watchdog; here of a rigid-body model."""
 
+import contextlib
 import time
 
 import numpy as np
 import pinocchio as pin
 import rclpy
 from rclpy.duration import Duration
+from rclpy.executors import ExternalShutdownException
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
@@ -14,6 +16,7 @@ from wam_power_ros.params.resources import share
 
 PERIOD, WATCHDOG = 0.002, 0.02  # [s]
 model = pin.buildModelFromUrdf(str(share("urdf/wam7.urdf")))
+model.armature = PERIOD * model.damping  # damps implicitly; joints as light as these need it
 data, names = model.createData(), list(model.names)[1:]
 q, qd = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0]), np.zeros(model.nv)
 tau, came = np.zeros(model.nv), 0.0  # last torque [N m], and when it came
@@ -32,8 +35,7 @@ def step() -> None:
     mass = pin.crba(model, data, q)
     carry = pin.computeGeneralizedGravity(model, data, q) - 5.0 * mass @ qd  # and brake, in 0.2 s
     torque = tau if time.monotonic() - came < WATCHDOG else carry
-    resisted = torque - pin.nonLinearEffects(model, data, q, qd) - model.damping * qd
-    qd = qd + PERIOD * np.linalg.solve(mass + PERIOD * np.diag(model.damping), resisted)
+    qd = qd + PERIOD * pin.aba(model, data, q, qd, torque - model.damping * qd)
     q = q + PERIOD * qd
     state = JointState(name=names, position=q.tolist(), velocity=qd.tolist())
     state.effort = torque.tolist()
@@ -48,4 +50,5 @@ now = node.get_clock().now()
 states = node.create_publisher(JointState, "joint_states", 10)
 node.create_subscription(Float64MultiArray, "effort_controller/commands", on_torque, 1)
 node.create_timer(PERIOD, step)
-rclpy.spin(node)
+with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):  # Ctrl-C
+    rclpy.spin(node)

@@ -13,10 +13,9 @@ import mujoco
 import numpy as np
 
 from hardware_sim.motors import DirectDrives, Motors
-from hardware_sim.wam import PERIOD
 
 TOOL_SITE = "tool origin"  # site of the model at the origin of the tool
-LOG_TICKS = 5000  # length of the log: 10 s from the release on
+LOG_TIME = 10.0  # [s] from the release on that is logged
 
 Truth = dict[str, Any]  # JSON data, as published and written to the session log
 
@@ -42,6 +41,8 @@ class RolloutLog:
     Attributes:
         start: Body and tool at the release.
         rows: Number of logged ticks.
+        period: Time between two ticks [s].
+        full: Largest number of rows.
 
     Args:
         model: Model with a site at every point and at the tool.
@@ -49,6 +50,7 @@ class RolloutLog:
         points: Names of the guarded points.
         n: Number of the arm's joints.
         body: Columns of the tracked body in qpos, and in qvel; empty without one.
+        period: Time between two ticks [s].
     """
 
     start: Snapshot
@@ -60,14 +62,16 @@ class RolloutLog:
         points: Sequence[str],
         n: int,
         body: tuple[slice, slice],
+        period: float,
     ) -> None:
+        self.period, self.full = period, round(LOG_TIME / period)
         self._data, self._n = data, n
         self._points = [model.site(name).id for name in (*points, TOOL_SITE)]
         self._body = body
-        self._qpos = np.empty((LOG_TICKS, model.nq))
-        self._qvel = np.empty((LOG_TICKS, model.nv))
-        self._tau = np.empty((LOG_TICKS, n))
-        self._sites = np.empty((LOG_TICKS, *data.site_xpos.shape))
+        self._qpos = np.empty((self.full, model.nq))
+        self._qvel = np.empty((self.full, model.nv))
+        self._tau = np.empty((self.full, n))
+        self._sites = np.empty((self.full, *data.site_xpos.shape))
         self.rows = 0
         self._saturated = 0
 
@@ -83,7 +87,7 @@ class RolloutLog:
         """
         self._saturated += saturated
         row, data = self.rows, self._data
-        if row == LOG_TICKS:
+        if row == self.full:
             return
         self._qpos[row] = data.qpos
         self._qvel[row] = data.qvel
@@ -121,7 +125,7 @@ class RolloutLog:
         speeds = np.zeros(len(self._points))
         if rows > 1:
             steps = np.diff(self._sites[:rows, self._points], axis=0)
-            speeds = np.linalg.norm(steps, axis=2).max(axis=0) / PERIOD
+            speeds = np.linalg.norm(steps, axis=2).max(axis=0) / self.period
         qd = self._qvel[:rows, : self._n]
         motor_speeds = np.abs(qd @ motors.motor_of_joint.T).max(axis=0, initial=0.0)
         return {

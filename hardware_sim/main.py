@@ -2,8 +2,8 @@
 """Process of both stand-ins: one world, two nodes, and the pace.
 
 Lockstep: publish a state, and repeat it every 50 ms, until the torque with its stamp arrives; then
-step the world. Real time: 500 steps a second on absolute deadlines, over links that delay, jitter
-and lose messages as real networks do.
+step the world. Real time: a step every control period on absolute deadlines, over links that delay,
+jitter and lose messages as real networks do.
 """
 
 from __future__ import annotations
@@ -27,7 +27,6 @@ from rclpy.executors import Executor
 from hardware_sim.driver_watch import DriverWatch
 from hardware_sim.optitrack_node import OptitrackSim
 from hardware_sim.scenes import scene_type
-from hardware_sim.wam import PERIOD_NS
 from hardware_sim.wam_node import WamSim
 from hardware_sim.world import World
 from wam_power_ros.entry import REFUSED
@@ -104,7 +103,7 @@ class Simulation:
         self._command_link = Link(
             params.command_latency, params.command_jitter, params.command_loss, rngs[1]
         )
-        self._statistics = LoopStatistics(PERIOD_NS)
+        self._statistics = LoopStatistics(params.period_ns)
         self._published_ns = 0  # [ns] on the steady clock
         self._granted = _schedule(0 if self.wam.lockstep else params.realtime_priority)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -151,7 +150,8 @@ class Simulation:
     def _real_time(self, executor: Executor, ended: Callable[[], bool]) -> None:
         self.wam.on_torque = lambda reading: self._command_link.put(time.monotonic_ns(), reading)
         delayed = self.wam.params.state_latency > 0.0 or self.wam.params.state_jitter > 0.0
-        deadline_ns = time.monotonic_ns() + PERIOD_NS
+        period_ns = self.wam.params.period_ns
+        deadline_ns = time.monotonic_ns() + period_ns
         self.wam.stamp_offset_ns = time.time_ns() - self.wam.world.time_ns  # system clock
         while not ended():
             now = time.monotonic_ns()
@@ -164,11 +164,11 @@ class Simulation:
             for message in self._state_link.take(now):
                 self.wam.publish(message)
             self._statistics.add(now, time.monotonic_ns())
-            deadline_ns += PERIOD_NS  # absolute: being late once does not shift the rest
+            deadline_ns += period_ns  # absolute: being late once does not shift the rest
             due_ns = deadline_ns
             if now - due_ns > LAG_MAX_NS:
                 self.wam.counters["clock held"] += 1
-                deadline_ns = time.monotonic_ns() + PERIOD_NS  # leaves the core to others
+                deadline_ns = time.monotonic_ns() + period_ns  # leaves the core to others
                 self.wam.stamp_offset_ns += deadline_ns - due_ns
 
     def _report(self) -> None:

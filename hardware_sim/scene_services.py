@@ -22,7 +22,7 @@ from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.pose_messages import GroundTruth, ground_truth_message
 from wam_power_ros.ros.requests import Request, Server
 
-WAIT_TICKS = 50  # from a reset to its answer, and from a request to a refusal
+WAIT_TIME = 0.1  # [s] from a reset to its answer, and from a request to a refusal
 START_TOLERANCE = 0.05  # [rad] between the arm and q_start for a reset
 
 
@@ -57,7 +57,7 @@ class SceneServices:
         self._demonstrations = 0  # completed
         self._demonstrating = False
         self._awaited = False  # a demonstration whose scene is to be put back
-        self._ticks_left = 0  # see WAIT_TICKS
+        self._wait_ticks, self._ticks_left = world.settings.ticks(WAIT_TIME), 0
         self._resetting: Iterator[None] | None = None
         self._put_back_to: tuple[str, np.ndarray] | None = None  # after the arm was carried there
         body = world.scene.body
@@ -88,7 +88,7 @@ class SceneServices:
         world, waited = self._world, self._ticks_left == 0
         self._ticks_left = max(0, self._ticks_left - 1)
         if not world.carried:
-            self._ticks_left = WAIT_TICKS
+            self._ticks_left = self._wait_ticks
             return
         if self._put_back_to is not None:
             self._put_back(*self._put_back_to)
@@ -133,7 +133,7 @@ class SceneServices:
         if "policy" not in asked.about:
             if world.pulled:
                 return Answer(Code.BUSY, "a demonstration is under way")
-            self._awaited, self._ticks_left = True, WAIT_TICKS
+            self._awaited, self._ticks_left = True, self._wait_ticks
             return None
         policy = policies.from_json(asked.about["policy"])
         if len(policy.q_start) != world.n:
@@ -167,10 +167,10 @@ class SceneServices:
             self._world.reset(rollout_id, q)
         else:
             self._resetting = self._world.resetting(rollout_id, q)
-        self._ticks_left = WAIT_TICKS
+        self._ticks_left = self._wait_ticks
 
     def _begin_demonstration(self, _: Request) -> Answer | None:
-        self._ticks_left = WAIT_TICKS
+        self._ticks_left = self._wait_ticks
         busy = self._world.pulled
         return Answer(Code.BUSY, "a demonstration is under way") if busy else None
 

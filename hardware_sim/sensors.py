@@ -39,14 +39,17 @@ class Encoders:
 
     Args:
         quantize: Quantizes joint positions.
+        period: Time between two readings [s].
     """
 
     def __init__(
-        self, quantize: Callable[[Sequence[float]], tuple[float, ...]] = quantize_wam
+        self,
+        quantize: Callable[[Sequence[float]], tuple[float, ...]] = quantize_wam,
+        period: float = PERIOD,
     ) -> None:
         self._quantize = quantize
-        self._keep = math.exp(-VELOCITY_CUTOFF * PERIOD)
-        self._gain = (1.0 - self._keep) / PERIOD
+        self._keep = math.exp(-VELOCITY_CUTOFF * period)
+        self._gain = (1.0 - self._keep) / period
         self.q: tuple[float, ...] = ()
         self.qd: tuple[float, ...] = ()
 

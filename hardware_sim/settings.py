@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from typing_extensions import Self
 
 from hardware_sim.sensors import MocapSettings
-from hardware_sim.wam import JOINTS
+from hardware_sim.wam import JOINTS, PERIOD
 from wam_power_ros.control.arm import GuardedPoint, guarded_points
 from wam_power_ros.params.node_params import Names, Params
 from wam_power_ros.params.torque_controller_params import (
@@ -49,6 +49,7 @@ class WorldSettings(BaseModel):
         home: Initial posture [rad], one angle a joint; None for that of the scene.
         drives: "wam" for the WAM's cables and motors, "direct" for the limits in the URDF.
         bus_voltage: Bus voltage of the motors [V].
+        period: Control period of the driver [s], a multiple of the physics' 1 ms.
         command_delay_ticks: Delay from a torque command to the motors, in control periods.
         driver_compensates_gravity: True if the driver adds g(q) to the commanded torque.
         watchdog: True if the driver compensates gravity, with damping, after 10 ms without a
@@ -87,6 +88,7 @@ class WorldSettings(BaseModel):
     home: tuple[Angle, ...] | None = Field(None, max_length=JOINTS_MAX)
     drives: Literal["wam", "direct"] = "wam"
     bus_voltage: float = Field(48.0, ge=1.0, le=100.0, description="in V: 48 for the WAM")
+    period: float = Field(PERIOD, ge=0.001, le=0.01, description="in s: 1000 to 100 Hz")
     command_delay_ticks: int = Field(2, ge=0, le=50, description="beyond 0.1 s: unstable")
     driver_compensates_gravity: bool = False
     watchdog: bool = True
@@ -118,6 +120,15 @@ class WorldSettings(BaseModel):
         found = guarded_points(self.guarded_names, self.guarded_links, self.guarded_points)
         return found or (GuardedPoint("tool", self.tool_frame, (0.0, 0.0, 0.0)),)
 
+    @property
+    def period_ns(self) -> int:
+        """Control period of the driver [ns]."""
+        return round(self.period * 1e9)
+
+    def ticks(self, seconds: float) -> int:
+        """Number of control periods in a time [s]."""
+        return round(seconds / self.period)
+
     def drawn(self, seed: int, rollout_id: str = "") -> WorldSettings:
         """Draw what is unknown in a laboratory, for a session or for one rollout.
 
@@ -134,7 +145,7 @@ class WorldSettings(BaseModel):
             "body_mass": float(rng.uniform(0.7, 1.3)),
             "body_size": float(rng.uniform(0.8, 1.2)),
             "friction": float(rng.uniform(0.1, 0.5)),
-            "command_delay_ticks": int(rng.integers(1, 5)),
+            "command_delay_ticks": self.ticks(0.002 * int(rng.integers(1, 5))),
             "torque_constants": tuple(rng.uniform(0.95, 1.05, n).tolist()),
             "payload": float(rng.uniform(0.0, 0.12)),
         }
@@ -148,6 +159,8 @@ class WorldSettings(BaseModel):
                 f"drives = wam: they have {len(JOINTS)} joints, not the {n} of {names}; set direct "
                 "for another arm"
             )
+        if self.period_ns % 1_000_000:
+            raise ValueError(f"period = {self.period} must be a multiple of 0.001 s")
         for name, values in (("home", self.home), ("torque_constants", self.torque_constants)):
             if values and len(values) != n:
                 raise ValueError(f"{name} = {values} must be {n} numbers, one for each of {names}")

@@ -9,7 +9,7 @@ JOINTS = tuple(f"wam_j{number}" for number in range(1, N + 1))
 # Control period and watchdog of the driver
 PERIOD_NS = 2_000_000  # [ns]
 PERIOD = PERIOD_NS / 1e9  # [s]
-WATCHDOG_TICKS = 5  # periods without a command
+WATCHDOG_TIMEOUT = 0.01  # [s] without a command
 
 # Transmission: motor turns per joint turn, libbarrett's j2mp; 2-3 and 5-6 are differentials
 J1, J2, J3, J4, J56, J7 = -42.0, 28.25, 28.25 / 1.68, -18.0, 9.7, -14.93

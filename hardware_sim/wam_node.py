@@ -2,7 +2,7 @@
 """WAM stand-in: torques in, joint states out, as the driver of the arm.
 
 In lockstep the world steps when the torque for the published state arrives; in real time it steps
-500 times a second with the newest torque. `main` keeps the pace.
+once a control period with the newest torque. `main` keeps the pace.
 """
 
 from __future__ import annotations
@@ -22,12 +22,13 @@ from hardware_sim.barrett_services import BarrettServices, PositionControl
 from hardware_sim.scene_services import SceneServices
 from hardware_sim.sensors import MocapFrame
 from hardware_sim.settings import WamSimParams
-from hardware_sim.wam import FOLDED, PERIOD
+from hardware_sim.wam import FOLDED
 from hardware_sim.world import World
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.ros.diagnostics import component, diagnostics_message
 
+CLOCK_PERIOD_NS = 10_000_000  # [ns] of /clock, which every node in lockstep reads and records
 TORQUE_PER_CURRENT = 12.0  # [N m/A] of a motor and its gear, where effort is its current
 
 
@@ -71,7 +72,7 @@ class WamSim(Node):
         self.stamp_offset_ns = 0 if lockstep else time.time_ns() - world.time_ns
         arm = Arm(world.urdf, params.model_joint_names, params.tool_frame, guarded=())
         self._control = PositionControl(
-            arm, params.drives, params.driver_compensates_gravity, PERIOD
+            arm, params.drives, params.driver_compensates_gravity, params.period
         )
         home = FOLDED if params.drives == "wam" else world.home
         self._barrett = BarrettServices(self, world, self._control, home, lockstep)
@@ -90,6 +91,7 @@ class WamSim(Node):
         others = [name for name in params.other_joints if name]
         self._others = joint_messages.JointStateWriter(others) if others else None
         if self.lockstep:
+            self._clock_ns = self._state_ns = -CLOCK_PERIOD_NS  # when last published
             self._clocks = self.create_publisher(Clock, interface.CLOCK, interface.CLOCK_QOS)
         self._description = self.create_publisher(
             String, interface.ROBOT_DESCRIPTION, interface.LATCHED
@@ -151,7 +153,7 @@ class WamSim(Node):
         return self._write(self.stamp_ns, sample.q[order], qd, tau)
 
     def publish(self, message: JointState) -> None:
-        """Publish a state, those of other devices, and in lockstep the clock."""
+        """Publish a state, those of other devices, and in lockstep the clock if it is due."""
         if self._others is not None:
             still = np.zeros(len(self._others.joint_names))
             self._states.publish(self._others(self.stamp_ns, still, still, still))
@@ -161,7 +163,15 @@ class WamSim(Node):
         self._states.publish(message)
         self.counters["states published"] += 1
         if self.lockstep:
+            self._publish_clock(message)
+
+    def _publish_clock(self, message: JointState) -> None:
+        """Publish the stamp of a state as the time, every CLOCK_PERIOD_NS and if it is repeated."""
+        stamp_ns = self.stamp_ns
+        if stamp_ns - self._clock_ns >= CLOCK_PERIOD_NS or stamp_ns == self._state_ns:
             self._clocks.publish(Clock(clock=message.header.stamp))
+            self._clock_ns = stamp_ns
+        self._state_ns = stamp_ns
 
     def _on_torque(self, message: Float64MultiArray | JointState) -> None:
         try:

@@ -18,12 +18,12 @@ import numpy as np
 
 from hardware_sim import scene
 from hardware_sim.demonstrator import Demonstrator
-from hardware_sim.ground_truth import LOG_TICKS, RolloutLog, Snapshot, Truth, rotation_of
+from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth, rotation_of
 from hardware_sim.motors import DirectDrives, Motors
 from hardware_sim.scenes import Scene, scene_type
 from hardware_sim.sensors import Encoders, Mocap, MocapFrame, MocapSettings, quantize_geared
 from hardware_sim.settings import OptitrackSimParams, WamSimParams, WorldSettings
-from hardware_sim.wam import PERIOD, PERIOD_NS, WATCHDOG_TICKS
+from hardware_sim.wam import WATCHDOG_TIMEOUT
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.joint_references import MinJerk
 from wam_power_ros.params.resources import robot_description
@@ -38,7 +38,6 @@ _SETTLE_STEPS = 900  # physics steps, at most, until bodies are at rest
 _SETTLE_CHECK = 50  # physics steps between checks for rest
 _SETTLE_SLICE = 10  # physics steps done within one tick
 _REST_SPEED = 0.003  # [m/s] and [rad/s] below which a body is at rest
-_TRACE_TICKS = round(1.0 / (TRACE_RATE * PERIOD))  # between poses of the trace
 
 
 class JointSample(NamedTuple):
@@ -88,19 +87,24 @@ class World:
         names, tool, guarded = settings.model_joint_names, settings.tool_frame, settings.guarded
         self._arm = Arm(self.urdf, names, tool, guarded=guarded)  # driver's model
         self.n = self._arm.n
-        self._substeps = round(PERIOD / scene.TIMESTEP)
+        self._period_ns, self._substeps = (
+            settings.period_ns,
+            round(settings.period / scene.TIMESTEP),
+        )
+        self._watchdog_ticks = settings.ticks(WATCHDOG_TIMEOUT)
+        self._trace_ticks = settings.ticks(1.0 / TRACE_RATE)  # between poses of the trace
         self.motors: Motors | DirectDrives = Motors(settings.bus_voltage)
-        self._encoders = Encoders()
+        self._encoders = Encoders(period=settings.period)
         if settings.drives == "direct":
             self.motors = DirectDrives(self._arm.tau_max, self._arm.qd_max)
-            self._encoders = Encoders(quantize_geared)
+            self._encoders = Encoders(quantize_geared, settings.period)
         layout = np.zeros((1, 3)) if mocap.single_marker else np.asarray(LAYOUT)
         self._mocap = Mocap(layout, mocap)
         self._velocity = np.zeros(6)
         self._carrying: tuple[MinJerk, int] | None = None  # path and its beginning [ns]
         self._build(settings.drawn(seed) if settings.unknown else settings)
 
-        self.time_ns = PERIOD_NS
+        self.time_ns = self._period_ns
         self.trace: list[np.ndarray] | None = None
         self.reset("start", self.scene.home if settings.home is None else np.array(settings.home))
         self.release()
@@ -137,7 +141,8 @@ class World:
         self._body, self._body_twist = data.qpos[columns[0]], data.qvel[columns[1]]
         self._tool_position = data.xpos[self._tool]
         self._tool_rotation = data.xmat[self._tool].reshape(3, 3)
-        self._log = RolloutLog(model, data, [point.name for point in settings.guarded], n, columns)
+        points = [point.name for point in settings.guarded]
+        self._log = RolloutLog(model, data, points, n, columns, settings.period)
 
     def reset(self, rollout_id: str, q_start: np.ndarray) -> None:
         """Put the arm and the bodies of the scene to rest at the start of a rollout; freeze them.
@@ -298,7 +303,7 @@ class World:
         return self._mocap.delivered(self.time_ns)
 
     def step(self, tau_cmd: np.ndarray | None) -> None:
-        """Advance by one tick of 2 ms.
+        """Advance by one control period.
 
         Args:
             tau_cmd: Commanded torques [N m], shape (n,). None without a new command: the last one
@@ -310,7 +315,7 @@ class World:
         command = None if tau_cmd is None else tau_cmd.tolist()
         if command is not None and not (len(command) == self.n and math.isfinite(sum(command))):
             raise ValueError(f"torques {command} must be {self.n} finite numbers")
-        self.time_ns += PERIOD_NS
+        self.time_ns += self._period_ns
         self._carry_on()
         if not self.frozen:
             self._delayed.append(command)
@@ -345,7 +350,7 @@ class World:
 
     def _commanded_torque(self) -> list[float]:
         """Joint torques (n,) that the driver commands to the motors [N m]."""
-        if self.settings.watchdog and self._ticks_since_command > WATCHDOG_TICKS:
+        if self.settings.watchdog and self._ticks_since_command > self._watchdog_ticks:
             damped = zip(self._gravity(), self._watchdog_damping, self._encoders.qd, strict=True)
             return [g - d * qd for g, d, qd in damped]
         if self.settings.driver_compensates_gravity:
@@ -363,7 +368,7 @@ class World:
             mujoco.mj_objectVelocity(
                 model, data, mujoco.mjtObj.mjOBJ_XBODY, self._tool, self._velocity, 0
             )
-            elapsed = (self.time_ns - PERIOD_NS - self._grip_ns) * 1e-9
+            elapsed = (self.time_ns - self._period_ns - self._grip_ns) * 1e-9
             wrench = self._demonstrator.wrench(
                 elapsed + substep * scene.TIMESTEP,
                 self._tool_position,
@@ -390,7 +395,7 @@ class World:
 
     def _record(self, saturated: bool) -> None:
         row = self._log.rows
-        if self.trace is not None and row < LOG_TICKS and row % _TRACE_TICKS == 0:
+        if self.trace is not None and row < self._log.full and row % self._trace_ticks == 0:
             self.trace.append(self.data.qpos.copy())
         self._log.record(saturated)
 

@@ -47,6 +47,7 @@ OPTIONS = {  # launch argument, and option of the command -> description
 SWITCHES = {
     "secure": "run each node in its enclave of ROS_SECURITY_KEYSTORE, see SECURITY.md",
     "rviz": "start RViz too",
+    "tf": "publish the frames of arm and cameras, for drivers that do not",
 }
 
 

@@ -15,7 +15,6 @@ from hardware_sim import scene
 from hardware_sim.demonstrator import PAUSE, Target
 from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth, rotation_of
 from hardware_sim.settings import PITCH_RATE, WorldSettings
-from hardware_sim.wam import PERIOD
 from wam_power_ros import rotations
 from wam_power_ros.tasks.flip.flight import DELTA_H
 from wam_power_ros.tasks.flip.frames import PAN_RADIUS, PANCAKE_RADIUS
@@ -100,7 +99,7 @@ class Flip:
         error, angle, t_f = [0.0, 0.0], 0.0, None
         landing = _landing(height - log.tool[:, 2])
         if landing is not None:
-            t_f = (landing + 1) * PERIOD
+            t_f = (landing + 1) * log.period
             error = (log.body[landing, :2] - log.tool[landing, :2]).tolist()
             angle = math.degrees(_turned(log, landing))
         caught, flipped = _caught_flipped(now)
@@ -166,7 +165,7 @@ def _turned(log: RolloutLog, end: int) -> float:
     normals = np.stack(
         [2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)], axis=1
     )
-    begin = max(0, end - round(0.1 / PERIOD))  # the last 0.1 s of the flight
+    begin = max(0, end - round(0.1 / log.period))  # the last 0.1 s of the flight
     omega = rotations.matrix(quat_xyzw[begin:]) @ log.body_twist[begin : end + 1, 3:, None]
     axis = omega.mean(axis=0)[:, 0]
     axis -= (axis @ normal_start) * normal_start  # without spin about the normal

@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import json
+import shutil
+import sqlite3
 from pathlib import Path
 
 import numpy as np
@@ -18,10 +20,11 @@ from bag_samples import (
     without_message_indexes,
 )
 from mcap.reader import make_reader
-from rosbags.rosbag2 import StoragePlugin, Writer
+from mcap.writer import Writer as McapWriter
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from wam_power_ros.arm_identity import ArmIdentity, to_json
-from wam_power_ros.bags import editing, layout, takes
+from wam_power_ros.bags import editing, layout, quality, takes
 from wam_power_ros.bags.bag import Bag
 from wam_power_ros.bags.layout import JOINT_STATE, TYPES
 from wam_power_ros.bags.reader import States, read_states
@@ -46,6 +49,23 @@ def whole(states: States) -> None:
 
 def remarks(states: States) -> list[str]:
     return [remark.text for remark in states.remarks]
+
+
+def recorded(
+    path: Path,
+    states: list,
+    storage: StoragePlugin = StoragePlugin.SQLITE3,
+    packed: CompressionMode = CompressionMode.NONE,
+) -> Path:
+    """A bag as rosbag2 writes it."""
+    writer = Writer(path, version=9, storage_plugin=storage)
+    if packed is not CompressionMode.NONE:
+        writer.set_compression(packed, CompressionFormat.ZSTD)
+    with writer:
+        topic = writer.add_connection("/joint_states", JOINT_STATE, typestore=TYPES)
+        for received, stamp, names, row in states:
+            writer.write(topic, received, joint_state(stamp, names, np.asarray(row)))
+    return path
 
 
 def rosbag2_folder(file: Path, count: int) -> Path:
@@ -255,3 +275,127 @@ def test_the_library_of_mcap_reads_a_bag_of_ours_with_its_checksums(tmp_path: Pa
     assert found == [*bag.messages(bag.topics)]
     assert summary is not None and summary.statistics is not None
     assert summary.statistics.message_count == len(found) == 121
+
+
+@pytest.mark.parametrize("storage", list(StoragePlugin))
+@pytest.mark.parametrize("packed", [CompressionMode.MESSAGE, CompressionMode.FILE])
+def test_a_lone_file_of_a_compressed_bag_is_read(
+    storage: StoragePlugin, packed: CompressionMode, tmp_path: Path
+) -> None:
+    folder = recorded(tmp_path / "bag", ARM, storage, packed)
+    (file,) = (item for item in folder.iterdir() if item.suffix != ".yaml")
+    lone = file.rename(tmp_path / file.name)
+    whole(read_states(Bag(lone), NAMES))
+
+
+def test_messages_beside_a_database_that_was_not_closed_are_not_lost(tmp_path: Path) -> None:
+    (file,) = recorded(tmp_path / "bag", ARM).glob("*.db3")
+    killed = tmp_path / "killed.db3"
+    database = sqlite3.connect(file)
+    database.execute("PRAGMA journal_mode=WAL")
+    database.execute("PRAGMA wal_autocheckpoint=0")
+    rows = database.execute("SELECT * FROM messages WHERE id > 30").fetchall()
+    with database:
+        database.execute("DELETE FROM messages WHERE id > 30")
+    database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    with database:
+        database.executemany(f"INSERT INTO messages VALUES ({','.join('?' * len(rows[0]))})", rows)
+    for end in ("", "-wal"):
+        shutil.copy(f"{file}{end}", f"{killed}{end}")
+    database.close()
+    with pytest.raises(ValueError, match=r"not closed: killed.db3-wal.*wal_checkpoint\(TRUNCATE\)"):
+        Bag(killed)
+    with sqlite3.connect(killed) as database:  # as the message says
+        database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    database.close()
+    whole(read_states(Bag(killed), NAMES))
+
+
+def test_a_topic_that_the_metadata_does_not_list_is_not_lost(tmp_path: Path) -> None:
+    folder = recorded(tmp_path / "bag", ARM)
+    information = json.loads((rosbag2_folder(folder / "bag.db3", 0) / "metadata.yaml").read_text())
+    information["rosbag2_bagfile_information"]["topics_with_message_count"] = []
+    (folder / "metadata.yaml").write_text(json.dumps(information))
+    whole(read_states(Bag(folder), NAMES))
+    made, _ = editing.trim(Bag(folder), tmp_path / "part", 0.0, 1.0, NAMES)
+    whole(read_states(Bag(made), NAMES))
+
+
+def test_the_files_of_a_split_bag_without_metadata_are_merged(tmp_path: Path) -> None:
+    files = []
+    (tmp_path / "split").mkdir()
+    for number, part in enumerate((ARM[:30], ARM[30:])):
+        (file,) = recorded(tmp_path / f"{number}", part, StoragePlugin.MCAP).glob("*.mcap")
+        files.append(file.rename(tmp_path / f"split/split_{number}.mcap"))
+    merge = " ".join(["wam-power bags merge", *map(str, files)])
+    with pytest.raises(ValueError, match=merge):
+        Bag(tmp_path / "split")
+    made, _ = editing.merge([*map(Bag, files)], tmp_path / "merged")
+    whole(read_states(Bag(made), NAMES))
+
+
+def test_a_bag_of_ros_1_is_refused_with_the_command_that_converts_it(tmp_path: Path) -> None:
+    (file := tmp_path / "old.bag").write_bytes(b"#ROSBAG V2.0\n")
+    with pytest.raises(ValueError, match=f"rosbags-convert --src {file} --dst {tmp_path}/old"):
+        Bag(file)
+
+
+def test_states_without_a_stamp_among_others_are_left_out(tmp_path: Path) -> None:
+    simulated = [
+        (received, 0 if at < 4 else stamp - START + 12_000 * MS, names, row)
+        for at, (received, stamp, names, row) in enumerate(ARM)
+    ]  # before the first message of the simulated clock
+    path = of_states(tmp_path / "simulated", simulated)
+    found = read_states(Bag(path), NAMES)
+    np.testing.assert_array_equal(found.q, Q[4:])
+    assert remarks(found) == ["4 of 60 states left out: they have no stamp"]
+    made, _ = editing.trim(Bag(path), tmp_path / "part", 0.0, 0.04, NAMES)
+    np.testing.assert_array_equal(read_states(Bag(made), NAMES).q, Q[4:15])
+    none = [(received, 0, names, row) for received, _, names, row in ARM]
+    found = read_states(Bag(of_states(tmp_path / "none", none)), NAMES)
+    np.testing.assert_array_equal(found.stamps, STAMPS + MS)
+
+
+def test_a_part_is_exact_where_all_messages_have_one_time_of_reception(tmp_path: Path) -> None:
+    path = recorded(tmp_path / "zero", [(0, *state) for _, *state in ARM])
+    made, _ = editing.trim(Bag(path), tmp_path / "part", 0.04, 0.08, NAMES)
+    np.testing.assert_array_equal(read_states(Bag(made), NAMES).stamps, STAMPS[10:21])
+
+
+def test_the_same_joints_under_a_prefix_are_those_of_another_publisher(tmp_path: Path) -> None:
+    other = tuple(f"UR2024_{name}" for name in NAMES)
+    twice = [state for one in ARM for state in (one, (one[0] + 1, one[1], other, one[3] + 1.0))]
+    found = read_states(Bag(of_states(tmp_path / "twice", twice)), NAMES)
+    whole(found)
+    assert remarks(found) == []
+
+
+def test_joints_that_change_their_order_within_a_bag_are_matched_by_name(tmp_path: Path) -> None:
+    changed = ARM[:30] + [(r, s, names[::-1], row[::-1]) for r, s, names, row in ARM[30:]]
+    whole(read_states(Bag(of_states(tmp_path / "changed", changed)), NAMES))
+
+
+def test_a_joint_that_is_there_twice_is_refused_by_that_reason(tmp_path: Path) -> None:
+    states = [(r, s, (*names, names[0]), [*row, row[0]]) for r, s, names, row in ARM]
+    with pytest.raises(ValueError, match="a name is there twice"):
+        read_states(Bag(of_states(tmp_path / "twice", states)), NAMES)
+
+
+def test_angles_in_degrees_are_asked_about() -> None:
+    t = 0.004 * np.arange(300)
+    q = np.rad2deg(0.5 + 0.2 * np.cos(np.pi * t / t[-1]))[:, None]
+    limits = quality.Limits(np.array([-3.0]), np.array([3.0]), np.array([50.0]))
+    (remark,) = quality.movement_remarks(t, q, ["j"], limits)
+    assert remark.text == "j beyond its position limit: 40 rad; are these degrees?"
+
+
+def test_an_mcap_file_of_ros_1_is_refused_by_that_reason(tmp_path: Path) -> None:
+    with (file := tmp_path / "converted.mcap").open("wb") as out:
+        writer = McapWriter(out)
+        writer.start("ros1")
+        schema = writer.register_schema("sensor_msgs/JointState", "ros1msg", b"float64 x")
+        channel = writer.register_channel("/joint_states", "ros1", schema)
+        writer.add_message(channel, START, bytes(8), START)
+        writer.finish()
+    with pytest.raises(ValueError, match="Profile is not ros2"):
+        Bag(file)

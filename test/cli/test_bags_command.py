@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from bag_samples import demonstration
 
-from wam_power_ros.bags import layout, reader, series
+from wam_power_ros.bags import judgements, layout, reader, series
 from wam_power_ros.bags.bag import Bag
 from wam_power_ros.bags.writer import BagWriter
-from wam_power_ros.cli import main
+from wam_power_ros.cli import bags_command, main
 
 ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = min((ROOT / "bags").glob("reach_*"))
@@ -60,8 +60,42 @@ def test_what_the_fit_would_leave_out_or_refuse_is_said_with_the_grade(
     shown = said(capsys, "show", tmp_path / "reach_back")
     assert "fair" in shown.splitlines()[0] and "s of movement after a pause of" in shown
     monkeypatch.setattr("wam_power_ros.learning.policy.DURATION_MAX", 1.5)
+    (tmp_path / "reach_back" / judgements.FILE).unlink()  # the code in the files is the same
     (line,) = [row for row in said(capsys, "list", tmp_path).splitlines() if "reach_back" in row]
     assert " poor " in line and "a movement of 1.6 s; at most 1.5 s can be learnt" in line
+
+
+def test_a_take_is_judged_once_and_again_after_any_change(
+    take: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    judge, judged = bags_command._judged, []
+    monkeypatch.setattr(
+        bags_command, "_judged", lambda path, *rest: judged.append(path) or judge(path, *rest)
+    )
+    first = said(capsys, "list", take)
+    assert said(capsys, "list", take) == first
+    assert judged == [take]
+    assert "poor" in said(capsys, "list", take, "--config", "franka")  # of another arm
+    (file,) = take.glob("*.mcap")
+    whole = file.read_bytes()
+    file.write_bytes(whole[:5000] + bytes([whole[5000] ^ 1]) + whole[5001:])  # the same size
+    assert "is damaged" in said(capsys, "list", take)
+    file.write_bytes(whole)
+    assert said(capsys, "list", take) == first
+    assert len(judged) == 4
+
+
+def test_sessions_are_listed_one_after_another(
+    take: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in "ab":
+        shutil.copytree(take, take.parents[1] / name / "bags" / take.name)
+    printed = []
+    monkeypatch.setattr(
+        bags_command, "_outcomes", lambda _: printed.append(capsys.readouterr().out) or {}
+    )
+    assert main.main(["bags", "list", str(take.parents[1])]) == 0
+    assert [text.count(take.name) for text in printed] == [0, 1, 1]
 
 
 def test_no_take_is_an_error_that_names_the_folders(

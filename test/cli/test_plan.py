@@ -6,7 +6,6 @@ from __future__ import annotations
 import ast
 import json
 import os
-import re
 import subprocess
 import sys
 import tempfile
@@ -15,13 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 from conftest import ROOT
 
 from wam_power_ros.cli import main
 from wam_power_ros.cli.launcher import Devices, folder_lock
 from wam_power_ros.cli.plan import DOMAIN_FILE, LEARNER, TRACKER, plan_of
-from wam_power_ros.cli.plan_command import arm_description, rviz_file
+from wam_power_ros.cli.plan_command import arm_description
 from wam_power_ros.params import overlay
 from wam_power_ros.params.parameter_file import of_nodes
 from wam_power_ros.ros.domain import HELD
@@ -36,6 +34,7 @@ import wam_power_plan
 print(json.dumps(wam_power_plan.plan(sys.argv[2], json.loads(sys.argv[3]))))
 """
 Printed = Callable[..., dict[str, Any]]
+FRAMES = ["robot_state_publisher", "static_transform_publisher"]
 
 
 @pytest.fixture(autouse=True)
@@ -191,13 +190,11 @@ def test_the_description_of_the_arm_has_the_frames_and_the_clock_of_its_nodes() 
     assert of(Devices(["geodude"], simulate=True)) is None  # other names than its URDF's
 
 
-def test_rviz_shows_the_arm_of_its_namespace() -> None:
-    text = rviz_file("/left")
-    shipped = (ROOT / "config/visualization/session.rviz").read_text()
-    topics = re.findall(r"Value: (/[a-z_/]+)", shipped)
-    assert re.findall(r"Value: (/[a-z_/]+)", text) == [f"/left{topic}" for topic in topics]
-    assert "Fixed Frame: left/wam_base" in text and "TF Prefix: left\n" in text
-    assert yaml.safe_load(rviz_file("")) == yaml.safe_load(shipped)
+def install(prefix: Path, *programs: str) -> None:
+    """Empty executables, named PACKAGE/NAME."""
+    for name in programs:
+        (program := prefix / "lib" / name).parent.mkdir(parents=True)
+        program.touch()
 
 
 def test_rviz_and_the_state_publisher_are_found_in_the_sourced_workspaces(
@@ -208,20 +205,50 @@ def test_rviz_and_the_state_publisher_are_found_in_the_sourced_workspaces(
 ) -> None:
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "prefix"))
     assert "rviz2 is not installed" in refusal("plan", "sim", "--rviz")
-    for name in ("robot_state_publisher", "rviz2"):
-        program = tmp_path / "prefix/lib" / name / name
-        program.parent.mkdir(parents=True)
-        program.touch()
+    install(
+        tmp_path / "prefix",
+        "robot_state_publisher/robot_state_publisher",
+        "tf2_ros/static_transform_publisher",
+        "rviz2/rviz2",
+    )
     plan = printed("sim", "--rviz", "--namespace", "left")
     shown = [process for process in plan["processes"] if process["name"] not in overlay.NODES]
-    assert [process["name"] for process in shown] == ["robot_state_publisher", "rviz2"]
+    state_publisher, frames, rviz = shown
+    assert [process["name"] for process in shown] == [*FRAMES, "rviz2"]
     for process in shown:
         assert not process["required"] and not process["respawn"]
         assert "__ns:=/left" in process["command"]
+    for process in (state_publisher, rviz):
         assert any(word in plan["files"] for word in process["command"])
-    assert not {"robot_state_publisher", "rviz2"} & set(
-        names(printed("hardware", "--config", "geodude"))
-    )
+    assert {"--frame-id=world", "--child-frame-id=left/wam_base"} <= set(frames["command"])
+    without = printed("sim", "--task", "reach")  # no cameras
+    assert "static_transform_publisher" not in names(without)
+
+
+def test_on_hardware_the_frames_are_published_if_that_is_asked_for(
+    printed: Printed,
+    refusal: Callable[..., str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "prefix"))
+    wanted = ("hardware", "--config", "ur", "--config", "natnet_ros2", "--tf")
+    assert "robot_state_publisher is not installed" in refusal("plan", *wanted)
+    install(tmp_path / "prefix", "robot_state_publisher/robot_state_publisher")
+    assert "static_transform_publisher is not installed" in refusal("plan", *wanted)
+    install(tmp_path / "prefix", "tf2_ros/static_transform_publisher")
+    moved = tmp_path / "moved.yaml"
+    pose = "world_to_base: [1.0, 2.0, 3.0, 0.0, 0.0, 1.0, 0.0]"  # turned by half a turn about z
+    moved.write_text(f"pancake_tracker: {{ros__parameters: {{{pose}}}}}")
+    plan = printed(*wanted, "--config", moved)
+    command = next(each for each in plan["processes"] if each["name"] == FRAMES[1])["command"]
+    given = dict(word[2:].split("=") for word in command if word.startswith("--") and "=" in word)
+    assert given.pop("frame-id") == "world" and given.pop("child-frame-id") == "base_link"
+    found = {name: float(value) for name, value in given.items()}
+    assert found == pytest.approx({"x": 1, "y": 2, "z": -3, "qx": 0, "qy": 0, "qz": 1, "qw": 0})
+    assert not {*FRAMES} & set(names(printed(*wanted[:-1])))
+    why = "robot_state_publisher needs a URDF with the joint names of the driver"
+    assert why in refusal("plan", "hardware", "--config", "geodude", "--tf")
 
 
 # The launch files
@@ -229,7 +256,7 @@ def test_rviz_and_the_state_publisher_are_found_in_the_sourced_workspaces(
 
 def bare_plan(folder: Path, kind: str, **given: object) -> subprocess.CompletedProcess[str]:
     """Plan of launch arguments, made in a Python that has the standard library alone."""
-    values = {"demonstrations": "", "config": "", "secure": "false", "rviz": "false"}
+    values = {"demonstrations": "", "config": "", "secure": "false", "rviz": "false", "tf": "false"}
     values |= {name: str(value) for name, value in given.items()}
     words = [str(folder), kind, json.dumps(values)]
     return subprocess.run(

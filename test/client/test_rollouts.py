@@ -294,7 +294,7 @@ def test_a_body_thrown_off_by_a_lost_request_is_put_back_again_where_a_simulatio
         begun = [MOVE, put_back]
         assert cell.requests == [*begun, *begun, EXECUTE]
     else:  # a person places it
-        with pytest.raises(RolloutError, match="the pancake to be ready: on the floor"):
+        with pytest.raises(RolloutError, match="which a person puts back: on the floor"):
             execute()
         assert cell.requests == [MOVE]
 

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from simulated import CALM, begin, having, run
 
-from hardware_sim.ground_truth import LOG_TICKS
+from hardware_sim.ground_truth import LOG_TIME
 from hardware_sim.scenes.flip import Flip
+from hardware_sim.wam import PERIOD
 from hardware_sim.world import World
 
 
@@ -38,7 +39,7 @@ def test_peaks_are_those_since_the_release_and_of_its_first_10_s(calm: World) ->
     first = calm.truth()
     assert first["peak_qd"][3] == pytest.approx(1.0, abs=0.3)
     assert first["peak_pan_speed"] > 0.2
-    run(calm, None, LOG_TICKS)
+    run(calm, None, round(LOG_TIME / PERIOD))
     calm.data.qvel[3] = 2.0
     run(calm, None, 5)
     assert calm.truth()["peak_qd"][3] == first["peak_qd"][3]  # the log is full

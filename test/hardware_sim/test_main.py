@@ -37,6 +37,8 @@ def test_in_lockstep_each_torque_advances_the_world_by_one_step(
         probe.until(
             lambda step=step: hardware.state().stamp_ns == before.stamp_ns + step * TICK, "one step"
         )
+    times = {nanoseconds(message.clock) for message in clock}
+    assert len(times) < 8  # 100 a second: each is read by every node, and recorded
     torques.publish(write(before.stamp_ns, "hold", tau))  # outdated
     probe.spin(0.2)
     assert hardware.state().stamp_ns == before.stamp_ns + 19 * TICK

@@ -3,6 +3,7 @@
 
 import dataclasses
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,14 +12,17 @@ import pytest
 from hardware_sim.scenes import scene_type
 from hardware_sim.settings import WorldSettings
 from hardware_sim.wam import JOINTS
-from hardware_sim.world import World
+from hardware_sim.world import JointSample, World
 from reproduction.studies.flip_sessions import teach
 from reproduction.studies.reaching_arm import taught_scenario
 from wam_power_ros.control.arm import Arm, Motion
 from wam_power_ros.control.feasibility import simulate_policy
 from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.learning.policy import Policy, with_id
+from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import share
+
+Falsify = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 @pytest.fixture(scope="module")
@@ -138,3 +142,43 @@ def test_a_bare_arm_that_would_oscillate_is_found_by_the_simulation(
     assert truth["saturated"] > 0.01  # motors at their limits, to and fro
     assert simulated.tool_peak == pytest.approx(truth["peak_pan_speed"], rel=0.1)
     assert simulated.tool_peak > 1.5
+
+
+def at(period: float) -> Environment:
+    """A reaching arm whose driver and controller have this period [s], and the same delay."""
+    settings = WorldSettings(period=period, command_delay_ticks=round(0.004 / period))
+    setup = overlay.setup().changed({"torque_controller": {"period": period}})
+    return Environment(World(scene_type("reach"), settings, 21), setup=setup)
+
+
+def test_at_1_khz_a_rollout_is_the_same_within_the_discretisation() -> None:
+    policy = taught_scenario().policy
+    slow, fast = at(0.002), at(0.001)
+    assert slow.infeasible(policy) is None and fast.infeasible(policy) is None
+    (one, _), (other, _) = slow.run(policy), fast.run(policy)
+    assert one.fault is None and other.fault is None
+    np.testing.assert_allclose(one.tool.t, other.tool.t, atol=1e-9)
+    assert np.abs(one.tool.position - other.tool.position).max() < 0.005
+
+
+@pytest.mark.parametrize("falsify", [lambda q, qd: (q, -qd), lambda q, qd: (q + 0.2, qd)])
+def test_at_1_khz_false_states_are_a_fault_as_soon(falsify: Falsify) -> None:
+    policy, took = taught_scenario().policy, []
+    for period in (0.002, 0.001):
+        environment = at(period)
+        world, read = environment.world, environment.world.joint_state
+        began = []
+
+        def false(read: Callable = read, world: World = world, began: list = began) -> JointSample:
+            sample = read()
+            if world.frozen or np.abs(sample.qd).max() < 0.3:
+                return sample
+            began[:] = began or [sample.stamp_ns]
+            q, qd = falsify(sample.q, sample.qd)
+            return sample._replace(q=q, qd=qd)
+
+        world.joint_state = false
+        rollout, _ = environment.run(policy)
+        assert rollout.fault is not None
+        took.append(world.time_ns - began[0])
+    assert took[1] <= took[0] + 1_000_000

@@ -22,7 +22,7 @@ def points(marker: Marker) -> np.ndarray:
 
 
 def test_who_comes_late_sees_everything_in_the_frame_of_the_arm(probe: Probe) -> None:
-    markers = Markers(probe.node, "pancake", Region("box", (0.7, 0.0, 0.6), 0.09))
+    markers = Markers(probe.node, "arm_base", "pancake", Region("box", (0.7, 0.0, 0.6), 0.09))
     states = probe.publisher(
         Odometry, interface.body_topic("pancake", "state"), interface.STATE_OUT
     )
@@ -32,7 +32,7 @@ def test_who_comes_late_sees_everything_in_the_frame_of_the_arm(probe: Probe) ->
     tilted = np.array([np.sin(0.2), 0.0, 0.0, np.cos(0.2)])  # by 0.4 rad about x
     where = np.array([0.6, 0.0, 0.5])
     still = np.zeros(3)
-    state = pose_messages.StateReading(1, "wam_base", where, tilted, still, still, 1e-6)
+    state = pose_messages.StateReading(1, "arm_base", where, tilted, still, still, 1e-6)
     received = probe.listen(MarkerArray, interface.LEARNER_MARKERS, interface.LATCHED)
 
     def whole() -> list[Marker] | None:
@@ -43,7 +43,7 @@ def test_who_comes_late_sees_everything_in_the_frame_of_the_arm(probe: Probe) ->
 
     clear, *drawn = probe.until(whole, "all markers")
     assert clear.action == Marker.DELETEALL
-    assert {marker.header.frame_id for marker in (clear, *drawn)} == {"wam_base"}
+    assert {marker.header.frame_id for marker in (clear, *drawn)} == {"arm_base"}
     assert len({(marker.ns, marker.id) for marker in drawn}) == len(drawn)
     by_name = {marker.ns: marker for marker in drawn}
     np.testing.assert_array_equal(points(by_name["planned"])[0], START)
@@ -58,6 +58,6 @@ def test_who_comes_late_sees_everything_in_the_frame_of_the_arm(probe: Probe) ->
 
 def test_without_a_body_and_a_region_there_is_neither(probe: Probe) -> None:
     received = probe.listen(MarkerArray, interface.LEARNER_MARKERS, interface.LATCHED)
-    Markers(probe.node, "", None).plan(POLICY, START)
+    Markers(probe.node, "arm_base", "", None).plan(POLICY, START)
     (message,) = probe.until(lambda: received, "the markers")
     assert {marker.ns for marker in message.markers[1:]} == {"planned", "stiffness"}

@@ -47,24 +47,28 @@ sys.exit(torque_controller.main())
 URDF = (ROOT / "urdf/wam7.urdf").read_text()
 
 
-@pytest.fixture
-def massless(tmp_path: Path) -> Path:
-    """A URDF in which the last two links and the pan have no mass."""
-    links = re.split("(?=<link name=)", URDF)
-    bare = re.compile('<link name="(wam_link[67]|pan)"')
+def massless(folder: Path, links: str) -> Path:
+    """A URDF in which the links whose names match have no mass."""
+    parts = re.split("(?=<link name=)", URDF)
+    bare = re.compile(f'<link name="({links})"')
     kept = [
-        re.sub("<inertial>.*?</inertial>", "", link, flags=re.DOTALL) if bare.match(link) else link
-        for link in links
+        re.sub("<inertial>.*?</inertial>", "", part, flags=re.DOTALL) if bare.match(part) else part
+        for part in parts
     ]
-    (file := tmp_path / "massless.urdf").write_text("".join(kept))
+    (file := folder / "massless.urdf").write_text("".join(kept))
     return file
 
 
+LAST = ["wam_link6", "wam_link7", "wam_tool_plate", "pan"]
+ALL = [*(f"wam_link{number}" for number in range(1, 6)), *LAST]
+
+
 @pytest.mark.requirement("S-111")
+@pytest.mark.parametrize(("bare", "links"), [("wam_link[67]|pan", LAST), (".*", ALL)])
 def test_the_controller_of_an_arm_without_masses_names_the_links_and_sends_nothing(
-    probe: Probe, processes: Processes, massless: Path
+    probe: Probe, processes: Processes, tmp_path: Path, bare: str, links: list[str]
 ) -> None:
-    arm = PlayedArm(probe, processes, urdf=str(massless))
+    arm = PlayedArm(probe, processes, urdf=str(massless(tmp_path, bare)))
 
     def refused() -> bool:
         arm.send()
@@ -74,7 +78,6 @@ def test_the_controller_of_an_arm_without_masses_names_the_links_and_sends_nothi
 
     probe.until(refused, "the refusal is reported")
     report = diagnosis(arm.diagnostics, "torque_controller")
-    links = ["wam_link6", "wam_link7", "wam_tool_plate", "pan"]
     assert f"links {links} move without mass" in report["last refusal"]
     assert not arm.read()
     assert arm.process.poll() is None
@@ -82,10 +85,10 @@ def test_the_controller_of_an_arm_without_masses_names_the_links_and_sends_nothi
 
 @pytest.mark.requirement("S-111")
 def test_check_driver_names_the_links_that_move_without_mass(
-    probe: Probe, processes: Processes, massless: Path, tmp_path: Path
+    probe: Probe, processes: Processes, tmp_path: Path
 ) -> None:
-    setup = tmp_path / "my_arm.yaml"
-    setup.write_text(f"torque_controller:\n  ros__parameters:\n    urdf: {massless}\n")
+    setup, urdf = tmp_path / "my_arm.yaml", massless(tmp_path, "wam_link[67]|pan")
+    setup.write_text(f"torque_controller:\n  ros__parameters:\n    urdf: {urdf}\n")
     check = [sys.executable, "-m", "wam_power_ros.cli", "run", "check_driver"]
     process = processes.start([*check, "--config", str(setup), "--seconds", "1"])
     states = probe.publisher(JointState, interface.JOINT_STATES, interface.STATE_OUT)

@@ -6,6 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import pinocchio as pin
 import pytest
 import yaml
 from conftest import ROOT
@@ -19,6 +20,7 @@ from wam_power_ros.nodes.learner import LearnerParams
 from wam_power_ros.params import overlay, parameter_file
 from wam_power_ros.params.node_params import Params
 from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
+from wam_power_ros.params.resources import robot_description
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 
 READS: dict[str, type[Params]] = {
@@ -99,6 +101,16 @@ def test_parameters_derived_from_a_driver_reach_recorder_and_stand_in(tmp_path: 
     assert recorder.joint_names[0] == setup["wam_sim"]["joint_names"][0] == "q1"
     assert setup["wam_sim"]["pace"] == "real_time"
     assert setup["wam_sim"]["driver_compensates_gravity"]
+
+
+@pytest.mark.parametrize("name", overlay.known())
+def test_what_a_node_shows_is_in_the_frame_of_the_arm_of_the_set_up(name: str) -> None:
+    setup = overlay.setup([name], simulated=True)
+    arm = setup["torque_controller"]
+    for node in ("pancake_tracker", "learner"):
+        assert setup[node]["base_frame"] == arm["base_frame"]
+    root = pin.buildModelFromXML(robot_description(arm["urdf"])).frames[1].name
+    assert arm["base_frame"] == root  # where robot_state_publisher begins
 
 
 @pytest.mark.parametrize(

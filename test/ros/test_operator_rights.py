@@ -47,7 +47,7 @@ def refused(names: set[str], kind: str, right: str) -> set[str]:
 
 def needed(command: str) -> Iterator[tuple[str, str, str]]:
     """Kind, right and name of what a command does."""
-    _, group, verb, name, *_ = shlex.split(command)
+    _, group, verb, name, *_ = shlex.split(command, comments=True)
     if group == "topic":
         yield "topic", "publish" if verb == "pub" else "subscribe", name
     elif group == "service":
@@ -77,7 +77,7 @@ def test_all_that_the_node_of_a_command_does_is_within_them(
     command: str, probe: Probe, processes: Processes
 ) -> None:
     managed = LifecycleNode("torque_controller", context=probe.context)  # never answers
-    words = shlex.split(command)[1:]
+    words = shlex.split(command, comments=True)[1:]
     probe.node.create_publisher(JointState, interface.JOINT_STATES, interface.STATE_OUT)
     direct = ["--no-daemon", "--spin-time", "5"] if words[0] == "lifecycle" else []
     process = processes.start([sys.executable, "-c", CLI, *words, *direct])

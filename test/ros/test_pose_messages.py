@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from std_msgs.msg import String
 
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
-from wam_power_ros.ros import interface, pose_messages
+from wam_power_ros.ros import pose_messages
 
 LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
 STAMPS = st.integers(1, 2**31 * 10**9 - 1)
@@ -40,7 +40,7 @@ def test_a_state_comes_back_with_its_twist_in_the_base_frame() -> None:
     half = math.sqrt(0.5)  # a quarter turn about z: child x is base y
     state = pose_messages.StateReading(
         5,
-        interface.BASE_FRAME,
+        "wam_base",
         np.array([1.0, 2.0, 3.0]),
         np.array([0.0, 0.0, half, half]),
         np.array([0.0, 4.0, 0.0]),
@@ -82,11 +82,11 @@ def test_a_rollout_path_keeps_its_start_and_poses_in_one_frame(count: int, start
         np.random.default_rng(count).normal(size=(count, 3)),
         np.tile(LEVEL, (count, 1)),
     )
-    message = pose_messages.path_message(there, start_ns, interface.BASE_FRAME)
+    message = pose_messages.path_message(there, start_ns, "wam_base")
     back = pose_messages.path(message)
     assert back.start_ns == start_ns
     frames = {item.header.frame_id for item in (message, *message.poses)}
-    assert frames == {interface.BASE_FRAME}
+    assert frames == {"wam_base"}
     np.testing.assert_allclose(back.t, t, atol=1e-9)
     np.testing.assert_array_equal(back.position, there.position)
     np.testing.assert_array_equal(back.quat_xyzw, there.quat_xyzw)
@@ -94,13 +94,13 @@ def test_a_rollout_path_keeps_its_start_and_poses_in_one_frame(count: int, start
 
 def test_an_empty_path_keeps_its_start() -> None:
     nothing = BodyPath("trial-0008", np.empty(0), np.empty((0, 3)), np.empty((0, 4)))
-    back = pose_messages.path(pose_messages.path_message(nothing, 5, interface.BASE_FRAME))
+    back = pose_messages.path(pose_messages.path_message(nothing, 5, "wam_base"))
     assert (back.start_ns, len(back.t), back.position.shape) == (5, 0, (0, 3))
 
 
 def test_a_path_whose_time_stands_still_is_refused() -> None:
     path = BodyPath("a", np.array([0.1, 0.2]), np.zeros((2, 3)), np.tile(LEVEL, (2, 1)))
-    message = pose_messages.path_message(path, 5, interface.BASE_FRAME)
+    message = pose_messages.path_message(path, 5, "wam_base")
     message.poses[1].header.stamp = message.poses[0].header.stamp
     with pytest.raises(ValueError, match="increase"):
         pose_messages.path(message)

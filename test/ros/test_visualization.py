@@ -24,11 +24,6 @@ def test_every_topic_of_a_layout_is_one_that_a_node_publishes() -> None:
     assert {topic for _, topic in named} - PUBLISHED == set()
 
 
-def test_the_frame_of_rviz_is_that_of_the_arm() -> None:
-    whole = yaml.safe_load((FOLDER / "session.rviz").read_text())["Visualization Manager"]
-    assert whole["Global Options"]["Fixed Frame"] == interface.BASE_FRAME
-
-
 def test_the_diagnostics_of_every_node_are_in_one_group() -> None:
     file = yaml.safe_load((FOLDER / "diagnostics.yaml").read_text())
     groups = file["analyzers"]["ros__parameters"]

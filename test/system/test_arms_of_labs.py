@@ -50,6 +50,8 @@ def test_a_set_up_of_an_arm_is_complete_and_its_reach_lies_within_its_limits(arm
     script = reach(np.random.default_rng(0), driver.goal, spread=0.0)
     path = np.array([script.target(t, position, rotation).position for t in np.arange(0, 3, 0.02)])
     assert np.linalg.norm(path - region.centre, axis=1).min() < 0.3 * region.radius  # in the way
+    # A larger one is rarely passed by chance: exploration displaces a path by a share of its way.
+    assert 0.15 < region.radius / np.linalg.norm(path[-1] - path[0]) < 0.19
     for end in path[[0, -1]]:
         assert np.linalg.norm(end - region.centre) > 1.5 * region.radius
     assert np.all((params.workspace_min < path) & (path < params.workspace_max))

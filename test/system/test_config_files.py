@@ -32,7 +32,13 @@ MODULES = {
 FILES = sorted(path.stem for path in (ROOT / "config").glob("*.yaml"))
 SETUPS = [name for name in FILES if name not in overlay.NODES]
 DRIVERS = ("geodude", "libbarrett", "ur")  # of arms; franka and openarm have the shape of ur
-ARMS = ("cobot", "full_speed", "reach", "simulation")  # other files with parameters of an arm
+ARMS = (
+    "cobot",
+    "full_speed",
+    "kilohertz",
+    "reach",
+    "simulation",
+)  # other files with parameters of an arm
 AT_ONCE = 6  # nodes, each in a namespace beside a driver of its own
 OBSERVED = 1.5  # [s] after a node has reported: an active controller sends 100 torques in it
 JOINTS = [

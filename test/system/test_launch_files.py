@@ -244,20 +244,25 @@ def test_hardware_waits_for_its_driver_and_the_learner_for_the_controller(
     launch.has_ended_well()
 
 
-def test_rviz_and_the_state_publisher_are_started_for_the_arm_of_the_namespace(
+def test_rviz_and_the_publishers_of_frames_are_started_for_the_arm_of_the_namespace(
     launch: Launch, tmp_path: Path
 ) -> None:
     called = {}
-    for name in ("robot_state_publisher", "rviz2"):
-        program = tmp_path / "prefix/lib" / name / name
+    for package, name in (
+        ("robot_state_publisher", "robot_state_publisher"),
+        ("rviz2", "rviz2"),
+        ("tf2_ros", "static_transform_publisher"),
+    ):
+        program = tmp_path / "prefix/lib" / package / name
         program.parent.mkdir(parents=True)
         program.write_text(NOTES_ITS_CALL)
         program.chmod(0o755)
         called[name] = program.with_name(f"{name}.called")
     launch.start("sim.launch.py", tmp_path / "prefix", namespace="left", rviz="true")
-    launch.until(lambda: all(map(Path.exists, called.values())), "both are started")
+    launch.until(lambda: all(map(Path.exists, called.values())), "all are started")
     launch.until(lambda: "mode hold" in launch.output, "the arm is held")
-    state_publisher, rviz = (file.read_text() for file in called.values())
+    state_publisher, rviz, frames = (file.read_text() for file in called.values())
+    assert "--frame-id=world\n--child-frame-id=left/wam_base\n" in frames
     assert "frame_prefix: left/" in state_publisher and "wam_base" in state_publisher
     assert "__ns:=/left" in state_publisher and "/clock:=/left/clock" in state_publisher
     assert "Fixed Frame: left/wam_base" in rviz and "/left/learner/markers" in rviz

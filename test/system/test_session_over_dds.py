@@ -289,7 +289,7 @@ def test_a_learner_killed_in_mid_rollout_learns_the_same_when_started_again(
     path = EndEffectorPath(
         ROLLOUTS[0], np.array([0.0, 0.01]), np.zeros((2, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (2, 1))
     )
-    left_path.publish(pose_messages.path_message(path, 2_000_000, interface.BASE_FRAME))
+    left_path.publish(pose_messages.path_message(path, 2_000_000, "wam_base"))
     long_ago = pose_messages.GroundTruth(8_000_000, {"id": ROLLOUTS[0], "caught": "long ago"})
     left_truth.publish(pose_messages.ground_truth_message(long_ago))
     assert probe.call(SetBool, interface.RECORD, SetBool.Request(data=True)).success

@@ -63,11 +63,15 @@ class Bag:
         self.path = Path(path)
         metadata = _metadata(self.path)
         try:
-            information = integrity.information(metadata or _described(self.path))
+            if metadata is None:
+                file = integrity.unpacked(self.path, self._folder)
+                metadata = _described(file)
+            else:
+                file = self.path
+            information = integrity.information(metadata)
             self.notes = layout.notes(information)
-            self.topics = _topics(information)
-            self._packed_messages = str(information.get("compression_mode")).lower() == "message"
-            self._files = integrity.verified(self.path, information, self._folder)
+            self._files = integrity.verified(file, information, self._folder)
+            self.topics = _topics(information, self._files)
         except Exception as error:  # of any type, depending on the damage
             raise self._unreadable(error) from error
 
@@ -105,7 +109,7 @@ class Bag:
                     _expect_all(reader)
                     kept = [item for item in reader.connections if item.topic in names]
                     for item, stamp_ns, cdr in reader.messages(kept) if kept else ():
-                        if self._packed_messages:  # unpacked here, with a limit
+                        if cdr[:4] == integrity.ZSTD:  # unpacked here, with a limit
                             where = f"{self.path}: a message on {item.topic}"
                             cdr = integrity.unpack(cdr, "zstd", integrity.UNPACKED_MAX, where)
                         budget.spend(len(cdr))
@@ -142,21 +146,37 @@ def _metadata(path: Path) -> object:
         if layout.unfinished(path).exists():
             raise ValueError(f"{path} was never closed; recover it first: wam-power recover {path}")
         raise ValueError(f"{path} is not a bag: there is no such folder")
-    if path.suffix in FILES and path.is_file():
+    if path.is_file() and path.name.removesuffix(integrity.PACKED).endswith(FILES):
         return None
+    if path.suffix == ".bag":
+        to = path.with_suffix("")
+        raise ValueError(f"{path} is a bag of ROS 1: rosbags-convert --src {path} --dst {to}")
     file = path / "metadata.yaml"
     if not file.is_file():
+        files = sorted(str(each) for each in path.glob("*") if each.name.endswith(FILES))
+        remedy = f"all of them: wam-power bags merge {' '.join(files)}" if files[1:] else ""
         raise ValueError(
             f"{path} is not a bag: it has no metadata.yaml; name its .mcap or .db3 file instead, "
-            f"or, if an .mcap file is damaged: wam-power recover {path}"
+            f"{remedy or f'or, if an .mcap file is damaged: wam-power recover {path}'}"
         )
     return plain_yaml.read(file)
 
 
 def _described(file: Path) -> dict[str, Any]:
     """Description of a lone file, as metadata.yaml would give it, from the file itself."""
+    noted = integrity.noted(file) if file.suffix == ".mcap" else {}
+    described = {
+        "relative_file_paths": [file.name],
+        "topics_with_message_count": _counts(file),
+        "custom_data": noted.get("custom_data"),
+    }
+    return {"rosbag2_bagfile_information": described}
+
+
+def _counts(file: Path) -> list[dict[str, Any]]:
+    """Topics of a file and the numbers of their messages, as metadata.yaml would give them."""
     with Reader(file) as reader:
-        found = [
+        return [
             {
                 "topic_metadata": {
                     "name": item.topic,
@@ -170,14 +190,6 @@ def _described(file: Path) -> dict[str, Any]:
             }
             for item in reader.connections
         ]
-    noted = integrity.noted(file) if file.suffix == ".mcap" else {}
-    kept = ("custom_data", "compression_mode", "compression_format")
-    described = {
-        "relative_file_paths": [file.name],
-        "topics_with_message_count": found,
-        **{key: noted[key] for key in kept if key in noted},
-    }
-    return {"rosbag2_bagfile_information": described}
 
 
 def _expect_all(reader: Reader) -> None:
@@ -191,10 +203,16 @@ def _expect_all(reader: Reader) -> None:
             chunk.channel_count.setdefault(item.id, 1)
 
 
-def _topics(information: Mapping[str, Any]) -> dict[str, Topic]:
-    """Topics in the metadata of a bag, in the order of their names."""
+def _topics(information: Mapping[str, Any], files: Iterable[Path]) -> dict[str, Topic]:
+    """Topics of a bag in the order of their names: those of its files that no metadata lists, too.
+
+    A recorder that was killed, and some conversions, leave a list that is not complete.
+    """
     found: dict[str, Topic] = {}
-    listed = information["topics_with_message_count"]
+    listed = [*information["topics_with_message_count"]]
+    names = {counts["topic_metadata"]["name"] for counts in listed}
+    for file in files:
+        listed += [each for each in _counts(file) if each["topic_metadata"]["name"] not in names]
     for counts in sorted(listed, key=lambda counts: counts["topic_metadata"]["name"]):
         item = counts["topic_metadata"]
         name, msgtype = item["name"], item["type"]

@@ -40,22 +40,29 @@ def trim(
     topic = bag.notes.get("state_topic") or (STATES if STATES in bag.topics else _only_states(bag))
     known = {*joint_names, *noted_names(bag.notes)}
     states = [
-        (stamp, header_stamp(data) or stamp, not known.isdisjoint(device(data, JOINT_STATE)))
-        for _, stamp, data in bag.messages([topic])
+        (number, received, header_stamp(data), device(data, JOINT_STATE))
+        for number, (_, received, data) in enumerate(bag.messages([topic]))
     ]
-    times = [item for item in states if item[2]] or states
-    kept = [
-        stamp for stamp, time, _ in times if begin <= (time - times[0][1]) * 1e-9 <= end
-    ]  # by header stamps; a simulation may be recorded faster or slower than real time
+    arm = [state for state in states if not known.isdisjoint(state[3])] or states
+    # By header stamps, if there are any; a simulation may be faster or slower than real time.
+    times = {number: stamp for number, _, stamp, _ in arm if stamp}
+    times = times or {number: received for number, received, *_ in arm}
+    first = next(iter(times.values()), 0)
+    inside = {number for number, time in times.items() if begin <= (time - first) * 1e-9 <= end}
+    kept = [received for number, received, *_ in arm if number in inside]
     if not kept:
         raise ValueError(f"{bag.path}: no message on {topic} from {begin} to {end} s")
     low, high = min(kept), max(kept)
+    outside = {number for number, *_ in arm} - inside  # perhaps received with one inside
     latched = {name for name, found in bag.topics.items() if found.latched}
 
     def part() -> Iterable[Message]:
+        number = -1
         for name, stamp, data in bag.messages(bag.topics):
+            number += name == topic
             if low <= stamp <= high:
-                yield name, stamp, data
+                if name != topic or number not in outside:
+                    yield name, stamp, data
             elif name in latched:
                 yield name, min(max(stamp, low), high), data
 

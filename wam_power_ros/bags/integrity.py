@@ -42,6 +42,9 @@ RECORD_MAX: dict[int, int] = {
     Opcode.FOOTER: 20,
 }
 READ_SIZE = 1 << 20  # [byte]
+PACKED = ".zstd"  # suffix of a file that is compressed as a whole
+ZSTD = b"\x28\xb5\x2f\xfd"  # begins compressed data; a message begins with a zero
+WAL = "-wal"  # suffix of the messages beside a database that was not closed
 
 
 class Budget:
@@ -135,6 +138,14 @@ def verified(path: Path, information: Mapping[str, Any], folder: Callable[[], Pa
     return files
 
 
+def unpacked(file: Path, folder: Callable[[], Path]) -> Path:
+    """A lone file, unpacked if it is compressed as a whole; see `verified`."""
+    if file.suffix != PACKED:
+        return file
+    check_regular(file)
+    return _unpack_file(file, folder() / file.stem, Budget(file, file.stat().st_size))
+
+
 def _unpack_file(file: Path, to: Path, budget: Budget) -> Path:
     try:
         with zstd.open(file, "rb") as packed, to.open("xb") as out:
@@ -163,10 +174,17 @@ def verify(file: Path, information: Mapping[str, Any]) -> None:
 
 
 def _check_sqlite(file: Path) -> None:
-    """Refuse a damaged database, and one whose rows are computed instead of stored.
+    """Refuse a damaged database, one whose rows are computed instead of stored, and one not closed.
 
-    SQLite has no checksums: a changed value within a message is not detected.
+    SQLite has no checksums: a changed value within a message is not detected. A recorder that was
+    killed may leave its last messages in a file beside the database, which is not read.
     """
+    wal = file.with_name(file.name + WAL)
+    if wal.exists() and wal.stat().st_size:
+        raise ValueError(
+            f"{file} was not closed: {wal.name} holds messages that are not in it yet; "
+            f"sqlite3 {file} 'PRAGMA wal_checkpoint(TRUNCATE)' moves them there"
+        )
     computed = (
         "SELECT name FROM sqlite_master WHERE type IN ('view', 'trigger') "
         "OR type = 'table' AND rootpage = 0 "

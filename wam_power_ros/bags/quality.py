@@ -19,6 +19,7 @@ SMOOTHNESS_MIN = -2.5  # a single smooth movement has about -1.6
 RANGE_MIN = 0.05  # range of the joint that moves most [rad]
 SPEED_SHARE_MAX = 0.9  # of a speed limit; a rollout may be faster than its demonstration
 MARGIN_MIN = 0.02  # distance from a position limit [rad]
+ANGLE_USUAL = 10.0  # beyond it no arm turns: more than one and a half turns [rad]
 MISSING_SHARE_MAX = 0.05  # of the messages of a topic
 
 
@@ -97,7 +98,9 @@ def movement_remarks(
     if margin[joint] < MARGIN_MIN:
         where = "beyond" if margin[joint] < 0.0 else "at"
         grade = Grade.POOR if margin[joint] < 0.0 else Grade.FAIR
-        found.append(Remark(grade, f"{joint_names[joint]} {where} its position limit"))
+        furthest = float(np.abs(q[:, joint]).max())
+        degrees = f": {furthest:.0f} rad; are these degrees?" if furthest > ANGLE_USUAL else ""
+        found.append(Remark(grade, f"{joint_names[joint]} {where} its position limit{degrees}"))
     share = np.abs(qd).max(axis=0) / limits.qd_max
     joint = int(share.argmax())
     if share[joint] > SPEED_SHARE_MAX:

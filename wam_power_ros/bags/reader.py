@@ -58,7 +58,8 @@ def read_states(
 ) -> States:
     """Joint states of a bag of any recorder: everyone reads them here.
 
-    Joints are matched by name; time is that of the headers, or of the reception if they have none.
+    Joints are matched by name; time is that of the headers, or of the reception if none has one; if
+    only some have none, as before the first message of a simulated clock, these are left out.
     Messages without any of these joints are another device's and are skipped, as are repetitions
     (same stamp, same angles). States that came late are put in the order of their stamps. Joints
     in messages of their own, as of two publishers, are joined: those of the fewer messages are
@@ -103,7 +104,7 @@ def _states(
     by_reception: bool,
 ) -> States:
     known = {*names, *noted}
-    states = [_joint_angles(*message, known, by_reception) for message in messages]
+    states = [_joint_angles(cdr, known) for _, cdr in messages]
     seen = {name for _, angles in states for name in angles}
     if not seen & set(names) and len(noted) == len(names):
         names = noted
@@ -122,7 +123,16 @@ def _states(
     if sum(map(len, groups)) > len(names):
         sets = " and ".join(str(list(found)) for found in groups)
         raise ValueError(f"joints are in messages of several kinds: {sets}")
-    parts = {found: _part(group, found, simulated) for found, group in groups.items()}
+    received = [received_ns for received_ns, _ in messages]
+    parts = {}
+    for found, group in groups.items():
+        stamped = [] if by_reception else [state for state in group if state[1]]
+        timed = stamped or [(number, received[number], row) for number, _, row in group]
+        part = _part(timed, found, simulated)
+        if unstamped := len(group) - len(timed):
+            text = f"{unstamped} of {len(group)} states left out: they have no stamp"
+            part = replace(part, remarks=(Remark(Grade.FAIR, text), *part.remarks))
+        parts[found] = part
     return _joined(parts, names) if len(parts) > 1 else parts[names]
 
 
@@ -196,16 +206,14 @@ def _messages(bag: Bag, topic: str) -> list[tuple[int, bytes]]:
     return [(received_ns, cdr) for _, received_ns, cdr in bag.messages([topic])]
 
 
-def _joint_angles(
-    received_ns: int, cdr: bytes, known: Collection[str], by_reception: bool
-) -> tuple[int, dict[str, float]]:
+def _joint_angles(cdr: bytes, known: Collection[str]) -> tuple[int, dict[str, float]]:
     """Stamp [ns] and angles by name of a message; it may be malformed if no joint is known."""
     message = decoded(cdr, JOINT_STATE)
     stamp = message.header.stamp
     names, position = message.name, message.position.tolist()
     malformed = len(names) != len(position) or len(set(names)) != len(names)
     if malformed and not known.isdisjoint(names):
-        raise ValueError(f"{len(position)} positions for names {names}")
+        twice = "; a name is there twice" if len(set(names)) != len(names) else ""
+        raise ValueError(f"{len(position)} positions for names {names}{twice}")
     angles = dict(zip(names, position, strict=not malformed))
-    stamp_ns = 0 if by_reception else stamp.sec * 1_000_000_000 + stamp.nanosec
-    return stamp_ns or received_ns, angles
+    return stamp.sec * 1_000_000_000 + stamp.nanosec, angles

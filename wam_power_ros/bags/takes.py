@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,19 +42,24 @@ class Take:
         return float(self.states.stamps[-1] - self.states.stamps[0]) * 1e-9
 
 
+def is_bag(path: Path) -> bool:
+    """Whether a folder is a bag."""
+    return (path / "metadata.yaml").is_file()
+
+
 def find(places: Iterable[Path]) -> list[Path]:
     """Bags in some folders and below, closed or not, sorted by path; a place may be a bag."""
     found = set()
     for place in places:
-        for path in (place, *place.rglob("*")) if place.is_dir() else ():
-            if TRASH in path.parts:
-                continue
-            if path.name.endswith(layout.UNFINISHED):
-                found.add(path.with_name(path.name.removesuffix(layout.UNFINISHED)))
-            elif (path / "metadata.yaml").is_file() and not (
-                path.parent.name.endswith(layout.UNFINISHED)
-            ):
-                found.add(path)
+        if is_bag(place):
+            found.add(place)
+        for folder, names, _ in os.walk(place):
+            names[:] = [name for name in names if name != TRASH]
+            for path in (Path(folder, name) for name in names):
+                if path.name.endswith(layout.UNFINISHED):
+                    found.add(path.with_name(path.name.removesuffix(layout.UNFINISHED)))
+                elif not path.parent.name.endswith(layout.UNFINISHED) and is_bag(path):
+                    found.add(path)
     return sorted(found, key=lambda path: (path.parent, path.name))
 
 

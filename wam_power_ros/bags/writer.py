@@ -35,6 +35,7 @@ from wam_power_ros.bags.layout import (
     unfinished,
 )
 
+_DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # the same text, in a tenth of the time
 METADATA_VERSION = 9  # of metadata.yaml, that of Jazzy
 
 
@@ -256,5 +257,5 @@ class BagWriter:
 
 
 def _yaml(value: object) -> str:
-    text: str = yaml.safe_dump(value, sort_keys=False)
+    text: str = yaml.dump(value, Dumper=_DUMPER, sort_keys=False)
     return text

@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
+import sys
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -93,21 +94,25 @@ def add_to(subparsers: argparse._SubParsersAction) -> None:
 def list_(folder: Sequence[Path], config: Sequence[str]) -> None:
     """Print a line for each take."""
     from wam_power_ros.bags import takes
+    from wam_power_ros.bags.judgements import Judgements
 
     folders = folder or [Path(name) for name in takes.FOLDERS]
     found = takes.find(folders)
     if not found:
         raise UsageError(f"no bags below {', '.join(map(str, folders))}")
-    outcomes, tasks, setup = _outcomes(found), task_stems(), overlay.setup(config)
+    outcomes: dict[Path, str] = {}
+    tasks, setup = task_stems(), overlay.setup(config)
     arm = setup.arm()
+    judgements = Judgements(*_judged_by(setup, arm, tasks))
     width = min(max(len(path.name) for path in found), NAME_WIDTH_MAX)
     print(f"{'take':{width}}  {'task':9}  {'time':>6}  {'quality':7}  reasons")
     shown = None
     for path in found:
         if path.parent != shown:
-            shown = path.parent
-            print(f"{short_path(shown.resolve())}/")
-        kind, row, reasons = _row(path, setup.joint_names, arm, tasks)
+            shown, outcomes = path.parent, _outcomes([path])
+            print(f"{short_path(shown.resolve())}/", flush=True)
+        judge = partial(_verdict, path, setup.joint_names, arm, tasks)
+        kind, row, reasons = _row(path, partial(judgements.of, path, judge))
         kind = "/".join(sorted(tasks.get(kind, {kind})))
         notes = "; ".join(filter(None, (outcomes.get(path.resolve(), ""), reasons)))
         print(f"{path.name:{width}}  {kind:9}  {row}  {notes}".rstrip(), flush=True)
@@ -233,23 +238,51 @@ def _limits(arm: Arm | None) -> Limits | None:
     return None if arm is None else Limits(arm.q_min, arm.q_max, arm.qd_max)
 
 
-def _row(
-    path: Path, names: Sequence[str], arm: Arm | None, tasks: Mapping[str, set[str]]
-) -> tuple[str, str, str]:
-    """Kind of a take, its duration and quality in columns, and the reasons for its quality."""
-    from wam_power_ros.bags import quality
+def _row(path: Path, judge: Callable[[], tuple[str, str, str]]) -> tuple[str, str, str]:
+    """Return what `judge` returns about a take, see `_verdict`, or why it cannot be read."""
+    from wam_power_ros.bags.quality import Grade
 
     try:
         with progress_messages(f"reading {path.name}"):
-            take, _, _, remarks = _judged(path, names, arm, tasks)
+            return judge()
     except (ValueError, OSError) as error:
         reason = pasteable(str(error).removeprefix(f"{path}").lstrip(": "))
-        row = f"{'–':>6}  {quality.Grade.POOR.name.lower():7}"
-        return path.name.partition("_")[0], row, reason
+        return path.name.partition("_")[0], f"{'–':>6}  {Grade.POOR.name.lower():7}", reason
+
+
+def _verdict(
+    path: Path, names: Sequence[str], arm: Arm | None, tasks: Mapping[str, set[str]]
+) -> tuple[str, str, str]:
+    """Kind of a take, its duration and quality in columns, and the reasons for its quality.
+
+    Raises:
+        ValueError: As `inspect`.
+    """
+    from wam_power_ros.bags import quality
+
+    take, _, _, remarks = _judged(path, names, arm, tasks)
     graded: Grade = quality.grade(remarks)
     row = f"{take.duration:4.1f} s  {graded.name.lower():7}"
     reasons = (remark.text for remark in remarks if remark.grade is not quality.Grade.GOOD)
     return take.bag.kind, row, "; ".join(reasons)
+
+
+def _judged_by(
+    setup: overlay.Setup, arm: Arm | None, tasks: Mapping[str, set[str]]
+) -> tuple[list[Path], list[str]]:
+    """Folders of the code, and texts of the set-up, on which `_verdict` depends."""
+    from wam_power_ros import arm_identity
+    from wam_power_ros.practice import plugins
+
+    names = {min(of_stem) for of_stem in tasks.values()}
+    modules = [sys.modules[plugins.task_type(name).__module__] for name in sorted(names)]
+    own = Path(__file__).resolve().parents[1]
+    folders = dict.fromkeys(Path(str(module.__file__)).resolve().parent for module in modules)
+    about = [overlay.text(setup), *(f"{stem} {min(tasks[stem])}" for stem in sorted(tasks))]
+    if arm is not None:
+        limits = [limit.tolist() for limit in _limits(arm)]
+        about += [arm_identity.to_json(arm.identity()), str(limits)]
+    return [own, *(folder for folder in folders if not folder.is_relative_to(own))], about
 
 
 def _outcomes(found: Sequence[Path]) -> dict[Path, str]:
@@ -326,7 +359,8 @@ def import_(
         made, remarks = editing.import_bag(
             Bag(bag), output, names, joints, topic, kind, by_reception
         )
-        _, row, reasons = _row(made, names, setup.arm(), {kind: {task}})
+        judge = partial(_verdict, made, names, setup.arm(), {kind: {task}})
+        _, row, reasons = _row(made, judge)
     _print_bag(made, remarks)
     print(f"  {row.strip()}  {reasons}".rstrip())
 

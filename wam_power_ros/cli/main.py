@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from wam_power_ros import __version__
-from wam_power_ros.cli import bags_command, commands, plan_command, score_command
+from wam_power_ros.cli import bags_command, commands, layouts, plan_command, score_command
 from wam_power_ros.cli.launcher import Devices, UsageError, pasteable
 from wam_power_ros.cli.parser import (
     Parser,
@@ -150,6 +150,17 @@ def _parser() -> argparse.ArgumentParser:
     )
     policy.add_argument("config", nargs="*", metavar="NAME", help="as for config")
     policy.add_argument("--namespace", default="", help="namespace of the arm's nodes")
+
+    layout = add(
+        "layout",
+        commands.layout,
+        "print a layout for RViz, Foxglove or PlotJuggler",
+        "Print a layout with the joints, topics and frames of the given set-ups.",
+    )
+    layout.add_argument("program", choices=layouts.FILES)
+    config_option(layout, "set-up; may be repeated")
+    task_option(layout)
+    layout.add_argument("--namespace", default="", help="namespace of the arm's nodes")
 
     feedback = add(
         "feedback",

@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 import os
 import re
+import sys
 import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,6 +15,7 @@ from pathlib import Path
 import yaml
 
 from wam_power_ros.cli.launcher import Devices, UsageError, discovery_range, folder_lock
+from wam_power_ros.cli.layouts import layout
 from wam_power_ros.cli.parser import add_command, config_option, session_options
 from wam_power_ros.cli.plan import (
     CONTROLLER,
@@ -30,11 +32,15 @@ from wam_power_ros.cli.session_options import (
     chosen,
     learner_parameters,
 )
-from wam_power_ros.params.resources import robot_description, share
+from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
+from wam_power_ros.params.resources import robot_description
 from wam_power_ros.ros.domain import exported, hold, lock_files, shared
+from wam_power_ros.tracking.tracker import base_in_world
 
 NAMESPACE = re.compile(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 STATE_PUBLISHER, RVIZ = "robot_state_publisher", "rviz2"  # packages, and their executables
+STATIC_PUBLISHER = "static_transform_publisher"  # of tf2_ros
+POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")  # its options
 LAUNCHED = {"sim": "the stand-ins and the nodes", "hardware": "the nodes alone"}  # NAME.launch.py
 
 
@@ -52,6 +58,8 @@ def add_to(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument("--namespace", default="", help="of the nodes of one arm")
     parser.add_argument("--secure", action="store_true", help="run each node in its enclave")
     parser.add_argument("--rviz", action="store_true", help="start RViz too")
+    frames = "publish the frames of arm and cameras, for drivers that do not"
+    parser.add_argument("--tf", action="store_true", help=frames)
     parser.add_argument(
         "--folder",
         type=Path,
@@ -69,6 +77,7 @@ def plan(
     namespace: str,
     secure: bool,
     rviz: bool,
+    tf: bool,
     folder: Path,
 ) -> None:
     """Print a plan.
@@ -80,13 +89,7 @@ def plan(
     stand_ins = kind == "sim"
     if not (stand_ins or config):
         raise UsageError("config is empty: name the set-up of the arm's driver, such as geodude")
-    name = namespace.strip("/")
-    if name and not NAMESPACE.fullmatch(name):
-        raise UsageError(
-            f"namespace {namespace!r} must be names of letters, digits and underscores, "
-            "separated by /"
-        )
-    namespace = f"/{name}" if name else ""
+    namespace = checked_namespace(namespace)
     domain = exported(os.environ)
     devices = Devices(config, stand_ins and (bool(config) or pace == "real_time"))
     if session:
@@ -120,40 +123,77 @@ def plan(
         "ROS_SECURITY_ENABLE": str(secure).lower(),
         "ROS_SECURITY_STRATEGY": "Enforce",
     }
-    print(with_displays(made, rviz).json(environment, locks))
+    print(with_displays(made, rviz, tf).json(environment, locks))
 
 
-def with_displays(plan: Plan, rviz: bool) -> Plan:
-    """Add RViz if requested; robot_state_publisher in simulation, where it is installed.
+def checked_namespace(text: str) -> str:
+    """Namespace of the nodes of one arm, such as `/left`; empty for none.
 
     Raises:
-        UsageError: RViz is not installed.
+        UsageError: It is not names, separated by slashes.
+    """
+    name = text.strip("/")
+    if name and not NAMESPACE.fullmatch(name):
+        raise UsageError(
+            f"namespace {text!r} must be names of letters, digits and underscores, separated by /"
+        )
+    return f"/{name}" if name else ""
+
+
+def with_displays(plan: Plan, rviz: bool, tf: bool) -> Plan:
+    """Add RViz if requested, and the publishers of the frames of arm and motion capture.
+
+    In simulation these are started where they are installed; on hardware if requested, because most
+    drivers have their own and two trees of the same frames contradict each other.
+
+    Raises:
+        UsageError: What is requested is not installed, or the arm has no URDF with its joint names.
     """
     logs, arm = plan.file.parent, plan.parameters[CONTROLLER]
     processes, files = [], {}
-    described = arm_description(plan) if plan.stand_ins else None  # drivers bring their own
-    if described is not None and (program := _executable(STATE_PUBLISHER)):
+    described = arm_description(plan) if plan.stand_ins or tf else None
+    program = _executable(STATE_PUBLISHER, required=tf)
+    if described is not None and program is not None:
         file = logs / f"{STATE_PUBLISHER}.yaml"
         files[file] = yaml.safe_dump({"/**": {"ros__parameters": described}})
         remapped = ["-r", f"joint_states:={arm['state_topic']}"]
         command = [str(program), *ros_arguments(plan.namespace, file), *remapped]
         processes.append(Process(STATE_PUBLISHER, tuple(command), required=False))
+    elif tf:
+        raise UsageError(f"{STATE_PUBLISHER} needs a URDF with the joint names of the driver")
+    elif plan.stand_ins and rviz:
+        why = "is not installed" if described else "has no URDF with the joint names of the driver"
+        print(f"RViz shows no model of the arm: {STATE_PUBLISHER} {why}", file=sys.stderr)
+    tracker, program = plan.parameters[TRACKER], _executable(STATIC_PUBLISHER, "tf2_ros", tf)
+    if (plan.stand_ins or tf) and tracker["body"] and program is not None:
+        pose = base_in_world(PancakeTrackerParams.of_setup(plan.parameters))
+        words = [f"--{name}={value}" for name, value in zip(POSE, pose.tolist(), strict=True)]
+        words += [f"--frame-id={plan.parameters['optitrack_sim']['frame']}"]
+        words += [f"--child-frame-id={plan.namespace}/{arm['base_frame']}".replace("=/", "=")]
+        command = [str(program), *words, *ros_arguments(plan.namespace)]
+        processes.append(Process(STATIC_PUBLISHER, tuple(command), required=False))
     if rviz:
-        if (program := _executable(RVIZ)) is None:
-            raise UsageError(f"{RVIZ} is not installed")
+        program = _executable(RVIZ, required=True)
         file = logs / "session.rviz"
-        files[file] = rviz_file(plan.namespace)
+        files[file] = layout("rviz", plan.parameters, plan.namespace)
         time = ["-p", f"use_sim_time:={str(arm.get('use_sim_time', False)).lower()}"]
         command = [str(program), "-d", str(file), *ros_arguments(plan.namespace), *time]
         processes.append(Process(RVIZ, tuple(command), required=False))
     return replace(plan, processes=(*plan.processes, *processes), files=files)
 
 
-def _executable(package: str) -> Path | None:
-    """Executable of the same name as its package, in the sourced workspaces."""
+def _executable(name: str, package: str = "", required: bool = False) -> Path | None:
+    """Executable of a package, by default of the same name, in the sourced workspaces.
+
+    Raises:
+        UsageError: It is required and not installed.
+    """
     prefixes = filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
-    programs = (Path(prefix) / "lib" / package / package for prefix in prefixes)
-    return next(filter(Path.is_file, programs), None)
+    programs = (Path(prefix) / "lib" / (package or name) / name for prefix in prefixes)
+    found = next(filter(Path.is_file, programs), None)
+    if required and found is None:
+        raise UsageError(f"{name} is not installed")
+    return found
 
 
 def arm_description(plan: Plan) -> dict[str, object] | None:
@@ -166,20 +206,3 @@ def arm_description(plan: Plan) -> dict[str, object] | None:
         "frame_prefix": f"{plan.namespace}/".lstrip("/"),
         "use_sim_time": bool(arm.get("use_sim_time", False)),
     }
-
-
-def rviz_file(namespace: str) -> str:
-    """RViz configuration for the arm in a namespace, such as `/left`; empty for none."""
-    from wam_power_ros.ros import interface
-
-    whole = yaml.safe_load(share("config/visualization/session.rviz").read_text())
-    manager = whole["Visualization Manager"]
-    frames = manager["Global Options"]
-    frames["Fixed Frame"] = interface.frame(namespace, frames["Fixed Frame"])
-    for display in manager["Displays"]:
-        for key in ("Topic", "Description Topic"):
-            if key in display:
-                display[key]["Value"] = namespace + display[key]["Value"]
-        if "TF Prefix" in display:
-            display["TF Prefix"] = namespace.lstrip("/")
-    return yaml.safe_dump(whole, sort_keys=False)

@@ -34,6 +34,7 @@ from wam_power_ros.tasks.task import MISSING_MAX
 STARTS_MAX = 5  # attempts to begin one rollout
 ANSWER_TIMEOUT = 10.0  # after which the answer of a service counts as lost [s of wall time]
 READY_TIMEOUT = 10.0  # after which the scene is reset again [s of wall time]
+BUSY_PERIOD = 0.02  # [s of wall time] to the next request to an arm that comes to rest
 SWITCH_LOG_PERIOD = 5.0  # between two lines about the enabling switch [s]
 READY_STATES = 3  # number of successive states in which the body must be ready
 NOT_BEGUN_CODES = (Code.UNKNOWN, Code.FAULT, Code.NOT_ACTIVE, Code.NOT_AT_START, Code.STOPPED)
@@ -250,10 +251,11 @@ class Rollouts:
             if not self._body:
                 return
             self._readiness = readiness = _Readiness(ready, self._body)
+            by_whom = "" if scene_reset else ", which a person puts back"
             try:
                 self.until(
                     lambda: readiness.count >= READY_STATES,  # noqa: B023 - called at once
-                    lambda: f"the {self._body} to be ready: {readiness}",  # noqa: B023
+                    lambda: f"the {self._body} to be ready{by_whom}: {readiness}",  # noqa: B023
                     READY_TIMEOUT if scene_reset else self._settings.patience,
                 )
                 return
@@ -282,7 +284,7 @@ class Rollouts:
                 self._call(interface.RESET)
             else:
                 self._log.warning(f"the arm cannot move to its start yet: {answer}", once=True)
-            self._link.sleep(RETRY_PERIOD)
+            self._link.sleep(BUSY_PERIOD if answer.code is Code.BUSY else RETRY_PERIOD)
 
     def _await_activation(self) -> None:
         """Wait until the diagnostics say that the controller is active."""

@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wam_power_ros import rotations
 from wam_power_ros.conformance.topic_checks import FAIL, OK, PAIR_NS, UNCHECKED, WARN, Row
 from wam_power_ros.learning.rollout import BodyPath
 from wam_power_ros.tracking import marker_fit
@@ -23,11 +22,11 @@ from wam_power_ros.tracking.tracker import (
     FROZEN_COUNT,
     FROZEN_TIME,
     IDENTITY,
-    Y_UP,
     FrameFault,
     Tracker,
     TrackerSettings,
     free_fall_acceleration,
+    world_in_base,
 )
 
 USABLE_SHARE = 0.9  # share of frames that the tracker must accept
@@ -188,7 +187,7 @@ def body_position(
     row = partial(Row, "mocap frame", "a body in the pan is measured in the pan")
     if not frames:
         return row("no frame", UNCHECKED)
-    rotation, origin = _to_base(settings)
+    rotation, origin = world_in_base(settings)
     position = rotation @ np.median([frame.position for frame in frames], axis=0) + origin
     text = f"body at {_listed(position)}"
     if pan is None or not np.isfinite(position).all():
@@ -213,7 +212,7 @@ def fall_direction(frames: Sequence[FrameSample], settings: TrackerSettings) -> 
     up = -raw / np.linalg.norm(raw)  # in the motion capture's axes
     axis = int(np.argmax(np.abs(up)))
     name = f"{'-' if up[axis] < 0.0 else '+'}{'xyz'[axis]}"
-    rotation, _ = _to_base(settings)
+    rotation, _ = world_in_base(settings)
     cosine = float((rotation @ up)[2])
     found = f"{np.linalg.norm(raw):.2f} m/s^2 along {_listed(rotation @ raw)}, {name} is up"
     angle = math.degrees(math.acos(min(1.0, max(-1.0, cosine))))
@@ -243,13 +242,6 @@ def _free_fall(t: np.ndarray, position: np.ndarray) -> np.ndarray | None:
     """Acceleration (3,) [m/s^2] during a free fall in a trajectory, None without one."""
     level = np.tile([0.0, 0.0, 0.0, 1.0], (len(t), 1))
     return free_fall_acceleration(BodyPath("dropped", t, position, level))
-
-
-def _to_base(settings: TrackerSettings) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation (3, 3) and origin (3,) [m] of the motion capture's frame in the base frame."""
-    pose = np.array(settings.world_to_base, dtype=float)
-    turn = Y_UP if settings.up_axis == "y" else np.eye(3)
-    return rotations.matrix(pose[3:]) @ turn, pose[:3]
 
 
 def _listed(values: np.ndarray) -> str:

@@ -33,7 +33,12 @@ from wam_power_ros.control.modes import (
 )
 from wam_power_ros.control.policy_execution import Rollouts
 from wam_power_ros.control.prepared_policy import PreparedPolicy, prepare
-from wam_power_ros.control.state_checks import STATE_LOSS_TIMEOUT, JointState, StateChecks
+from wam_power_ros.control.state_checks import (
+    STATE_LOSS_TIMEOUT,
+    JointState,
+    StateChecks,
+    at_rate,
+)
 from wam_power_ros.control.supervision import REST_NS, Supervision
 from wam_power_ros.control.torque_output import TorqueOutput
 from wam_power_ros.control.unexplained_torque import UnexplainedTorque
@@ -44,7 +49,7 @@ from wam_power_ros.learning.rollout import EndEffectorPath
 Law = Callable[[JointState, Motion | Speeds], np.ndarray]
 
 FAULT_BRAKING = 0.25  # [s] after a fault until the arm is held where it is: e^-5 of its speed
-OBSERVED_STATES = 5  # states from one measurement of the unexplained torque to the next
+OBSERVED_STATES = 5  # states, at 500 Hz, from one measurement of the unexplained torque to the next
 STANDSTILL = 0.05  # [rad/s] largest joint speed of an arm at rest, where no tool speed is known
 
 
@@ -89,6 +94,7 @@ class Controller:
         self.enabled = self.fresh = False
         self.error: Exception | None = None
 
+        self._observed_states = at_rate(OBSERVED_STATES, settings.period)
         self._states = StateChecks(arm.n, settings.period, settings.velocity_cutoff)
         self.counters: Counter[str] = self._states.counters
         compensated = settings.driver_compensates_gravity
@@ -98,7 +104,7 @@ class Controller:
         self._rollouts = Rollouts(arm, settings)
         self.unexplained = UnexplainedTorque(arm)
         self._hold = FaultHold(arm)
-        self._brake = BrakeWithoutModel(arm, compensated)
+        self._brake = BrakeWithoutModel(arm, compensated, settings.period)
         self._failed = False  # no torque could be computed for the last state
         self._springs = safety.LimitSprings(self.limits)
         self._unanswered = 0.0  # time since the last state that stale torques have used [s]
@@ -627,11 +633,11 @@ class Controller:
         if self._mode is not Mode.HOLD and self._joints.holding:
             self._set(Mode.HOLD)
         self._held_states += 1
-        if self._held_states >= OBSERVED_STATES and self._mode is Mode.HOLD:
+        if self._held_states >= self._observed_states and self._mode is Mode.HOLD:
             self._held_states = 0
             at_rest = max(*motion.guarded_speeds, motion.tool_speed) < safety.REST_SPEED
             beyond = self._output.motor_torque(state.q) - self.arm.gravity(state.q)
-            dt = OBSERVED_STATES * self.settings.period
+            dt = self._observed_states * self.settings.period
             self.unexplained.observe(at_rest, state.q, beyond, dt)
         return tau
 

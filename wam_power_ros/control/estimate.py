@@ -9,8 +9,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.control.state_checks import JointState
+from wam_power_ros.control.state_checks import JointState, at_rate
+from wam_power_ros.learning.policy import PERIOD
 
+# Numbers of states are those at 500 Hz: at a higher rate they are more, see `at_rate`.
 STANDSTILL_SPEED = 0.05  # [rad/s] below this speed a joint may count as standing still
 TORQUE_DELAY = 2  # states until a torque acts: 4 ms, of the 2 to 8 ms of drivers and motors
 RATE_COUNT = 4  # states whose rates give a velocity; even, for two drivers that alternate
@@ -40,16 +42,23 @@ class Estimate:
         q: Positions to begin with [rad]. Shape (n,).
         qd: Speeds to begin with [rad/s]. Shape (n,).
         sent: Motor torques commanded that do not act yet [N m], oldest first. Shapes (n,).
+        period: Sampling period of the states [s].
     """
 
     def __init__(
-        self, arm: Arm, q: np.ndarray, qd: np.ndarray, sent: Sequence[np.ndarray] = ()
+        self,
+        arm: Arm,
+        q: np.ndarray,
+        qd: np.ndarray,
+        sent: Sequence[np.ndarray] = (),
+        period: float = PERIOD,
     ) -> None:
         self._arm = arm
         self.q, self.qd = q, qd
-        self._sent = deque(sent, maxlen=TORQUE_DELAY + 1)
+        self._sent = deque(sent, maxlen=at_rate(TORQUE_DELAY, period) + 1)
         self._previous: np.ndarray | None = None  # positions of the last state [rad]
-        self._rates: deque[np.ndarray] = deque(maxlen=RATE_COUNT)  # of positions [rad/s]
+        self._rate_count = at_rate(RATE_COUNT, period)
+        self._rates: deque[np.ndarray] = deque(maxlen=self._rate_count)  # of positions [rad/s]
 
     def advance(self, tau: np.ndarray, dt: float) -> None:
         """Integrate over a time [s] with a commanded motor torque (n,) [N m]; it acts later."""
@@ -84,7 +93,7 @@ class Estimate:
             return
         moved = state.q - previous
         self._rates.append(moved / dt)
-        if len(self._rates) < RATE_COUNT or not trusted:
+        if len(self._rates) < self._rate_count or not trusted:
             return
         qd, speed = _velocity(np.array(self._rates)), np.abs(self.qd)
         observed = (np.abs(qd) >= FROZEN_SHARE * speed) | (speed <= FROZEN_SPEED_MIN)
@@ -115,13 +124,13 @@ def _velocity(rates: np.ndarray) -> np.ndarray:
     """Speeds of joints from the rates of their positions; a single changed rate gives no speed.
 
     Args:
-        rates: Rates of change in consecutive states [rad/s]. Shape (4, n).
+        rates: Rates of change in consecutive states [rad/s]. Shape (4 or more, n).
 
     Returns:
         [rad/s]. Shape (n,).
     """
     mean = rates.mean(axis=0)
-    lowest, low, high, highest = np.sort(rates, axis=0)
+    lowest, low, *_, high, highest = np.sort(rates, axis=0)
     agreed = np.where(
         low * high > 0.0, np.copysign(np.minimum(np.abs(low), np.abs(high)), low), 0.0
     )

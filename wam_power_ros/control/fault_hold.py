@@ -10,12 +10,13 @@ import numpy as np
 from wam_power_ros.control import safety
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.joint_control import BANDWIDTH, DAMPING_RATIO
-from wam_power_ros.control.state_checks import JointState
+from wam_power_ros.control.state_checks import JointState, at_rate
+from wam_power_ros.learning.policy import PERIOD
 
 FREQUENCY = 20.0  # [rad/s] with a damping of 20 1/s: half of the critical damping
 FRICTION_FACTOR = 2.0  # multiple of a joint's friction in the bound of the feedback
 TORQUE_SHARE = 0.05  # share of a joint's torque limit added to it: payload, tilt, weak motors
-REMEMBERED_STATES = 10  # states after which gravity and mass matrix are computed again: 20 ms
+REMEMBERED_STATES = 10  # states, at 500 Hz, after which gravity and mass matrix are computed again
 
 
 def feedback_max(arm: Arm) -> np.ndarray:
@@ -59,9 +60,11 @@ class BrakeWithoutModel:
     Args:
         arm: Model of the arm, for its limits and its friction.
         driver_compensates_gravity: Whether the driver adds g(q), which is then not sent.
+        period: Sampling period of the states [s].
     """
 
-    def __init__(self, arm: Arm, driver_compensates_gravity: bool) -> None:
+    def __init__(self, arm: Arm, driver_compensates_gravity: bool, period: float = PERIOD) -> None:
+        self._remembered = at_rate(REMEMBERED_STATES, period)
         self._driver_adds_gravity = driver_compensates_gravity
         self._qd_max, self._spring_max = arm.qd_max, feedback_max(arm)
         self._gravity: np.ndarray | None = None  # torque that carries the arm [N m]
@@ -70,7 +73,7 @@ class BrakeWithoutModel:
         self._reference: tuple[np.ndarray, np.ndarray] | None = None  # q_ref, qd_ref
 
     def observe(self, arm: Arm, q: np.ndarray, beyond: np.ndarray) -> None:
-        """Compute anew, every `REMEMBERED_STATES` calls, what carries and brakes the arm.
+        """Compute anew, every 20 ms, what carries and brakes the arm.
 
         Args:
             arm: Model of the arm.
@@ -80,7 +83,7 @@ class BrakeWithoutModel:
         Raises:
             ArithmeticError: The model gives no finite gravity; what was kept remains.
         """
-        if self._states % REMEMBERED_STATES == 0:
+        if self._states % self._remembered == 0:
             mass, gravity = arm.mass_matrix(q), arm.gravity(q)
             if not math.isfinite(sum(gravity.tolist())):
                 raise ArithmeticError(f"gravity {gravity.tolist()} is not finite")

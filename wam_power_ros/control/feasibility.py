@@ -19,11 +19,12 @@ from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.estimate import TORQUE_DELAY
 from wam_power_ros.control.modes import ControllerError, Mode
 from wam_power_ros.control.safety import Limits, limits_of
+from wam_power_ros.control.state_checks import at_rate
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.policy import Policy
 
-_REST_TICKS = 60  # control periods at rest until the controller reaches its fixed point
-_SUBSTEPS = 2  # integration steps of the model in a control period
+_REST_TICKS = 60  # periods at rest, at 500 Hz, until the controller reaches its fixed point
+_STEP = 0.001  # [s] of the integration of the model
 POSITION_MARGIN = 0.05  # [rad] smallest distance from a position limit
 SPEED_SHARE = 0.9  # usable share of the speed limits: the arm differs from the model
 OVERRUN_SHARE = 0.98  # factor on it for each rollout in which the arm was faster than the model
@@ -82,7 +83,8 @@ def simulate_policy(
     whole = {"region": None}  # the whole movement must be feasible
     controller = Controller(arm, settings.model_copy(update=model | whole))
     period_ns = round(settings.period * 1e9)
-    dt = settings.period / _SUBSTEPS
+    substeps = max(1, round(settings.period / _STEP))
+    dt = settings.period / substeps
     q, qd, stamp_ns = policy.q_start.copy(), np.zeros(arm.n), period_ns
 
     def rest() -> np.ndarray:
@@ -102,7 +104,8 @@ def simulate_policy(
         return Feasibility(refusal, np.zeros(arm.n), 0.0, 0.0)
     while not controller.ready:
         rest()
-    sent = deque((rest() for _ in range(_REST_TICKS)), maxlen=TORQUE_DELAY + 1)
+    rests, delay = (at_rate(count, settings.period) for count in (_REST_TICKS, TORQUE_DELAY))
+    sent = deque((rest() for _ in range(rests)), maxlen=delay + 1)
     controller.execute()
     qd_peak, elbow_peak, tool_peak = np.zeros(arm.n), 0.0, 0.0
     lowest, highest = q, q
@@ -112,7 +115,7 @@ def simulate_policy(
         if controller.mode is not Mode.ROLLOUT:
             break
         sent.append(tau)
-        for _ in range(_SUBSTEPS):
+        for _ in range(substeps):
             # Implicit: explicit friction would shake joints of less than 0.0015 kg m^2.
             speed = np.maximum(np.abs(qd + change), _FRICTION_SPEED)
             resistance = arm.friction / speed + arm.damping

@@ -20,9 +20,11 @@ import numpy as np
 
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.estimate import STANDSTILL_SPEED, TORQUE_DELAY, Estimate
-from wam_power_ros.control.state_checks import JointState
+from wam_power_ros.control.state_checks import JointState, at_rate
 from wam_power_ros.faults import Fault, FaultKind
+from wam_power_ros.learning.policy import PERIOD
 
+# Numbers of states are those at 500 Hz: at a higher rate they are more, see `at_rate`.
 RESIDUAL_TIME_CONSTANT = 0.015  # [s]
 MISMATCH_WINDOWS = ((0.02, 0.003), (0.1, 0.008))  # [s] time constant, [rad] bound on the mismatch
 MISMATCH_SHARE = 0.1  # share of the motion within a window that is added to the bound
@@ -74,10 +76,18 @@ class Interval(NamedTuple):
 
 
 class VelocityCheck:
-    """Compares the change of every position with its velocity."""
+    """Compares the change of every position with its velocity.
 
-    def __init__(self, n: int) -> None:
+    Args:
+        n: Number of joints.
+        period: Sampling period of the states [s].
+    """
+
+    def __init__(self, n: int, period: float = PERIOD) -> None:
         self._n = n
+        self._to_fault = at_rate(CONTRADICTIONS_TO_FAULT, period)
+        self._standstill = at_rate(STANDSTILL_STATES, period)
+        self._leap = _LEAP * min(1.0, period / PERIOD)
         self.begin()
 
     def begin(self) -> None:
@@ -124,12 +134,12 @@ class VelocityCheck:
             size_moved = abs(moved)
             if moved * previous < 0.0:  # back and forth, which no lag explains
                 mismatch = max(mismatch, min(size_moved, abs(previous)))
-            if abs(moved - most) > _LEAP:
+            if abs(moved - most) > self._leap:
                 mismatch = max(mismatch, _MISMATCH_PER_STATE)
             motion = size_moved if size_moved < slow else slow
             counted = mismatch if mismatch < _MISMATCH_PER_STATE else _MISMATCH_PER_STATE
             added.append(counted - MISMATCH_SHARE * motion)
-            if repeats >= STANDSTILL_STATES and abs(qd) > STANDSTILL_SPEED:
+            if repeats >= self._standstill and abs(qd) > STANDSTILL_SPEED:
                 joint, size = i, mismatch
         self._lagged, self._moved = lagged, changes
         for k, (window, bound) in enumerate(MISMATCH_WINDOWS):
@@ -139,7 +149,7 @@ class VelocityCheck:
             if (worst := max(sums)) > bound:
                 joint, size = sums.index(worst), worst
         self._in_row = self._in_row + 1 if joint >= 0 else 0
-        if self._in_row < CONTRADICTIONS_TO_FAULT:
+        if self._in_row < self._to_fault:
             return None
         text = f"position and velocity of joint {joint + 1} differ by {size:.3f} rad"
         return Fault(FaultKind.VELOCITY, text)
@@ -155,8 +165,12 @@ class TorqueCheck:
             full torque of its joint can change it.
     """
 
-    def __init__(self, arm: Arm) -> None:
+    def __init__(self, arm: Arm, period: float = PERIOD) -> None:
         self._arm = arm
+        self._latency = at_rate(LATENCY_STATES, period)
+        self._to_fault = at_rate(CONTRADICTIONS_TO_FAULT, period)
+        self._standstill = at_rate(STANDSTILL_STATES, period)
+        self._history = at_rate(HISTORY_LENGTH, period)
         self._full_torque = arm.tau_max.tolist()
         self._allowance = (FRICTION_FACTOR * arm.friction).tolist()
         self.begin()
@@ -168,7 +182,7 @@ class TorqueCheck:
         self._sent: np.ndarray | None = None  # latest torques, in any order: (states, n) [N m]
         self._row = 0  # of the oldest of them
         self._in_row = 0
-        self.since_step = HISTORY_LENGTH
+        self.since_step = self._history
 
     def fault(
         self,
@@ -214,16 +228,16 @@ class TorqueCheck:
             abs(residual) - bound.inertial * size - allowed - more
             for residual, size, allowed, more in allowances
         ]
-        if max(unchanged) >= STANDSTILL_STATES:
+        if max(unchanged) >= self._standstill:
             bounds = zip(unchanged, excess, moving, bound.standing.tolist(), strict=True)
             excess = [
-                size + more - standing if count >= STANDSTILL_STATES else size
+                size + more - standing if count >= self._standstill else size
                 for count, size, more, standing in bounds
             ]
         worst = max(excess)
         joint = excess.index(worst)
         self._in_row = self._in_row + 1 if worst > 0.0 else 0
-        if self._in_row < CONTRADICTIONS_TO_FAULT:
+        if self._in_row < self._to_fault:
             return None
         text = f"{self.residual[joint]:.1f} N m at joint {joint + 1} are not explained by the "
         text += "commanded torques: a contact, a payload, another commander, or a motor that gives "
@@ -232,9 +246,9 @@ class TorqueCheck:
     def _range_sent(self, tau: np.ndarray) -> tuple[list[float], list[float]]:
         """Least and largest torque of each joint in the last states, this one included [N m]."""
         if self._sent is None:
-            self._sent = np.tile(tau, (LATENCY_STATES, 1))
+            self._sent = np.tile(tau, (self._latency, 1))
         self._sent[self._row] = tau
-        self._row = (self._row + 1) % LATENCY_STATES
+        self._row = (self._row + 1) % self._latency
         return np.minimum.reduce(self._sent).tolist(), np.maximum.reduce(self._sent).tolist()
 
 
@@ -247,10 +261,11 @@ class Plausibility:
             before it. Otherwise the motion may be true and the model wrong: a contact, a payload.
     """
 
-    def __init__(self, arm: Arm) -> None:
-        self._arm = arm
-        self._velocity, self._torque = VelocityCheck(arm.n), TorqueCheck(arm)
-        self._history: deque[_PastState] = deque(maxlen=HISTORY_LENGTH)
+    def __init__(self, arm: Arm, period: float = PERIOD) -> None:
+        self._arm, self._period = arm, period
+        self._velocity, self._torque = VelocityCheck(arm.n, period), TorqueCheck(arm, period)
+        self._history: deque[_PastState] = deque(maxlen=at_rate(HISTORY_LENGTH, period))
+        self._suspect = at_rate(SUSPECT_STATES, period)
         self.implausible_ns: int | None = None
         self.contradictory = False
         self.begin()
@@ -258,7 +273,9 @@ class Plausibility:
     def begin(self) -> None:
         """Restart: the next state has no predecessor."""
         self._history.clear()
-        self._stamps: deque[int] = deque(maxlen=STAMP_WINDOW)  # of the latest states [ns]
+        self._stamps: deque[int] = deque(
+            maxlen=at_rate(STAMP_WINDOW, self._period)
+        )  # of the latest states [ns]
         self._checked: JointState | None = None  # last state that did not repeat the one before
         self._repeats = 0  # states that repeat the one before, up to the last
         self._skipped = 0  # states since the last one that was checked
@@ -292,7 +309,7 @@ class Plausibility:
             self._checked, self._skipped = state, 0
         if fault is not None:
             self.implausible_ns = state.stamp_ns
-            stepped = self._torque.since_step < SUSPECT_STATES
+            stepped = self._torque.since_step < self._suspect
             self.contradictory = fault.kind is FaultKind.VELOCITY or stepped
         self._history.append(_PastState(last.q, last.qd, tau, state.span))
         return fault
@@ -323,24 +340,26 @@ class Plausibility:
             last, state, self._unchanged, tau, bound, interval.longest
         )
 
-    def estimate(self, last: JointState, suspect: int = SUSPECT_STATES) -> Estimate:
+    def estimate(self, last: JointState, suspect: int | None = None) -> Estimate:
         """Estimate the arm's state: measured where joints were observed to move, else by the model.
 
         Args:
             last: Last state.
-            suspect: Number of latest states that may be false.
+            suspect: Number of latest states that may be false; None for SUSPECT_STATES.
         """
+        suspect = self._suspect if suspect is None else suspect
+        step = at_rate(HISTORY_STRIDE, self._period)
         past = list(self._history)
         first = past[0] if past else last
         taus = [each.tau for each in past]
-        acting = taus[:1] * TORQUE_DELAY + taus
-        estimate = Estimate(self._arm, first.q, first.qd, acting[len(taus) :])
-        positions = np.array([each.q for each in past[::HISTORY_STRIDE]] + [last.q])
+        acting = taus[:1] * at_rate(TORQUE_DELAY, self._period) + taus
+        estimate = Estimate(self._arm, first.q, first.qd, acting[len(taus) :], self._period)
+        positions = np.array([each.q for each in past[::step]] + [last.q])
         moved = np.diff(positions, axis=0)
         for k in range(len(moved)):
-            stride = slice(k * HISTORY_STRIDE, (k + 1) * HISTORY_STRIDE)
+            stride = slice(k * step, (k + 1) * step)
             dt = sum(each.dt for each in past[stride])
-            suspected = (len(moved) - k) * HISTORY_STRIDE <= suspect
+            suspected = (len(moved) - k) * step <= suspect
             if suspected and self._guided:
                 estimate.q = estimate.q + dt * estimate.qd
                 continue

@@ -16,8 +16,9 @@ import numpy as np
 
 from wam_power_ros.control.arm import Arm, Motion, Speeds
 from wam_power_ros.control.modes import MOVING_MODES, PASSIVE_MODES, WORKSPACE_MODES, Mode
-from wam_power_ros.control.state_checks import JointState
+from wam_power_ros.control.state_checks import JointState, at_rate
 from wam_power_ros.faults import Fault, FaultKind
+from wam_power_ros.learning.policy import PERIOD
 
 # Shapes that are not (n,)
 _SHAPES = {name: () for name in ("elbow_speed", "tool_speed", "teaching_tool_speed")} | {
@@ -28,7 +29,7 @@ _SHAPES = {name: () for name in ("elbow_speed", "tool_speed", "teaching_tool_spe
 _SIGNED = ("q_min", "q_max", "workspace_min", "workspace_max", "plane")  # may be negative
 SPRING_RANGE = 0.1  # [rad] width of the soft springs inside the position limits
 SPRING_RISE = 0.05  # [s] in which their torque may rise to that at a limit: a joint at 2 rad/s
-FAULT_STATES = 3  # consecutive states beyond a motion limit that are a fault
+FAULT_STATES = 3  # consecutive states beyond a motion limit that are a fault, at 500 Hz
 REST_SPEED = 0.05  # [m/s] largest speed of an arm at rest
 REST_SPIN = 4.0 * REST_SPEED  # [rad/s] largest angular velocity of its tool
 FAULT_DAMPING = 20.0  # [1/s] decay rate of all joint motion in a fault
@@ -317,10 +318,17 @@ def plane_fault(points: Mapping[str, Sequence[float]], limits: Limits) -> Fault 
 
 
 class MotionCheck:
-    """Compares every state with the motion limits of its mode."""
+    """Compares every state with the motion limits of its mode.
 
-    def __init__(self, limits: Limits, guarded: Sequence[str]) -> None:
+    Args:
+        limits: Limits of the arm.
+        guarded: Names of its guarded points.
+        period: Sampling period of the states [s].
+    """
+
+    def __init__(self, limits: Limits, guarded: Sequence[str], period: float = PERIOD) -> None:
         self._limits, self._guarded = limits, guarded
+        self._to_fault = at_rate(FAULT_STATES, period)
         self._in_row = 0  # consecutive states beyond a limit
 
     def begin(self) -> None:
@@ -348,4 +356,4 @@ class MotionCheck:
             points["tool"] = motion.position.tolist()
             fault = plane_fault(points, limits)
         self._in_row = 0 if fault is None else self._in_row + 1
-        return fault if self._in_row >= FAULT_STATES else None
+        return fault if self._in_row >= self._to_fault else None

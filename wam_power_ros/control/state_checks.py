@@ -9,13 +9,22 @@ from collections import Counter, deque
 import numpy as np
 
 from wam_power_ros.faults import Fault, FaultKind
+from wam_power_ros.learning.policy import PERIOD
 
 STATE_LOSS_TIMEOUT = 0.02  # [s] without a joint state until the loss of states is a fault
 IMPLAUSIBLE_Q = 20.0  # [rad] positions from here on are refused: no joint turns that far
 IMPLAUSIBLE_QD = 500.0  # [rad/s] speeds from here on are refused
 Q_JUMP = 0.1  # [rad] larger change in one period is a jump: the encoder's zero has changed
-_REFUSALS_TO_FAULT, _REFUSAL_WINDOW = 5, 50  # refused states within a number of states: a fault
+_REFUSALS_TO_FAULT, _REFUSAL_WINDOW = 5, 50  # refused states within 0.1 s, at 500 Hz: a fault
 _INTEGERS = (int, np.integer)
+
+
+def at_rate(states: int, period: float) -> int:
+    """Number of states of this period [s] that take as long as `states` at 500 Hz.
+
+    A slower driver does not get fewer: noise would average less.
+    """
+    return max(states, round(states * PERIOD / period))
 
 
 class JointState:
@@ -88,6 +97,7 @@ class StateChecks:
         self.refused_in_row = 0
         self._n, self._period, self._cutoff = n, period, velocity_cutoff
         self._gap_ns = 3 * round(period * 1e9)  # positions are not differentiated across a gap
+        self._window = at_rate(_REFUSAL_WINDOW, period)
         self._count = 0  # states so far
         self._refusals: deque[int] = deque(maxlen=_REFUSALS_TO_FAULT)  # values of _count
 
@@ -150,8 +160,9 @@ class StateChecks:
         self.refused_in_row += 1
         refusals = self._refusals
         refusals.append(self._count)
-        if len(refusals) == _REFUSALS_TO_FAULT and self._count - refusals[0] < _REFUSAL_WINDOW:
-            self.fault = Fault(FaultKind.STATES_REFUSED, "five joint states refused within 50")
+        if len(refusals) == _REFUSALS_TO_FAULT and self._count - refusals[0] < self._window:
+            text = f"five joint states refused within {self._window}"
+            self.fault = Fault(FaultKind.STATES_REFUSED, text)
 
     def _read(self, values: object, bound: float) -> np.ndarray | None:
         """Copy a joint vector; None when its shape is wrong or a value is not plausible."""

@@ -16,11 +16,12 @@ from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.estimate import Estimate
 from wam_power_ros.control.modes import Mode
 from wam_power_ros.control.plausibility import Bound, Plausibility
-from wam_power_ros.control.state_checks import JointState
+from wam_power_ros.control.state_checks import JointState, at_rate
 from wam_power_ros.faults import Fault
 
 INERTIAL_SHARE = 0.3  # of the accelerating torque, may be unexplained: sensors and motors lag
 STANDING_SHARE = 0.05  # share of a torque limit: bound at a joint that stands still in a rollout
+# Numbers of states are those at 500 Hz: at a higher rate they are more, see `at_rate`.
 REST_NS = 200_000_000  # [ns] at rest before a fault may be reset
 TRUST_STATES = 50  # consecutive states that agree until states are used again: 0.1 s
 SPEED_STATES = 25  # states over which a reported speed is measured: 50 ms
@@ -57,15 +58,17 @@ class Supervision:
         motor_torque: MotorTorque,
     ) -> None:
         self._motor_torque, self._period = motor_torque, settings.period
-        self._motion = safety.MotionCheck(limits, arm.guarded)
-        self._plausibility = Plausibility(arm)
+        self._trust_states = at_rate(TRUST_STATES, settings.period)
+        self._speed_states = at_rate(SPEED_STATES, settings.period)
+        self._motion = safety.MotionCheck(limits, arm.guarded, settings.period)
+        self._plausibility = Plausibility(arm, settings.period)
         self._estimate: Estimate | None = None
         self._rest_since_ns: int | None = None  # stamp since which an arm in a fault is at rest
         self.trusted, self._lasting = True, False
         self._agreed = 0  # consecutive states that agree with the model
         self._agreed_from: np.ndarray | None = None  # reported minus predicted at their first [rad]
         self._plausible = 0  # consecutive states that passed every check since `doubt`
-        self._reported: deque[np.ndarray] = deque(maxlen=SPEED_STATES + 1)  # positions [rad]
+        self._reported: deque[np.ndarray] = deque(maxlen=self._speed_states + 1)  # positions [rad]
         self._slowest = np.full(arm.n, math.inf)  # least reported speeds since then [rad/s]
         self._falling = False  # one of them has grown since then
         bound = settings.contact_share * arm.tau_max
@@ -167,12 +170,12 @@ class Supervision:
         self._plausible = self._plausible + 1 if plausible else 0
         reported = self._reported
         reported.append(state.q)
-        if len(reported) <= SPEED_STATES:
+        if len(reported) <= self._speed_states:
             return
-        speeds = np.abs(reported[-1] - reported[0]) / (SPEED_STATES * self._period)
+        speeds = np.abs(reported[-1] - reported[0]) / (self._speed_states * self._period)
         self._slowest = np.minimum(self._slowest, speeds)
         grown = float((speeds - self._slowest).max())
-        if self._plausible > TRUST_STATES and grown > FALL_SPEED:
+        if self._plausible > self._trust_states and grown > FALL_SPEED:
             self._falling = True
 
     def _compare(self, difference: np.ndarray) -> None:
@@ -181,7 +184,7 @@ class Supervision:
         if not self._agreed or begun is None or np.abs(difference - begun).max() > AGREEMENT:
             self._agreed, self._agreed_from = 0, difference
         self._agreed += 1
-        self.trusted = self._agreed > TRUST_STATES and not self._lasting
+        self.trusted = self._agreed > self._trust_states and not self._lasting
 
     def rested(self, stamp_ns: int) -> bool:
         """Whether the arm has been at rest for `REST_NS`, in plausible states."""

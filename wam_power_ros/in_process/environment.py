@@ -29,9 +29,9 @@ from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session_log import Record
 from wam_power_ros.tracking.tracker import Tracker
 
-_STILL_TICKS = 25  # for which the arm is held before a rollout, so that its state repeats
-_HELD_TICKS = 75  # for which the arm is held before it is guided, see `control.unexplained_torque`
-_FRAME_WAIT_TICKS = 100  # longest wait for the last camera frame of a rollout
+_STILL = 0.05  # [s] for which the arm is held before a rollout, so that its state repeats
+_HELD = 0.15  # [s] for which the arm is held before it is guided, see `control.unexplained_torque`
+_FRAME_WAIT = 0.2  # [s] longest wait for the last camera frame of a rollout
 
 
 class Environment:
@@ -96,6 +96,10 @@ class Environment:
             quat_xyzw = frame.quat_xyzw / float(np.linalg.norm(frame.quat_xyzw))  # like a message
             self.tracker.add(frame.stamp_ns, frame.position, quat_xyzw)
 
+    def _tick_for(self, seconds: float) -> None:
+        for _ in range(self.world.settings.ticks(seconds)):
+            self.tick()
+
     def demonstrate(self, script: Script, name: str) -> tuple[np.ndarray, np.ndarray]:
         """Let the simulated demonstrator move the gravity-compensated arm from its home posture.
 
@@ -105,11 +109,9 @@ class Environment:
         world = self.world
         self.place(name, world.home)
         controller = self.controller
-        for _ in range(_HELD_TICKS):
-            self.tick()
+        self._tick_for(_HELD)
         controller.set_gravity_compensation(True)
-        for _ in range(_STILL_TICKS):
-            self.tick()
+        self._tick_for(_STILL)
         world.release()
         world.attach(Demonstrator(script, *world.tool_pose))
         stamps, q = [], []
@@ -130,8 +132,7 @@ class Environment:
         controller.move_to_start()
         while not controller.ready:
             self.tick()
-        for _ in range(_STILL_TICKS):
-            self.tick()
+        self._tick_for(_STILL)
         controller.execute()
         world.release()
         while controller.mode is Mode.ROLLOUT:
@@ -143,7 +144,7 @@ class Environment:
         body = None
         if world.scene.body:
             end_ns = start_ns + round(float(tool.t[-1]) * 1e9)
-            for _ in range(_FRAME_WAIT_TICKS):
+            for _ in range(world.settings.ticks(_FRAME_WAIT)):
                 if self.tracker.latest_ns >= end_ns:
                     break
                 self.tick()

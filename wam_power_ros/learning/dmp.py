@@ -23,6 +23,7 @@ from wam_power_ros.learning.policy import PERIOD, Basis, Policy, symmetric_part
 
 ROTATION_STIFFNESS = 400.0  # stiffness of the orientation [1/s^2]
 ROTATION_DAMPING = 36.0  # damping of the orientation [1/s]
+END_WEIGHT = 1e4  # of the orientation of the end, among samples of 1 [1]
 HOLD_TIME = 1.0  # time after the movement over which the fit holds its end position [s]
 # Smallest spread of a movement along an axis, as a fraction of that along its longest axis [1]
 SPREAD_MIN = 0.02
@@ -207,6 +208,8 @@ class FitSettings:
         damping: Damping kappa_V [1/s].
         refit: Whether to solve the attractors again for the fitted K_i; if not, as in the paper's
             reference [21], they are those of the mean stiffness.
+        turn_to_end: Whether the rotation attractors hold the orientation of the end; with few
+            spring-dampers they otherwise trade it for the way there.
         movement: How the movement is cut out of a recording.
 
     Raises:
@@ -219,6 +222,7 @@ class FitSettings:
     k_max: float
     damping: float
     refit: bool = True
+    turn_to_end: bool = False
     movement: Movement = MOVEMENT
 
     def __post_init__(self) -> None:
@@ -276,7 +280,12 @@ def fit(demonstrations: Sequence[Demonstration], settings: FitSettings, policy_i
     if settings.refit:
         attractors = _fitted_attractors(basis, stiffness, settings.damping, demonstrations)
     target = omegad + ROTATION_DAMPING * omega + ROTATION_STIFFNESS * r
-    rotation = np.linalg.lstsq(h, target / ROTATION_STIFFNESS, rcond=None)[0]
+    target /= ROTATION_STIFFNESS
+    if settings.turn_to_end:
+        ends = [r_of[-1] for _, _, _, _, r_of, _, _ in samples]
+        h = np.vstack([h, END_WEIGHT * activations(basis, np.array([duration]))])
+        target = np.vstack([target, END_WEIGHT * np.mean(ends, axis=0)])
+    rotation = np.linalg.lstsq(h, target, rcond=None)[0]
     return Policy(
         id=policy_id,
         basis=basis,

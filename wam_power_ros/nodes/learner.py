@@ -61,6 +61,7 @@ class LearnerParams(Params):
     model_joint_names: Names  # the same in the URDF
     urdf: str  # path, or a file of our share folder
     tool_frame: str
+    base_frame: str
     controller: tuple[str, ...] = Field(
         min_length=1, max_length=20
     )  # parameter files of the controller, for the simulation
@@ -125,7 +126,7 @@ class Learner(Node):
         self._link = Link(self, params.service_timeout)
         settings = RolloutSettings.of(params.model_dump())
         self._rollouts = Rollouts(self._link, settings, self._kind.body)
-        self._markers = Markers(self, self._kind.body, self._arm.region)
+        self._markers = Markers(self, params.base_frame, self._kind.body, self._arm.region)
 
     # Requests of a person
 

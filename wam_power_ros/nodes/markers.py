@@ -36,12 +36,13 @@ class Markers:
 
     Args:
         node: Node that publishes them.
+        base_frame: Frame of the arm's base, without its namespace.
         body: Name of the tracked body, "" for none.
         region: Guarded region, None for none.
     """
 
-    def __init__(self, node: Node, body: str, region: Region | None) -> None:
-        self._frame = interface.frame(node.get_namespace(), interface.BASE_FRAME)
+    def __init__(self, node: Node, base_frame: str, body: str, region: Region | None) -> None:
+        self._frame = interface.frame(node.get_namespace(), base_frame)
         self._drawn: dict[str, list[Marker]] = {}  # by namespace of RViz
         self._published = 0.0
         self._publisher = node.create_publisher(

@@ -59,7 +59,7 @@ class PancakeTracker(Node):
         self._params = params = PancakeTrackerParams.of(self)
         self._tracker = Tracker(params)
         namespace = self.get_namespace()
-        self._frame = interface.frame(namespace, interface.BASE_FRAME)
+        self._frame = interface.frame(namespace, params.base_frame)
         self._body_frame = interface.frame(namespace, params.body)
         self._pending: _Rollout | None = None
         self._clock_offset = ClockOffset()

@@ -226,7 +226,8 @@ def adopted(node: str, files: Sequence[Path], namespace: str = "/") -> dict[str,
         cameras = dict(given["pancake_tracker"])
         _name_body(mocap, cameras)
         if node == "pancake_tracker":
-            return {name: mocap[name] for name in ("pose_topic", "markers_topic")}
+            named = {name: mocap[name] for name in ("pose_topic", "markers_topic")}
+            return named | {"base_frame": given[node].get("base_frame", arm["base_frame"])}
         derived = _derived(arm, mocap).get(node, {})
         return derived | ({"controller": list(controller)} if node == "learner" else {})
 
@@ -354,7 +355,7 @@ def _name_body(mocap: dict[str, Any], given: dict[str, Any]) -> None:
 def _derived(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Parameters:
     """Derive parameters of other nodes, stand-ins included, from the arm's and the cameras'."""
     model = ("joint_names", "model_joint_names", "urdf", "tool_frame")
-    driver = ("state_topic", "velocity_topic", "command_topic", "command_type")
+    driver = ("period", "state_topic", "velocity_topic", "command_topic", "command_type")
     world = ("guarded_names", "guarded_links", "guarded_points", REGION)
     cameras = ("body", "single_marker", "pose_topic", "markers_topic", "up_axis", "world_to_base")
     topics = [name for name in (arm["command_topic"], arm["velocity_topic"]) if name]
@@ -366,7 +367,8 @@ def _derived(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Parameters:
             "body": mocap["body"],
             "mocap_topics": [mocap["pose_topic"] or mocap["markers_topic"]],
         },
-        "learner": {name: arm[name] for name in model},
+        "pancake_tracker": {"base_frame": arm["base_frame"]},
+        "learner": {name: arm[name] for name in (*model, "base_frame")},
         "wam_sim": {
             **{name: arm[name] for name in (*model, *driver, *world)},
             "driver_compensates_gravity": arm["driver_compensates_gravity"],

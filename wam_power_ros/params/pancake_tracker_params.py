@@ -19,6 +19,7 @@ class PancakeTrackerParams(Params, TrackerSettings):
     file = "pancake_tracker.yaml"
 
     body: str  # name of the tracked body
+    base_frame: str
     pose_topic: str
     markers_topic: str
     silence: float = Field(

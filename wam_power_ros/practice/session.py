@@ -143,6 +143,7 @@ class Session:
         self.folder = folder
         self.header, self.candidates, self.context = _read_head(folder)
         self._lock = lock
+        self._saved = ""  # text of the policy saved last
         self._file = None if lock is None else LogFile(folder)
         self.log = read_lines(folder)[0] if self._file is None else self._file.lines
         if self._file is not None:
@@ -270,8 +271,10 @@ class Session:
         self._file.append(entry)
 
     def save_policy(self, policy: Policy) -> None:
-        """Replace policy.json atomically: a reader sees the old or the new policy."""
-        durable_files.replace(self.folder / "policy.json", policies.to_json(policy))
+        """Replace policy.json atomically, if it is another than the one saved last."""
+        if (text := policies.to_json(policy)) != self._saved:
+            durable_files.replace(self.folder / "policy.json", text)
+            self._saved = text
 
     def close(self) -> None:
         """Unlock the folder; may be called twice."""

@@ -14,7 +14,7 @@ from rclpy.subscription import Subscription
 from wam_power_ros.ros import interface
 
 SILENCE_TIMEOUT = 0.5  # [s] after its last command, another commander counts as gone
-_OWN_MAX = 100  # own commands to recognise when they are received
+_OWN_MAX = 200  # own commands to recognise when they are received: of 0.2 s at 1 kHz
 
 
 class CommandGuard:

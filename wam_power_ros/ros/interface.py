@@ -87,10 +87,6 @@ def _checked(body: str) -> str:
     return body
 
 
-# Frames
-BASE_FRAME = "wam_base"
-
-
 def frame(namespace: str, name: str) -> str:
     """Frame of one arm: `left/wam_base` in namespace `/left`, as robot_state_publisher prefixes."""
     return f"{namespace}/{name}".lstrip("/")
@@ -108,8 +104,8 @@ def _qos(depth: int, reliability: str = "RELIABLE", durability: str = "VOLATILE"
 STATE_OUT = _qos(10)
 STATE_IN = _qos(10, "BEST_EFFORT")
 COMMAND = _qos(1)
-# For readers that must lose nothing while they write to a disk: four seconds at 500 Hz. Lockstep
-# waits for the controller alone, so states and torques of a simulation are kept for a recorder.
+# For readers that must lose nothing while they write to a disk: four seconds at 500 Hz.
+# Lockstep waits for the controller alone, so states and torques are kept for a recorder.
 DEEP = _qos(2000)
 DEEP_IN = _qos(2000, "BEST_EFFORT")
 STATE_RECORD = _qos(2000, "BEST_AVAILABLE")

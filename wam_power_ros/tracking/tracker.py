@@ -152,6 +152,19 @@ class _Frame(NamedTuple):
     quat_xyzw: np.ndarray
 
 
+def world_in_base(settings: TrackerSettings) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation (3, 3) and origin (3,) [m] of the motion capture's frame in the base frame."""
+    pose = np.array(settings.world_to_base, dtype=float)
+    turn = Y_UP if settings.up_axis == "y" else np.eye(3)
+    return rotations.matrix(pose[3:]) @ turn, pose[:3]
+
+
+def base_in_world(settings: TrackerSettings) -> np.ndarray:
+    """Pose (7,) of the base in the motion capture's frame: position [m], quaternion xyzw."""
+    rotation, origin = world_in_base(settings)
+    return np.concatenate([-rotation.T @ origin, rotations.quat_xyzw(rotation.T)])
+
+
 class Tracker:
     """Estimates state and path of one body from raw frames of the motion capture.
 
@@ -164,9 +177,8 @@ class Tracker:
 
     def __init__(self, settings: TrackerSettings) -> None:
         self._settings = settings
-        pose = np.array(settings.world_to_base, dtype=float)
-        matrix = rotations.matrix(pose[3:]) @ (Y_UP if settings.up_axis == "y" else np.eye(3))
-        self._rotation, self._quat, self._origin = matrix, rotations.quat_xyzw(matrix), pose[:3]
+        matrix, self._origin = world_in_base(settings)
+        self._rotation, self._quat = matrix, rotations.quat_xyzw(matrix)
         self._latency = round(settings.latency_offset * 1e9)
         self._gap_max = round(2e9 / settings.rate)  # longest gap that is not an occlusion [ns]
         self._window = max(VELOCITY_WINDOW, self._gap_max) + INTERVAL_MIN

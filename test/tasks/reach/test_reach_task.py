@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from reproduction.studies.reaching_runs import generator, learn_many
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.demonstration import Demonstration, from_positions
 from wam_power_ros.learning.rollout import EndEffectorPath, Rollout
@@ -21,9 +22,13 @@ RADIUS = 0.05
 SETTINGS = preset("reach").task_settings
 
 
+def minimum_jerk(count: int) -> np.ndarray:
+    s = np.linspace(0.0, 1.0, count)
+    return s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+
+
 def demonstrations(count: int = 2) -> list[Demonstration]:
-    s = np.linspace(0.0, 1.0, 500)[:, None]
-    s = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+    s = minimum_jerk(500)[:, None]
     start = np.array([0.7, -0.25, 0.6])
     return [from_positions(start + s * [0.01 * k, 0.5, 0.0], 0.004) for k in range(count)]
 
@@ -132,3 +137,23 @@ def test_a_table_names_the_distance_and_the_contact() -> None:
     assert task().summary([row, unseen]) == [
         "re-tests of the final policy: 1 of 1 passed the obstacle, smallest clearance -10 mm"
     ]
+
+
+def test_the_default_learns_to_pass_an_obstacle_at_which_nearly_all_rollouts_begin() -> None:
+    s = minimum_jerk(450)[60:440]  # as a recording is cut
+    arc = np.outer(np.sin(np.pi * s), [0.0, 0.0, 0.06])
+    demonstration = from_positions(arc + np.outer(s, [0.01, 0.5, 0.0]) + [0.7, -0.25, 0.6], 0.004)
+    obstacle = region_of("obstacle", [*midpoint(resampled([demonstration])), 0.09])
+    context = Reach.context_of([demonstration], obstacle)
+    policy = Reach.policy_of([demonstration], "trial-0001")
+    stuck = {}
+    for name in ("reach", "full"):
+        settings = preset("reach", name)
+        practised = Reach(settings.task_settings, context)
+        parameters = practised.parametrization(policy)
+        scenario = practised._scenario(policy, demonstration.position[0])
+        size, budget = parameters.size, settings.practice.budget
+        learners = [settings.make_learner(size, generator(seed), None) for seed in range(40)]
+        runs = learn_many(learners, parameters, scenario, budget)
+        stuck[name] = np.mean([run.stuck for run in runs])
+    assert stuck["reach"] < 0.05 < stuck["full"]  # of PoWER as in the paper
