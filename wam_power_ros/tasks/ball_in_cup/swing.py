@@ -34,7 +34,8 @@ class Swing:
 
     Attributes:
         apex: Largest height of the ball above the plane of the rim, negative below it [m].
-        t_c: Time at which it first came down through this plane [s]; None if it never did.
+        t_c: Time at which it came down through this plane, the nearest to the cup if it did so more
+            than once [s]; None if it never did.
         miss: Ball minus middle of the cup at t_c, along x and y of the base [m]; None without t_c.
         caught: Whether the ball is in the cup at the end.
     """
@@ -87,10 +88,10 @@ def observe_swing(cup: EndEffectorPath, ball: BodyPath) -> Swing | None:
     normals = rotations.matrix(cup.quat_xyzw)[:, :, 2]
     relative -= RIM * _interpolated(t, cup.t, normals)
     height = relative[:, 2]
-    down = np.flatnonzero((height[:-1] > 0.0) & (height[1:] <= 0.0))
+    down = np.flatnonzero((height[:-1] > 0.0) & (height[1:] <= 0.0)) + 1
     t_c = miss = None
     if len(down):
-        k = int(down[0]) + 1
+        k = down[np.hypot(*relative[down, :2].T).argmin()]
         if since[k] + until[k] > GAP_MAX:
             return None
         t_c, miss = float(t[k]), (float(relative[k, 0]), float(relative[k, 1]))

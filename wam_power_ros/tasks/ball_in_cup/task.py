@@ -38,7 +38,7 @@ class BallInCup(Task):
     """The task `ball_in_cup`; see `tasks.task.Task`.
 
     The return is that of [Kober2011]: exp(-alpha d^2), with the horizontal distance d of ball and
-    cup when the ball first comes down through the plane of the rim; 0 if it never does. It is flat
+    cup when the ball comes down through the plane of the rim; 0 if it never does. It is flat
     where the string stays taut, and a ball may fall beside the cup and be snapped into it, so a
     success needs both: a small d, and the ball in the cup at the end.
     """
