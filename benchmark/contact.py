@@ -22,7 +22,7 @@ import numpy as np
 from benchmark.honest_driver import HONEST, Habits, report
 from hardware_sim.scenes.flip import wrist_flick
 from hardware_sim.sensors import MocapSettings
-from hardware_sim.world import PERIOD_NS
+from hardware_sim.wam import PERIOD_NS
 from reproduction.studies.flip_sessions import stand_in, teach
 from wam_power_ros.control import replay_trajectory
 from wam_power_ros.control.modes import Mode

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hardware_sim.world import PERIOD_NS, JointSample, World
+from hardware_sim.wam import PERIOD_NS
+from hardware_sim.world import JointSample, World
 
 
 @dataclass(frozen=True)

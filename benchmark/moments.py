@@ -33,7 +33,7 @@ from benchmark.nodes import JOINTS
 from benchmark.soak import taught
 from hardware_sim.demonstrator import Demonstrator
 from hardware_sim.scenes.flip import wrist_flick
-from hardware_sim.world import PERIOD_NS
+from hardware_sim.wam import PERIOD_NS
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.modes import ControllerError, Mode

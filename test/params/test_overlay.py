@@ -349,7 +349,7 @@ def test_what_an_arm_needs_for_a_task_is_beside_its_set_up(tmp_path: Path) -> No
     assert limit(arm, task="reach")["tool_speed_max"] == 2.0
     later = write(tmp_path, "later", section % 3.0)
     assert limit(arm, later, task="reach")["tool_speed_max"] == 3.0
-    assert limit("openarm", task="reach")["guarded_region"][3] == 0.07
+    assert limit("openarm", task="reach")["guarded_region"][3] == 0.054
     assert "openarm.reach" not in overlay.known()
     files = overlay.setup([arm], task="reach")["learner"]["controller"]
     assert files[-1].endswith("arm.reach.yaml")

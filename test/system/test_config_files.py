@@ -39,7 +39,7 @@ ARMS = (
     "reach",
     "simulation",
 )  # other files with parameters of an arm
-AT_ONCE = 6  # nodes, each in a namespace beside a driver of its own
+AT_ONCE = 8  # nodes, each in a namespace beside a driver of its own
 OBSERVED = 1.5  # [s] after a node has reported: an active controller sends 100 torques in it
 JOINTS = [
     f"{stem}{number}"
@@ -52,6 +52,7 @@ DRIVER = f"""
 import sys, time
 import rclpy
 from rclpy.node import Node
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from wam_power_ros.ros import interface, joint_messages
@@ -79,8 +80,9 @@ still = [0.0] * count_of_joints
 def send():
     message = JointState(name=names, position=home, velocity=still, effort=still)
     message.header.stamp = node.get_clock().now().to_msg()
+    serialized = serialize_message(message)  # once for all of them
     for publisher in states:
-        publisher.publish(message)
+        publisher.publish(serialized)
 node.create_timer(0.01, send)
 print("driver", flush=True)
 rclpy.spin(node)

@@ -336,7 +336,8 @@ def test_answers_that_do_not_come_cost_a_session_time_and_nothing_else(
     probe.until(recording.exists, f"recording of {ROLLOUTS[0]}", 120.0)
     controller.send_signal(signal.SIGSTOP)  # before it has answered that the rollout begins
     try:
-        probe.until(lambda: "is started again" in processes.output(learning), "a new start")
+        again = lambda: "is started again" in processes.output(learning)  # noqa: E731
+        probe.until(again, "a new start", 180.0)
     finally:
         controller.send_signal(signal.SIGCONT)
     probe.until(lambda: learning.poll() is not None, "the end of the session", 120.0)

@@ -43,7 +43,7 @@ class Judgements:
         if digest and (kept := _read(bag / FILE, digest)):
             return kept
         texts = judge()
-        if digest:
+        if digest and digest == self._digest(bag):  # the bag did not change meanwhile
             with suppress(OSError):  # in a folder that cannot be written, it is judged each time
                 (bag / FILE).write_text(json.dumps({"of": digest, "texts": texts}))
         return texts

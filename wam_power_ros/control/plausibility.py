@@ -208,31 +208,30 @@ class TorqueCheck:
         accelerating = arm.mass_matrix(state.q).dot(state.qd - last.qd) / dt
         state.bias = arm.bias(state.q, state.qd)
         needed = accelerating + state.bias + arm.friction_torque(state.qd)
-        inertial = accelerating.tolist()
-        rows = zip(inertial, self._full_torque, strict=True)
-        stepped = True in [abs(torque) > most for torque, most in rows]
-        self.since_step = 0 if stepped else self.since_step + 1
         # The delay from command to torque is unknown, so a motion counts as explained by any torque
         # within the range of those sent in the last LATENCY_STATES states.
-        ranges = zip(self.residual, needed.tolist(), *self._range_sent(tau), strict=True)
-        self.residual = [
-            keep * residual
-            + (1.0 - keep) * (need - low if need < low else need - high if need > high else 0.0)
-            for residual, need, low, high in ranges
-        ]
-        sizes = zip(self._inertial, inertial, strict=True)
-        self._inertial = [keep * size + (1.0 - keep) * abs(torque) for size, torque in sizes]
-        moving = bound.moving.tolist()
-        allowances = zip(self.residual, self._inertial, self._allowance, moving, strict=True)
-        excess = [
-            abs(residual) - bound.inertial * size - allowed - more
-            for residual, size, allowed, more in allowances
-        ]
+        moving, lag, share = bound.moving.tolist(), bound.inertial, 1.0 - keep
+        now = self.residual, self._inertial, accelerating.tolist(), needed.tolist()
+        bounds = *self._range_sent(tau), self._full_torque, self._allowance, moving
+        joints = zip(*now, *bounds, strict=True)
+        residuals, sizes, excess, stepped = [], [], [], False
+        for residual, size, torque, need, low, high, full, allowed, more in joints:
+            torque = abs(torque)
+            if torque > full:
+                stepped = True
+            beyond = need - low if need < low else need - high if need > high else 0.0
+            residual = keep * residual + share * beyond
+            size = keep * size + share * torque
+            residuals.append(residual)
+            sizes.append(size)
+            excess.append(abs(residual) - lag * size - allowed - more)
+        self.residual, self._inertial = residuals, sizes
+        self.since_step = 0 if stepped else self.since_step + 1
         if max(unchanged) >= self._standstill:
-            bounds = zip(unchanged, excess, moving, bound.standing.tolist(), strict=True)
+            rows = zip(unchanged, excess, moving, bound.standing.tolist(), strict=True)
             excess = [
                 size + more - standing if count >= self._standstill else size
-                for count, size, more, standing in bounds
+                for count, size, more, standing in rows
             ]
         worst = max(excess)
         joint = excess.index(worst)
