@@ -14,8 +14,15 @@ from hardware_sim import scene
 from hardware_sim.demonstrator import PAUSE, Target
 from hardware_sim.ground_truth import TOOL_SITE, RolloutLog, Snapshot, Truth
 from hardware_sim.settings import WorldSettings
-from hardware_sim.wam import PERIOD
-from wam_power_ros.tasks.ball_in_cup.swing import BALL_RADIUS, CUP_RADIUS, RIM, STRING, in_cup
+from wam_power_ros.tasks.ball_in_cup.swing import (
+    BALL_RADIUS,
+    CUP_RADIUS,
+    PLANE,
+    RIM,
+    STRING,
+    in_cup,
+    landing,
+)
 
 BODY = "ball"
 MASS = 0.02  # [kg] of the ball
@@ -28,15 +35,15 @@ KNOT = 0.2  # [s] between two points of the swing
 # its landing does not change, in first order, with the size of the movement.
 SWING = np.array(
     [
-        (0.1486, 0.0144),
-        (0.1125, 0.1086),
-        (-0.0877, 0.0487),
-        (-0.1201, -0.0922),
-        (-0.1346, 0.1006),
-        (-0.0223, 0.0193),
-        (0.0717, -0.1649),
-        (0.1365, -0.0027),
-        (0.0131, -0.0032),
+        (0.1309, 0.0850),
+        (0.0988, 0.0193),
+        (-0.0562, -0.0006),
+        (-0.1852, 0.0837),
+        (-0.1004, 0.1302),
+        (-0.0722, -0.0570),
+        (0.1470, -0.0770),
+        (0.1829, 0.0281),
+        (-0.0565, -0.0333),
     ]
 )
 SWING.setflags(write=False)
@@ -94,21 +101,17 @@ class BallInCup:
         """Outcome of a swing.
 
         * caught: The ball is now in the cup.
-        * apex: Highest point of the ball above the rim of an upright cup [m].
-        * t_c: Time at which it came down through the rim's plane, the nearest to the cup if more than
-          once [s]; None if it never did.
+        * apex: Highest point of the ball above `PLANE` of an upright cup [m].
+        * t_c: Time at which it came down through this plane [s], see `landing`; None if it never did.
         * distance: Its horizontal distance from the middle of the cup then [m]; None without t_c.
         """
-        height = log.body[:, 2] - log.tool[:, 2] - RIM
-        down = np.flatnonzero((height[:-1] > 0.0) & (height[1:] <= 0.0)) + 1
-        beside = np.linalg.norm(log.body[:, :2] - log.tool[:, :2], axis=1)
+        relative = log.body[:, :3] - log.tool - [0.0, 0.0, PLANE]
         t_c = distance = None
-        if len(down):
-            k = int(down[beside[down].argmin()])
-            t_c, distance = (k + 1) * PERIOD, float(beside[k])
+        if (k := landing(relative)) is not None:
+            t_c, distance = (k + 1) * log.period, float(np.hypot(*relative[k, :2]))
         return {
             "caught": in_cup(now.rotation.T @ (now.body[:3] - now.position)),
-            "apex": float(height.max(initial=-STRING - RIM)),
+            "apex": float(relative[:, 2].max(initial=-STRING - PLANE)),
             "t_c": t_c,
             "distance": distance,
         }

@@ -15,10 +15,10 @@ from wam_power_ros.learning.parametrization import NoiseScales
 # A swing of 2.2 s with accelerations of 9 m/s^2, which alternate every 0.3 s.
 CUP_FIT = FitSettings(
     count=16,
-    width=0.5,
-    k_min=150.0,
-    k_max=500.0,
-    damping=32.0,
+    width=0.6,
+    k_min=400.0,
+    k_max=1000.0,
+    damping=55.0,
     movement=Movement(start=0.05, end=0.05),
 )
 
@@ -28,11 +28,11 @@ class CupNoise(NoiseScales):
 
     Attributes:
         vigour: Noise of the vigour [1].
-        catch_shift: Noise of the catch shift along x and along y [m].
+        sideways: Noise of the sideways shift [m].
     """
 
-    vigour: float = Field(default=0.02, gt=0.0, le=1.0)
-    catch_shift: float = Field(default=0.02, gt=0.0, le=1.0)
+    vigour: float = Field(default=0.01, gt=0.0, le=1.0)
+    sideways: float = Field(default=0.005, gt=0.0, le=1.0)
 
 
 class CupSettings(BaseModel):
@@ -42,12 +42,10 @@ class CupSettings(BaseModel):
         variant: Learnt parameters, see `cup_parametrization`.
         noise: Standard deviation of the exploration noise of each group of parameters.
         sharpness: alpha of the return exp(-alpha d^2) [1/m^2]; 100 in [Kober2011].
-        shift_gain: Fraction of the distance d by which the catch shift of a rollout is corrected in
-            hindsight [1]; 0: no correction. Needs the variant "swing".
-        shift_limit: Largest correction of the catch shift per rollout [m].
-        vigour_gain: Fraction of the height missing to `apex` for which the vigour of a rollout is
-            corrected in hindsight [1]; 0: no correction. Needs the variant "swing".
-        apex: Height above the rim that a ball needs for a fall into the cup [m].
+        gain: Fraction of the miss for which a rollout is corrected in hindsight [1]; 0: no
+            correction. Needs the variant "swing".
+        vigour_limit: Largest correction of the vigour per rollout [1].
+        sideways_limit: Largest correction of the sideways shift per rollout [m].
         success_distance: Largest d of a success, whose ball also ends in the cup [m].
         settle_time: Time that a rollout continues after the movement [s].
     """
@@ -57,16 +55,15 @@ class CupSettings(BaseModel):
     variant: Literal["swing", "attractors", "full", "diagonal", "symmetric"]
     noise: CupNoise
     sharpness: float = Field(gt=0.0, le=1000.0)
-    shift_gain: float = Field(default=0.0, ge=0.0, le=1.0)
-    shift_limit: float = Field(default=0.1, gt=0.0, le=1.0)
-    vigour_gain: float = Field(default=0.0, ge=0.0, le=1.0)
-    apex: float = Field(default=0.1, gt=0.0, le=1.0)
+    gain: float = Field(default=0.0, ge=0.0, le=1.0)
+    vigour_limit: float = Field(default=0.05, gt=0.0, le=1.0)
+    sideways_limit: float = Field(default=0.05, gt=0.0, le=1.0)
     success_distance: float = Field(default=0.04, gt=0.0, le=1.0)
     settle_time: float = Field(default=1.0, ge=0.0, le=10.0)
 
 
 _COMMON: Mapping[str, Any] = {
-    "noise": {"stiffness": 0.1, "attractor": 0.005, "rotation": 0.03},
+    "noise": {"stiffness": 0.1, "attractor": 0.003, "rotation": 0.03},
     "learner": {"name": "power", "sigma": 6, "weights": "sharpened", "decay": 0.97},
     "budget": 75,
     "mean_every": 5,
@@ -77,9 +74,8 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
     "cup": {
         **_COMMON,
         "variant": "swing",
-        "sharpness": 30.0,
-        "shift_gain": 0.5,
-        "vigour_gain": 0.5,
+        "sharpness": 100.0,
+        "gain": 0.5,
     },
     # What Kober and Peters learnt with: the return alone, and attractors alone.
     "kober": {**_COMMON, "variant": "attractors", "sharpness": 100.0},

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Observation of a swing: where the ball came down through the plane of the rim, and how it ended.
+"""Observation of a swing: where the ball came down onto the cup, and how it ended.
 
 The ball hangs from the middle of the cup's floor, which is the origin of the tool. Its path has the
 frame rate of the cameras; between two frames it is taken to fall freely, as it does once the string
@@ -22,6 +22,9 @@ STRING = 0.40  # [m] from the cup's floor to the centre of the ball
 RIM = 0.07  # [m] height of the rim above the floor
 CUP_RADIUS = 0.05  # [m] inside
 BALL_RADIUS = 0.018  # [m]
+# Height above the floor at which a fall is measured [m]: there the ball has not touched the rim yet,
+# which would throw it a few centimetres to one side or the other.
+PLANE = RIM + BALL_RADIUS
 GRAVITY = 9.81  # [m/s^2]
 STEP = 0.001  # [s] in which the crossing is sought
 GAP_MAX = 0.1  # [s] between two frames around the crossing; beyond, it was not seen
@@ -33,9 +36,8 @@ class Swing:
     """What was observed of a swing.
 
     Attributes:
-        apex: Largest height of the ball above the plane of the rim, negative below it [m].
-        t_c: Time at which it came down through this plane, the nearest to the cup if it did so more
-            than once [s]; None if it never did.
+        apex: Largest height of the ball above `PLANE`, negative below it [m].
+        t_c: Time at which it came down through this plane [s], see `landing`; None if it never did.
         miss: Ball minus middle of the cup at t_c, along x and y of the base [m]; None without t_c.
         caught: Whether the ball is in the cup at the end.
     """
@@ -67,6 +69,25 @@ def in_cup(position: np.ndarray) -> bool:
     return math.hypot(x, y) < CUP_RADIUS and 0.0 < z < RIM
 
 
+def landing(relative: np.ndarray) -> int | None:
+    """Row at which a ball comes down onto the cup; None if it never rises above `PLANE`.
+
+    A large swing passes the plane beside the cup, and a ball may rise again from the rim: it is the
+    first pass that touches the cup, or else the nearest one.
+
+    Args:
+        relative: Ball minus middle of the cup in `PLANE`, along the axes of the base [m].
+            Shape (T, 3).
+    """
+    height = relative[:, 2]
+    down = np.flatnonzero((height[:-1] > 0.0) & (height[1:] <= 0.0)) + 1
+    if not len(down):
+        return None
+    beside = np.hypot(*relative[down, :2].T)
+    touches = beside < CUP_RADIUS + 2.0 * BALL_RADIUS
+    return int(down[touches.argmax() if touches.any() else beside.argmin()])
+
+
 def observe_swing(cup: EndEffectorPath, ball: BodyPath) -> Swing | None:
     """Observe a swing.
 
@@ -86,12 +107,10 @@ def observe_swing(cup: EndEffectorPath, ball: BodyPath) -> Swing | None:
     position[:, 2] += 0.5 * GRAVITY * since * until
     relative = position - _interpolated(t, cup.t, cup.position)
     normals = rotations.matrix(cup.quat_xyzw)[:, :, 2]
-    relative -= RIM * _interpolated(t, cup.t, normals)
+    relative -= PLANE * _interpolated(t, cup.t, normals)
     height = relative[:, 2]
-    down = np.flatnonzero((height[:-1] > 0.0) & (height[1:] <= 0.0)) + 1
     t_c = miss = None
-    if len(down):
-        k = down[np.hypot(*relative[down, :2].T).argmin()]
+    if (k := landing(relative)) is not None:
         if since[k] + until[k] > GAP_MAX:
             return None
         t_c, miss = float(t[k]), (float(relative[k, 0]), float(relative[k, 1]))

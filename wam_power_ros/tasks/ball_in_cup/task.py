@@ -12,7 +12,7 @@ import numpy as np
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Rollout
-from wam_power_ros.tasks.ball_in_cup.parametrization import SHIFTS, cup_parametrization
+from wam_power_ros.tasks.ball_in_cup.parametrization import cup_parametrization
 from wam_power_ros.tasks.ball_in_cup.settings import CUP_FIT, PRESETS, CupSettings
 from wam_power_ros.tasks.ball_in_cup.swing import STRING, Swing, in_cup, observe_swing, swing_of
 from wam_power_ros.tasks.task import (
@@ -31,7 +31,11 @@ if TYPE_CHECKING:
 
 HANGING_TOLERANCE = 0.05  # [m] of the ball from below the cup before a rollout
 REST_SPEED = 0.05  # [m/s] of a ball at rest
-HEIGHT_OF_VIGOUR = 3.0  # [m] additional apex per unit of vigour, measured on demonstrated swings
+# Effect of the corrected parameters, measured on demonstrated swings. The ball swings up on the far
+# side: with too little vigour it falls short, which is outward, with too much beyond the cup.
+MISS_OF_VIGOUR = -2.5  # [m] change of the miss along x per unit of vigour
+APEX_OF_VIGOUR = 1.0  # [m] change of the apex per unit of vigour
+MISS_OF_SHIFT = -0.9  # change of the miss along y per shift [1]
 
 
 class BallInCup(Task):
@@ -95,25 +99,25 @@ class BallInCup(Task):
     def hindsight(
         self, assessment: Assessment, parametrization: Parametrization
     ) -> Sequence[np.ndarray]:
-        """Shift the catch to where the ball came down; more vigour for one that stayed low."""
-        if assessment.observation is None:
+        """More vigour for a ball that fell short or stayed low, and the cup below where it fell."""
+        settings = self.settings
+        if assessment.observation is None or not settings.gain:
             return ()
-        settings, swing = self.settings, swing_of(assessment.observation)
-        wanted = {}
-        if swing.miss is not None:
-            limit = settings.shift_limit
-            for name, error in zip(SHIFTS, swing.miss, strict=True):
-                wanted[name] = float(np.clip(settings.shift_gain * error, -limit, limit))
-        if swing.apex < settings.apex:
-            missing = (settings.apex - swing.apex) / HEIGHT_OF_VIGOUR
-            wanted["vigour"] = settings.vigour_gain * missing
+        swing = swing_of(assessment.observation)
+        if swing.miss is None:
+            wanted = {"vigour": (-swing.apex / APEX_OF_VIGOUR, settings.vigour_limit)}
+        else:
+            x, y = swing.miss
+            wanted = {
+                "vigour": (-x / MISS_OF_VIGOUR, settings.vigour_limit),
+                "sideways": (-y / MISS_OF_SHIFT, settings.sideways_limit),
+            }
         shifts = []
-        for name, change in wanted.items():
-            if change and name in parametrization.groups:
-                index = parametrization.groups[name]
-                shift = np.zeros(parametrization.size)
-                shift[index] = change / parametrization.scale[index]
-                shifts.append(shift)
+        for name, (change, limit) in wanted.items():
+            index = parametrization.groups[name]
+            shift = np.zeros(parametrization.size)
+            shift[index] = np.clip(settings.gain * change, -limit, limit)
+            shifts.append(shift / parametrization.scale)
         return shifts
 
     def outcome(self, record: LoggedRollout) -> str:
