@@ -58,7 +58,7 @@ class CupSettings(BaseModel):
     gain: float = Field(default=0.0, ge=0.0, le=1.0)
     vigour_limit: float = Field(default=0.05, gt=0.0, le=1.0)
     sideways_limit: float = Field(default=0.05, gt=0.0, le=1.0)
-    success_distance: float = Field(default=0.04, gt=0.0, le=1.0)
+    success_distance: float = Field(default=0.03, gt=0.0, le=1.0)
     settle_time: float = Field(default=1.0, ge=0.0, le=10.0)
 
 

@@ -2,8 +2,8 @@
 """Observation of a swing: where the ball came down onto the cup, and how it ended.
 
 The ball hangs from the middle of the cup's floor, which is the origin of the tool. Its path has the
-frame rate of the cameras; between two frames it is taken to fall freely, as it does once the string
-is slack.
+frame rate of the cameras; after a frame it is taken to fall freely as it did before, until the next:
+the string is slack then, and what the rim does to the ball comes later.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ BALL_RADIUS = 0.018  # [m]
 PLANE = RIM + BALL_RADIUS
 GRAVITY = 9.81  # [m/s^2]
 STEP = 0.001  # [s] in which the crossing is sought
-GAP_MAX = 0.1  # [s] between two frames around the crossing; beyond, it was not seen
+GAP_MAX = 0.1  # [s] from the last but one frame before the ball comes down; beyond, it was not seen
 END_TIME = 0.25  # [s] at the end of a rollout, in which the frames tell where the ball has ended
 
 
@@ -101,21 +101,22 @@ def observe_swing(cup: EndEffectorPath, ball: BodyPath) -> Swing | None:
     if len(ball.t) < 2 or cup.t[-1] - ball.t[-1] > END_TIME:
         return None
     t = np.arange(ball.t[0], ball.t[-1], STEP)
-    after = np.clip(np.searchsorted(ball.t, t, side="right"), 1, len(ball.t) - 1)
-    since, until = t - ball.t[after - 1], ball.t[after] - t  # to the frames around each time
-    position = _interpolated(t, ball.t, ball.position)
-    position[:, 2] += 0.5 * GRAVITY * since * until
+    last = np.maximum(np.searchsorted(ball.t, t, side="right") - 1, 1)  # frame before each time
+    since, past = t - ball.t[last - 1], t - ball.t[last]
+    share = (since / (ball.t[last] - ball.t[last - 1]))[:, np.newaxis]
+    position = ball.position[last - 1] + share * (ball.position[last] - ball.position[last - 1])
+    position[:, 2] -= 0.5 * GRAVITY * since * past
     relative = position - _interpolated(t, cup.t, cup.position)
     normals = rotations.matrix(cup.quat_xyzw)[:, :, 2]
     relative -= PLANE * _interpolated(t, cup.t, normals)
     height = relative[:, 2]
     t_c = miss = None
     if (k := landing(relative)) is not None:
-        if since[k] + until[k] > GAP_MAX:
+        if since[k] > GAP_MAX:
             return None
         t_c, miss = float(t[k]), (float(relative[k, 0]), float(relative[k, 1]))
-    last = ball.t >= cup.t[-1] - END_TIME
-    ended = np.median(ball.position[last], axis=0) - cup.position[-1]
+    end = ball.t >= cup.t[-1] - END_TIME
+    ended = np.median(ball.position[end], axis=0) - cup.position[-1]
     caught = in_cup(rotations.matrix(cup.quat_xyzw[-1:])[0].T @ ended)
     return Swing(float(height.max()), t_c, miss, caught)
 
