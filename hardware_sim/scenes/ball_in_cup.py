@@ -102,7 +102,7 @@ class BallInCup:
 
         * caught: The ball is now in the cup.
         * apex: Highest point of the ball above `PLANE` of an upright cup [m].
-        * t_c: Time at which it came down through this plane [s], see `landing`; None if it never did.
+        * t_c: Time at which it came down through this plane [s], see `landing`; None if never.
         * distance: Its horizontal distance from the middle of the cup then [m]; None without t_c.
         """
         relative = log.body[:, :3] - log.tool - [0.0, 0.0, PLANE]

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hardware_sim.demonstrator import PAUSE, Demonstrator, Target
+from hardware_sim.demonstrator import PAUSE, Target
 from hardware_sim.ground_truth import Truth
 from hardware_sim.scenes.ball_in_cup import HOME, SWING, SwingScript, swing
 from hardware_sim.world import World

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -29,17 +28,19 @@ from wam_power_ros.tasks.task import Assessment, Pose
 
 SETTINGS = preset("ball_in_cup").task_settings
 CUP = np.array([0.5, 0.0, 0.8])
+INSIDE, HANGING = np.array([0.0, 0.0, 0.02]), np.array([0.0, 0.0, -STRING])
 
 
 def to_and_fro() -> np.ndarray:
     t = np.linspace(0.0, 2.0, 500)
-    return CUP + np.stack([0.1 * np.sin(np.pi * t) ** 2, 0.0 * t, 0.05 * (1 - np.cos(np.pi * t))], 1)
+    x, z = 0.1 * np.sin(np.pi * t) ** 2, 0.05 * (1.0 - np.cos(np.pi * t))
+    return CUP + np.stack([x, 0.0 * t, z], axis=1)
 
 
 POLICY = fit([from_positions(to_and_fro(), 0.004)], CUP_FIT, "trial-0001")
 
 
-def task(**changes: Any) -> BallInCup:
+def task(**changes: float) -> BallInCup:
     return BallInCup(SETTINGS.model_copy(update=changes), {})
 
 
@@ -54,7 +55,7 @@ def rollout(miss: float, caught: bool, rises: bool = True, fault: Fault | None =
     since = frames - 1.5
     height = PLANE - 1.8 * since - 0.5 * GRAVITY * since**2 - (0.0 if rises else 0.5)
     position = CUP + np.stack([miss + 0.0 * since, 0.0 * since, height], axis=1)
-    position[since > 0.0] = CUP + [0.0, 0.0, 0.02 if caught else -STRING]
+    position[since > 0.0] = CUP + (INSIDE if caught else HANGING)
     ball = BodyPath(POLICY.id, frames, position, np.tile([0.0, 0.0, 0.0, 1.0], (len(frames), 1)))
     return Rollout(cup, ball, fault)
 
@@ -118,7 +119,7 @@ def test_a_ball_that_is_not_seen_is_not_ready() -> None:
     assert "not seen" in task().ready(None, Pose(CUP, np.eye(3)))
 
 
-def corrected(swing: Swing, **changes: Any) -> dict[str, float]:
+def corrected(swing: Swing, **changes: float) -> dict[str, float]:
     """Sum of the corrections of each parameter, in its unit."""
     practised = task(**changes)
     parametrization = practised.parametrization(POLICY)
@@ -181,7 +182,7 @@ def test_the_learnt_attractors_stay_in_the_plane_of_the_swing() -> None:
     np.testing.assert_allclose(change, np.tile([0.01, 0.0, 0.01], (POLICY.basis.count, 1)))
 
 
-def record(**changes: Any) -> SimpleNamespace:
+def record(**changes: object) -> SimpleNamespace:
     swing = Swing(0.1, 2.0, (0.03, 0.0), True).to_json()
     known = {"kind": "retest", "ret": 0.9, "observation": swing, "success": True}
     return SimpleNamespace(**{**known, "why": "", "fault": "", "truth": None, **changes})

@@ -12,9 +12,9 @@ from wam_power_ros.learning.demonstration import Movement
 from wam_power_ros.learning.dmp import FitSettings
 from wam_power_ros.learning.parametrization import NoiseScales
 
-# A swing of 2.2 s with accelerations of 9 m/s^2, which alternate every 0.3 s. Stiff: of one policy's
-# landings, which friction and torque constants scatter, the standard deviation is 0.5 to 0.8 cm; with
-# half the stiffness it is twice that.
+# A swing of 2.2 s with accelerations of 9 m/s^2, which alternate every 0.3 s. Stiff: friction and
+# torque constants scatter the landings of one policy by 0.5 to 0.8 cm (standard deviation), with
+# half the stiffness by twice that.
 CUP_FIT = FitSettings(
     count=16,
     width=0.6,

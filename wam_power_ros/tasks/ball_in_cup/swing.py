@@ -2,8 +2,8 @@
 """Observation of a swing: where the ball came down onto the cup, and how it ended.
 
 The ball hangs from the middle of the cup's floor, which is the origin of the tool. Its path has the
-frame rate of the cameras; after a frame it is taken to fall freely as it did before, until the next:
-the string is slack then, and what the rim does to the ball comes later.
+frame rate of the cameras; after a frame it is taken to fall freely as it did before it, until the
+next: the string is slack then, and what the rim does to the ball comes later.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ STRING = 0.40  # [m] from the cup's floor to the centre of the ball
 RIM = 0.07  # [m] height of the rim above the floor
 CUP_RADIUS = 0.05  # [m] inside
 BALL_RADIUS = 0.018  # [m]
-# Height above the floor at which a fall is measured [m]: there the ball has not touched the rim yet,
-# which would throw it a few centimetres to one side or the other.
+# Height above the floor at which a fall is measured [m]: there the ball has not touched the rim
+# yet, which would throw it a few centimetres to one side or the other.
 PLANE = RIM + BALL_RADIUS
 GRAVITY = 9.81  # [m/s^2]
 STEP = 0.001  # [s] in which the crossing is sought

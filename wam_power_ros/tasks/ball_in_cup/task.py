@@ -73,7 +73,7 @@ class BallInCup(Task):
         offset = body.position - tool.position
         if in_cup(tool.rotation.T @ offset):
             return "the ball is in the cup: empty it"
-        beside = float(np.linalg.norm(offset + [0.0, 0.0, STRING]))
+        beside = float(np.linalg.norm(offset + np.array([0.0, 0.0, STRING])))
         speed = float(np.linalg.norm(body.velocity))
         if speed > REST_SPEED:
             return f"the ball swings at {speed:.2f} m/s"
@@ -151,7 +151,9 @@ class BallInCup(Task):
         """Median distance of the re-tests; see `Task`."""
         swings = [swing_of(record.observation) for record in retests if record.observation]
         known = [swing.distance for swing in swings if swing.t_c is not None]
-        return {"median distance of the re-tests": f"{100 * np.median(known):.1f} cm"} if known else {}
+        if not known:
+            return {}
+        return {"median distance of the re-tests": f"{100 * np.median(known):.1f} cm"}
 
     def figure(self, rollout: Rollout) -> tuple[Figure, str] | None:
         """Cup and ball from the side; see `Task`."""
