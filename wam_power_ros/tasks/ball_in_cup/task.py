@@ -9,15 +9,22 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from wam_power_ros.learning.demonstration import ToolPose
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.tasks.ball_in_cup.parametrization import cup_parametrization
+from wam_power_ros.tasks.ball_in_cup.put_back import (
+    SWING_RATE,
+    emptying,
+    stilling,
+    swing_phasor,
+)
 from wam_power_ros.tasks.ball_in_cup.settings import CUP_FIT, PRESETS, CupSettings
 from wam_power_ros.tasks.ball_in_cup.swing import STRING, Swing, in_cup, observe_swing, swing_of
+from wam_power_ros.tasks.reset import Action, BodyState
 from wam_power_ros.tasks.task import (
     Assessment,
-    BodyState,
     Goal,
     LoggedRollout,
     Pose,
@@ -30,7 +37,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 HANGING_TOLERANCE = 0.05  # [m] of the ball from below the cup before a rollout
-REST_SPEED = 0.05  # [m/s] of a ball at rest
+REST_SPEED = 0.03  # [m/s] of a ball at rest: a swing of 6 mm
+TAUT = 0.03  # [m] by which a ball on a taut string may be nearer or farther than its length
+SWING_MAX = 0.3  # [m] amplitude of a swing that is stilled; a larger one loses height by itself
 # Effect of the corrected parameters, measured on demonstrated swings. The ball swings up on the far
 # side: with too little vigour it falls short, which is outward, with too much beyond the cup.
 MISS_OF_VIGOUR = -2.5  # [m] change of the miss along x per unit of vigour
@@ -53,6 +62,7 @@ class BallInCup(Task):
     fit_settings = CUP_FIT
     Settings: ClassVar[type[CupSettings]] = CupSettings
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = PRESETS
+    rest_time = math.pi / SWING_RATE  # half a swing: at its ends the ball is slow, too
     goal = Goal(
         achieved="caught the ball",
         first="first catch",
@@ -80,6 +90,20 @@ class BallInCup(Task):
         if beside > HANGING_TOLERANCE:
             return f"the ball is {beside:.2f} m from where it hangs, {STRING} m below the cup"
         return ""
+
+    def reset(self, body: BodyState | None, arm: ToolPose, q_start: np.ndarray) -> Action:
+        """Empty the cup, or still a swinging ball; see `Task`."""
+        if body is None:
+            return "person"
+        tool = Pose(*arm.tool_pose(q_start))
+        offset = body.position - tool.position
+        if in_cup(tool.rotation.T @ offset):
+            return emptying(q_start)
+        taut = abs(float(np.linalg.norm(offset)) - STRING) < TAUT and offset[2] < 0.0
+        if not taut:
+            return "person"
+        swing = swing_phasor(offset[:2], body.velocity[:2])
+        return stilling(arm, q_start, swing) if np.abs(swing).max() < SWING_MAX else "wait"
 
     def assess(self, policy: Policy, rollout: Rollout) -> Assessment:
         """Return and success of a rollout of `policy`."""
