@@ -31,7 +31,8 @@ def emptying(q_start: np.ndarray) -> Move:
     """Roll the cup over and back. Shape of `q_start` (n,) [rad]."""
     t = np.arange(0.0, 2.0 * ROLL_TIME + KNOT, KNOT)
     q = np.tile(q_start, (len(t), 1))
-    q[:, -1] += ROLL * (_rise(t / ROLL_TIME) - _rise(t / ROLL_TIME - 1.0))
+    side = -1.0 if q_start[-1] > 0.0 else 1.0  # where the joint has more room
+    q[:, -1] += side * ROLL * (_rise(t / ROLL_TIME) - _rise(t / ROLL_TIME - 1.0))
     return Move(t, q)
 
 
