@@ -65,7 +65,7 @@ def rollout(miss: float, caught: bool, rises: bool = True, fault: Fault | None =
     [
         (0.0, True, True),
         (-0.025, True, True),
-        (0.03, False, False),  # out again
+        (0.01, False, False),  # out again
         (0.06, True, False),  # snapped back into the cup by the string
     ],
 )

@@ -85,9 +85,9 @@ def test_movements_begin_and_end_at_the_start_at_rest_with_an_upright_cup_on_its
     assert min(tilt) > math.cos(math.radians(3.0))
 
 
-@pytest.mark.parametrize("roll", [-0.15, 0.15])
+@pytest.mark.parametrize("roll", [-0.4, 0.4])  # more than the joint has beyond `ROLL`
 def test_an_emptied_cup_has_been_upside_down(roll: float) -> None:
     start = HOME + roll * np.eye(7)[-1]
     move = emptying(start)
-    assert min(ARM.tool_pose(q)[1][2, 2] for q in move.q) < -0.85
+    assert min(ARM.tool_pose(q)[1][2, 2] for q in move.q) < -0.7
     assert ((ARM.q_min < move.q) & (move.q < ARM.q_max)).all()
