@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
@@ -310,10 +311,10 @@ LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 class Ball:
-    """Body that is off its place until the arm has done a movement."""
+    """Body that is off its place until the arm has done a movement, or for a number of states."""
 
-    def __init__(self, cell: Cell) -> None:
-        self.cell, self.moves = cell, 0
+    def __init__(self, cell: Cell, states: float = math.inf) -> None:
+        self.cell, self.moves, self.off = cell, 0, states
         self.replies = [Answer(Code.SWITCH, "the enabling switch is not held")]  # first one
         self._given = Answers(cell.node, interface.CONTROLLER_ANSWER)
         topic = interface.REPLAY
@@ -337,7 +338,9 @@ class Ball:
 
     def _publish(self) -> None:
         self._sent_ns += 33_000_000
-        zero, place = np.zeros(3), np.array([0.0, 0.0, float(self.moves > 0)])
+        self.off -= "reset" in self.cell.requests
+        there = self.moves > 0 or self.off < 0
+        zero, place = np.zeros(3), np.array([0.0, 0.0, float(there)])
         state = pose_messages.StateReading(
             self._sent_ns, "wam_base", place, LEVEL, zero, zero, 1e-6
         )
@@ -360,6 +363,22 @@ def test_the_arm_puts_the_body_back_once_the_switch_is_held_and_who_did_is_known
     assert cell.requests == [MOVE, "replay", "replay", MOVE, EXECUTE]
     assert executed.reset is not None and executed.reset["by"] == "arm"
     assert 0.0 <= executed.reset["seconds"] < 60.0
+
+
+def test_the_arm_leaves_a_body_alone_that_comes_to_rest_where_a_simulation_has_put_it(
+    connect: Connect, cell: Cell
+) -> None:
+    cell.answers["reset"] = []
+    Server(cell.node, interface.SCENE_REQUEST, interface.SCENE_ANSWER, {"reset": cell.take})
+    Ball(cell, states=5)
+    move = Move(np.linspace(0.0, 1.0, 6), np.zeros((6, 7)))
+    executed = connect("ball", joint_names=["j1"], scene_reset=True).execute(
+        POLICY,
+        WHOLE,
+        lambda state: "" if state.position[2] > 0.5 else "on the floor",
+        lambda state: move,
+    )
+    assert cell.requests == [MOVE, "reset", EXECUTE] and executed.reset is None
 
 
 @pytest.mark.parametrize("step", [10_000_000, 0, 2_000_000_000])

@@ -250,7 +250,7 @@ class Rollouts:
             Who put the body back, in which time; None if the scene was reset, or without a body.
         """
         if self._settings.scene_reset:
-            self._reset_scene(policy, resetting)
+            self._reset_scene(policy, resetting.ready)
             return None
         begun = self._node.get_clock().now()
         by_person = self._reach_start(policy)
@@ -297,10 +297,9 @@ class Rollouts:
             self._log.warning(f"the {self._body} is not put back: {answer}")
             self._link.sleep(RETRY_PERIOD)
 
-    def _reset_scene(self, policy: Policy, resetting: Resetting) -> None:
+    def _reset_scene(self, policy: Policy, ready: Ready) -> None:
         """Let the stand-in reset the scene, again if needed, until the body is ready."""
         end = time.monotonic() + self._settings.patience
-        resetting.rest_time = 0.0  # it is put to rest
         while True:
             self._reach_start(policy)
             answer = self._ask(self._scene, "reset", policy, self._settings.service_timeout)
@@ -308,7 +307,7 @@ class Rollouts:
                 raise NotBegunError(f"the scene is not reset: {answer.text}")
             if not self._body:
                 return
-            self._resetting = again = replace(resetting)
+            self._resetting = again = Resetting(ready, lambda state: "wait")
             try:
                 self.until(
                     lambda: again.done,  # noqa: B023 - called at once
