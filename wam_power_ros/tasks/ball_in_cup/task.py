@@ -37,9 +37,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 HANGING_TOLERANCE = 0.05  # [m] of the ball from below the cup before a rollout
-REST_SPEED = 0.03  # [m/s] of a ball at rest: a swing of 6 mm
+REST_SPEED = 0.03  # [m/s] of a ball at rest: a swing of 6 mm, or less and the noise of the cameras
 TAUT = 0.03  # [m] by which a ball on a taut string may be nearer or farther than its length
-SWING_MAX = 0.3  # [m] amplitude of a swing that is stilled; a larger one loses height by itself
+SWING_MIN = 0.005  # [m] amplitude of a swing that is stilled; a smaller one is noise
+SWING_MAX = 0.3  # [m] the same; a larger one loses height by itself
 # Effect of the corrected parameters, measured on demonstrated swings. The ball swings up on the far
 # side: with too little vigour it falls short, which is outward, with too much beyond the cup.
 MISS_OF_VIGOUR = -2.5  # [m] change of the miss along x per unit of vigour
@@ -103,7 +104,8 @@ class BallInCup(Task):
         if not taut:
             return "person"
         swing = swing_phasor(offset[:2], body.velocity[:2])
-        return stilling(arm, q_start, swing) if np.abs(swing).max() < SWING_MAX else "wait"
+        stills = SWING_MIN < np.abs(swing).max() < SWING_MAX
+        return stilling(arm, q_start, swing) if stills else "wait"
 
     def assess(self, policy: Policy, rollout: Rollout) -> Assessment:
         """Return and success of a rollout of `policy`."""
