@@ -74,11 +74,13 @@ setup(
             f"wam-power = {NAME}.entry:wam_power",
         ],
         f"{NAME}.scenes": [
+            "ball_in_cup = hardware_sim.scenes.ball_in_cup:BallInCup",
             "flip = hardware_sim.scenes.flip:Flip",
             "reach = hardware_sim.scenes.reach:Reach",
             "markers = hardware_sim.scenes.markers:Markers",
         ],
         "wam_power_ros.tasks": [
+            f"ball_in_cup = {NAME}.tasks.ball_in_cup.task:BallInCup",
             f"flip = {NAME}.tasks.flip.task:Flip",
             f"reach = {NAME}.tasks.reach.task:Reach",
         ],

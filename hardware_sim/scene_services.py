@@ -22,6 +22,7 @@ from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.pose_messages import GroundTruth, ground_truth_message
 from wam_power_ros.ros.requests import Request, Server
 
+ROLLOUT = "rollout "  # begins the label of a rollout, before its id
 WAIT_TIME = 0.1  # [s] from a reset to its answer, and from a request to a refusal
 START_TOLERANCE = 0.05  # [rad] between the arm and q_start for a reset
 
@@ -80,8 +81,11 @@ class SceneServices:
         world = self._world
         if world.frozen and self._resetting is None and label not in ("hold", "inactive"):
             world.release()
-        if previous.startswith("rollout "):
-            self._truths.publish(ground_truth_message(GroundTruth(stamp_ns, world.truth())))
+        if label.startswith(ROLLOUT) and label != ROLLOUT + world.rollout_id:  # not reset for it
+            world.release()
+        if previous.startswith(ROLLOUT):
+            truth = world.truth() | {"id": previous.removeprefix(ROLLOUT)}
+            self._truths.publish(ground_truth_message(GroundTruth(stamp_ns, truth)))
 
     def update(self) -> None:
         """Advance a pending reset or demonstration; called every tick."""

@@ -88,20 +88,20 @@ BUDGET = {
     "control": 4400,
     "commissioning": 1010,
     "tracking": 600,
-    "tasks": 2690,
+    "tasks": 3400,
     "practice": 2120,
     "conformance": 1120,
     "bags": 2660,
     "params": 1130,
     "ros": 2680,
-    "client": 1260,
-    "nodes": 3040,
+    "client": 1320,
+    "nodes": 3050,
     "console": 990,
     "view": 1360,
-    "reporting": 930,
-    "in_process": 350,
+    "reporting": 950,
+    "in_process": 410,
     "cli": 3260,
-    "hardware_sim": 3110,
+    "hardware_sim": 3300,
     "launch": 260,
     "examples": 380,
     "reproduction": 3350,
@@ -276,7 +276,7 @@ def test_only_some_folders_speak_ros_and_only_some_simulate() -> None:
 def test_no_module_outside_a_tasks_folder_knows_a_task() -> None:
     folders = {path.name for path in (PACKAGE / "tasks").iterdir() if path.is_dir()}
     tasks = folders - {"__pycache__"}
-    assert {"flip", "reach"} <= tasks
+    assert {"ball_in_cup", "flip", "reach"} <= tasks
     for path in MODULES:
         if folder(path) in ("tasks", "reproduction") or path.parent.name == "scenes":
             continue

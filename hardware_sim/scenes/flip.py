@@ -18,6 +18,7 @@ from hardware_sim.settings import PITCH_RATE, WorldSettings
 from wam_power_ros import rotations
 from wam_power_ros.tasks.flip.flight import DELTA_H
 from wam_power_ros.tasks.flip.frames import PAN_RADIUS, PANCAKE_RADIUS
+from wam_power_ros.tasks.flip.settings import TRUE_TURN
 
 BODY = "pancake"
 HALF_HEIGHT = 0.0025  # [m] of the pancake
@@ -91,7 +92,7 @@ class Flip:
         * tossed: It rose above `DELTA_H` and fell below it again.
         * t_f: Time at which it fell below [s since the release]; None if not tossed.
         * angle_deg: Unwrapped rotation from rest until then about the axis of the throw [degrees].
-        * true_flip: Caught, flipped, and turned by 150 to 240 degrees in the air.
+        * true_flip: Caught, flipped, and turned by `TRUE_TURN` in the air.
         * apex: Highest point above the pan's initial height [m].
         * landing_error: Position of pancake minus pan at t_f, along x and y [m]; two.
         """
@@ -110,7 +111,7 @@ class Flip:
             "tossed": landing is not None,
             "t_f": t_f,
             "angle_deg": angle,
-            "true_flip": caught and flipped and 150.0 <= angle <= 240.0,
+            "true_flip": caught and flipped and TRUE_TURN[0] <= angle <= TRUE_TURN[1],
             "apex": float(height.max(initial=start) - start),
             "landing_error": error,
         }

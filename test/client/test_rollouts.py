@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from types import SimpleNamespace
@@ -19,6 +20,7 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory
 
 from wam_power_ros.client import link, requests, rollouts
 from wam_power_ros.client.link import Link
@@ -29,7 +31,8 @@ from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
 from wam_power_ros.ros import interface, pose_messages
 from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.diagnostics import diagnostics_message
-from wam_power_ros.ros.requests import Request, RolloutEnd, Server
+from wam_power_ros.ros.requests import Answers, Request, RolloutEnd, Server
+from wam_power_ros.tasks.reset import Move
 
 POLICY = lift("trial-0002")
 MOVE, EXECUTE = "move_to_start", "execute"
@@ -130,10 +133,15 @@ def connect(probe: Probe, cell: Cell) -> Iterator[Connect]:
     """Function that makes a client with changed settings, or with others, for a body."""
     with ExitStack() as stack:
 
-        def connect(body: str = "", settings: object = SETTINGS, **changes: object) -> Rollouts:
+        def connect(
+            body: str = "",
+            settings: object = SETTINGS,
+            joint_names: Sequence[str] = (),
+            **changes: object,
+        ) -> Rollouts:
             node = rclpy.create_node("client", context=probe.context)
             given = replace(settings, **changes) if changes else settings
-            return Rollouts(stack.enter_context(Link(node)), given, body)
+            return Rollouts(stack.enter_context(Link(node)), given, body, joint_names)
 
         yield connect
 
@@ -297,6 +305,80 @@ def test_a_body_thrown_off_by_a_lost_request_is_put_back_again_where_a_simulatio
         with pytest.raises(RolloutError, match="which a person puts back: on the floor"):
             execute()
         assert cell.requests == [MOVE]
+
+
+LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
+
+
+class Ball:
+    """Body that is off its place until the arm has done a movement, or for a number of states."""
+
+    def __init__(self, cell: Cell, states: float = math.inf) -> None:
+        self.cell, self.moves, self.off = cell, 0, states
+        self.replies = [Answer(Code.SWITCH, "the enabling switch is not held")]  # first one
+        self._given = Answers(cell.node, interface.CONTROLLER_ANSWER)
+        topic = interface.REPLAY
+        cell.node.create_subscription(JointTrajectory, topic, self._move, interface.REQUESTS)
+        t = np.arange(0.0, WHOLE, 0.01)
+        path = BodyPath(POLICY.id, t, np.zeros((len(t), 3)), np.tile(LEVEL, (len(t), 1)))
+        topic = interface.rollout_topic("ball")
+        self._paths = cell.node.create_publisher(Path, topic, interface.LATCHED)
+        self._paths.publish(pose_messages.path_message(path, 10**9, "wam_base"))
+        topic = interface.body_topic("ball", "state")
+        self._states = cell.node.create_publisher(Odometry, topic, interface.STATE_OUT)
+        self._sent_ns = 10**9
+        cell.node.create_timer(0.02, self._publish)
+
+    def _move(self, message: JointTrajectory) -> None:
+        if self._given.is_new(message.header.frame_id):
+            self.cell.requests.append("replay")
+            answer = self.replies.pop(0) if self.replies else Answer(Code.DONE)
+            self.moves += answer.success
+            self._given.give(message.header.frame_id, answer)
+
+    def _publish(self) -> None:
+        self._sent_ns += 33_000_000
+        self.off -= "reset" in self.cell.requests
+        there = self.moves > 0 or self.off < 0
+        zero, place = np.zeros(3), np.array([0.0, 0.0, float(there)])
+        state = pose_messages.StateReading(
+            self._sent_ns, "wam_base", place, LEVEL, zero, zero, 1e-6
+        )
+        self._states.publish(pose_messages.odometry_message(state, "ball"))
+
+
+def test_the_arm_puts_the_body_back_once_the_switch_is_held_and_who_did_is_known(
+    connect: Connect, cell: Cell
+) -> None:
+    Ball(cell)
+    move = Move(np.linspace(0.0, 1.0, 6), np.zeros((6, 7)))
+    names = [f"j{number}" for number in range(7)]
+    executed = connect("ball", joint_names=names).execute(
+        POLICY,
+        WHOLE,
+        lambda state: "" if state.position[2] > 0.5 else "on the floor",
+        lambda state: move,
+        rest_time=0.2,
+    )
+    assert cell.requests == [MOVE, "replay", "replay", MOVE, EXECUTE]
+    assert executed.reset is not None and executed.reset["by"] == "arm"
+    assert 0.0 <= executed.reset["seconds"] < 60.0
+
+
+def test_the_arm_leaves_a_body_alone_that_comes_to_rest_where_a_simulation_has_put_it(
+    connect: Connect, cell: Cell
+) -> None:
+    cell.answers["reset"] = []
+    Server(cell.node, interface.SCENE_REQUEST, interface.SCENE_ANSWER, {"reset": cell.take})
+    Ball(cell, states=5)
+    move = Move(np.linspace(0.0, 1.0, 6), np.zeros((6, 7)))
+    executed = connect("ball", joint_names=["j1"], scene_reset=True).execute(
+        POLICY,
+        WHOLE,
+        lambda state: "" if state.position[2] > 0.5 else "on the floor",
+        lambda state: move,
+    )
+    assert cell.requests == [MOVE, "reset", EXECUTE] and executed.reset is None
 
 
 @pytest.mark.parametrize("step", [10_000_000, 0, 2_000_000_000])

@@ -21,6 +21,7 @@ from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.learning.policy import Policy, with_id
 from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import share
+from wam_power_ros.practice.settings import preset
 
 Falsify = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
@@ -40,6 +41,21 @@ def test_a_rollout_of_one_seed_and_id_repeats_bit_for_bit_whatever_was_before(to
         np.testing.assert_array_equal(getattr(one.tool, name), getattr(other.tool, name))
         np.testing.assert_array_equal(getattr(one.body, name), getattr(other.body, name))
     assert one_truth["tossed"]
+
+
+@pytest.mark.parametrize(("seed", "caught", "by"), [(22, True, "none"), (21, False, "person")])
+def test_a_caught_pancake_needs_nobody_before_the_next_toss_and_a_dropped_one_a_person(
+    seed: int, caught: bool, by: str
+) -> None:
+    environment = Environment(World(scene_type("flip"), seed=seed))
+    policy = teach(environment, seed, 1, pitch_rate=7.6)[0]
+    task = preset("flip").make_task({})
+    for number in range(3):
+        known = environment.put_back(task, policy)
+        if number:
+            assert known["by"] == by and known["seconds"] < 10.0
+        _, truth = environment.run(with_id(policy, f"toss-{number}"), placed=True)
+        assert truth["tossed"] and truth["caught"] is caught
 
 
 def test_a_policy_that_is_too_fast_is_infeasible_and_ends_in_that_fault(toss: Policy) -> None:

@@ -73,7 +73,8 @@ def test_every_set_up_is_accepted_by_every_node(name: str, simulated: bool, tmp_
         lab += ["move_speed", "realtime_priority"]
     of_the_lab = {name: getattr(arm, name) for name in lab}
     assert limits.model_copy(update=of_the_lab) == arm
-    assert learner.scene_reset == learner.reset_faults == simulated
+    assert learner.scene_reset == (simulated and name != "unattended")
+    assert learner.reset_faults == simulated
     assert arm.simulation == simulated
     assert arm.hold_to_run == (not arm.allow_no_realtime) == (not simulated)
     assert params["demonstration_recorder"].source == ("sim" if simulated else "hardware")

@@ -430,7 +430,7 @@ def test_records_of_another_session_are_refused() -> None:
 def test_settings_and_candidates_that_cannot_be_are_refused() -> None:
     with pytest.raises(ValueError, match="'quick' of 'flip' is not one of flip, paper"):
         preset("flip", "quick")
-    with pytest.raises(ValueError, match="task 'fly' is not one of flip, reach"):
+    with pytest.raises(ValueError, match="task 'fly' is not one of ball_in_cup, flip, reach"):
         preset("fly")
     with pytest.raises(ValueError, match=r"learner 'genetic' is not one of .*cma_es.*power"):
         preset("flip", learner={"name": "genetic"})

@@ -146,3 +146,18 @@ def test_one_of_a_thing_is_told_in_the_singular(practice: Practice) -> None:
     assert terminal.summary([record], task).startswith("1 rollout; return ")
     unusable = record.model_copy(update={"ret": None})
     assert terminal.summary([unusable], task) == "1 rollout, none usable"
+
+
+def test_a_summary_counts_who_put_the_body_back(practice: Practice) -> None:
+    assert terminal.resets(practice.records) == []  # the stand-in did
+    by = ["none", "arm", "arm", "arm", "person", "none"]
+    records = [
+        record.model_copy(update={"clock": {"reset": {"by": who, "seconds": 10.0 * number}}})
+        for number, (record, who) in enumerate(zip(practice.records, by, strict=True))
+    ]
+    (line,) = terminal.resets(records)
+    assert line == (
+        "put back before 6 rollouts: by nobody in 2 (median 25 s), by the arm in 3 (median 20 s), "
+        "by a person in 1 (median 40 s)"
+    )
+    assert line in terminal.summary(records, practice.task)

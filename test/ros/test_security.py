@@ -106,7 +106,8 @@ def test_the_table_follows_the_name_of_the_body(tmp_path: Path) -> None:
 def test_the_recorder_only_listens_and_the_learner_only_proposes() -> None:
     recorder, learner = RIGHTS["demonstration_recorder"], RIGHTS["learner"]
     assert (recorder.publishes, recorder.calls) == ((interface.DIAGNOSTICS,), ())
-    proposes = {f"/{interface.CONTROLLER_REQUEST}", f"/{interface.SCENE_REQUEST}"}
+    proposed = (interface.CONTROLLER_REQUEST, interface.REPLAY, interface.SCENE_REQUEST)
+    proposes = {f"/{topic}" for topic in proposed}
     assert set(learner.publishes) - proposes == {
         f"/{interface.LEARNER_ANSWER}",
         f"/{interface.LEARNER_MARKERS}",

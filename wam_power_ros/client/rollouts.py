@@ -10,13 +10,15 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path as FilePath
 from typing import Any
+from uuid import uuid4
 
 from nav_msgs.msg import Odometry, Path
 from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory
 
 from wam_power_ros.client.link import RETRY_PERIOD, Link
 from wam_power_ros.client.reports import ControllerReports
@@ -27,8 +29,10 @@ from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
 from wam_power_ros.ros import interface, pose_messages
 from wam_power_ros.ros.answers import Answer, Code, ServiceError
-from wam_power_ros.ros.pose_messages import PathReading, StateReading
+from wam_power_ros.ros.joint_messages import JointMovement, movement_message
+from wam_power_ros.ros.pose_messages import PathReading
 from wam_power_ros.ros.requests import RolloutEnd
+from wam_power_ros.tasks.reset import Action, BodyState, Move, Resetting
 from wam_power_ros.tasks.task import MISSING_MAX
 
 STARTS_MAX = 5  # attempts to begin one rollout
@@ -36,11 +40,11 @@ ANSWER_TIMEOUT = 10.0  # after which the answer of a service counts as lost [s o
 READY_TIMEOUT = 10.0  # after which the scene is reset again [s of wall time]
 BUSY_PERIOD = 0.02  # [s of wall time] to the next request to an arm that comes to rest
 SWITCH_LOG_PERIOD = 5.0  # between two lines about the enabling switch [s]
-READY_STATES = 3  # number of successive states in which the body must be ready
 NOT_BEGUN_CODES = (Code.UNKNOWN, Code.FAULT, Code.NOT_ACTIVE, Code.NOT_AT_START, Code.STOPPED)
 NO_ANSWER = Answer(Code.UNKNOWN, "no answer")
 INACTIVE_MODES = ("", "unconfigured", Mode.INACTIVE.value)  # the first before any is known
-Ready = Callable[[StateReading | None], str]  # what is missing before a rollout, empty if nothing
+Ready = Callable[[BodyState | None], str]  # what is missing before a rollout, empty if nothing
+PutBack = Callable[[BodyState | None], Action]  # what is to be done then
 
 
 class RolloutError(ServiceError):
@@ -84,23 +88,7 @@ class Executed:
     rollout: Rollout
     bag: str  # name of its recording, empty without one
     truth: dict[str, Any] | None  # ground truth of the simulator, None on hardware
-
-
-class _Readiness:
-    """Successive states in which the body was ready, and what was missing in the last one."""
-
-    def __init__(self, ready: Ready, body: str) -> None:
-        self._ready, self._missing = ready, f"no state of the {body} received"
-        self.count = 0  # successive states
-
-    def add(self, state: StateReading) -> None:
-        """Judge the next state."""
-        self._missing = self._ready(state)
-        self.count = 0 if self._missing else self.count + 1
-
-    def __str__(self) -> str:
-        """Return what is missing, for messages."""
-        return self._missing or f"fewer than {READY_STATES} states in a row"
+    reset: dict[str, Any] | None = None  # who put the body back, in which time; None: the stand-in
 
 
 class Rollouts:
@@ -113,12 +101,17 @@ class Rollouts:
         link: Link in whose namespace the nodes run.
         settings: Settings.
         body: Name of the tracked body, "" for none.
+        joint_names: Joint names of the driver, for movements that put the body back; without them
+            a person does.
     """
 
-    def __init__(self, link: Link, settings: RolloutSettings, body: str) -> None:
+    def __init__(
+        self, link: Link, settings: RolloutSettings, body: str, joint_names: Sequence[str] = ()
+    ) -> None:
         self._link, self._node, self._log = link, link.node, link.node.get_logger()
         self._settings, self._body, self._reports = settings, body, ControllerReports(link)
-        self._readiness = _Readiness(lambda state: "no rollout is prepared", body)
+        self._resetting = Resetting(lambda state: "no rollout is prepared", lambda state: "wait")
+        self._joint_names = joint_names
         self.controller = Requests(link, interface.CONTROLLER_REQUEST, interface.CONTROLLER_ANSWER)
         self._scene = Requests(link, interface.SCENE_REQUEST, interface.SCENE_ANSWER)
         self._truth_topic = interface.body_topic(body, "truth")
@@ -131,17 +124,32 @@ class Rollouts:
             link.listen(Odometry, states, self._on_state, interface.STATE_OUT)
         link.prepare(interface.RESET)
         link.prepare(interface.RECORD, data=True)
+        self._replays = None
+        if joint_names:
+            replay = interface.REPLAY, interface.CONTROLLER_ANSWER
+            self._replays = Requests(link, *replay, JointTrajectory)
 
     def _on_state(self, message: Odometry) -> None:
-        self._readiness.add(pose_messages.odometry(message))
+        state = pose_messages.odometry(message)
+        self._resetting.add(state, state.stamp_ns)
 
-    def execute(self, policy: Policy, duration: float, ready: Ready) -> Executed:
+    def execute(
+        self,
+        policy: Policy,
+        duration: float,
+        ready: Ready,
+        put_back: PutBack = lambda state: "person",
+        rest_time: float = 0.0,
+    ) -> Executed:
         """Execute a policy once.
 
         Args:
             policy: Policy to execute.
             duration: Duration of its complete rollout [s].
             ready: Returns what is missing before it may begin, empty if nothing.
+            put_back: Returns what is to be done then, see `Task.reset`; a scene that is reset
+                does not need it.
+            rest_time: Time for which the body must have been ready, there [s].
 
         Raises:
             RolloutError: It could not be begun, or its end did not come in time.
@@ -152,10 +160,11 @@ class Rollouts:
         while True:
             starts += 1
             try:
-                self._prepare(policy, ready)
+                reset = self._prepare(policy, Resetting(ready, put_back, rest_time))
                 if self._settings.record_rollouts:
                     self._begin_bag(policy.id)
-                return self._collect(policy, duration, self._execute(policy))
+                executed = self._collect(policy, duration, self._execute(policy))
+                return replace(executed, reset=reset)
             except NotBegunError as error:  # the trial is not counted
                 self._log.warning(f"{policy.id} is started again: {error}")
                 if starts == STARTS_MAX:
@@ -234,47 +243,99 @@ class Rollouts:
                 raise RolloutError(f"{policy.id} could not be executed: {answer}")
             self._link.sleep(RETRY_PERIOD)
 
-    def _prepare(self, policy: Policy, ready: Ready) -> None:
-        """Move the arm to the start of the policy, and wait until the body is ready there.
+    def _prepare(self, policy: Policy, resetting: Resetting) -> dict[str, Any] | None:
+        """Move the arm to the start of the policy, and see to it that the body is ready there.
 
-        In simulation the scene is reset, again if needed. On hardware a person has `patience` to do
-        that.
+        Returns:
+            Who put the body back, in which time; None if the scene was reset, or without a body.
         """
+        if self._settings.scene_reset:
+            self._reset_scene(policy, resetting.ready)
+            return None
+        begun = self._node.get_clock().now()
+        by_person = self._reach_start(policy)
+        if not self._body:
+            return None
+        if self._replays is None:
+            resetting.reset = lambda state: "person"
+        self._resetting = resetting
+        while True:
+            self.until(
+                lambda: resetting.done or resetting.move is not None,
+                lambda: (
+                    f"the {self._body} to come to rest: {resetting.missing}"
+                    if resetting.waits
+                    else f"the {self._body} to be ready, which a person puts back: "
+                    f"{resetting.missing}"
+                ),
+                self._settings.patience,
+            )
+            if (move := resetting.move) is None:
+                break
+            self._log.info(f"the arm puts the {self._body} back: {resetting.missing}")
+            self._do(move)
+            self._reach_start(policy)
+            resetting.move = None
+        seconds = (self._node.get_clock().now() - begun).nanoseconds * 1e-9
+        return {"by": "person" if by_person else resetting.by, "seconds": round(seconds, 3)}
+
+    def _do(self, move: Move) -> None:
+        """Execute a movement that puts the body back; a refusal is logged, and a person asked."""
+        message = movement_message(self._joint_names, JointMovement(move.t, move.q))
+        while True:
+            message.header.frame_id = id = uuid4().hex
+            asked = self._replays.send(message, id, "replay")
+            if asked.answers:
+                self.until(lambda: asked.answer, "the end of a movement", self._settings.patience)  # noqa: B023
+            answer = asked.answer or NO_ANSWER
+            if answer.code is not Code.SWITCH:
+                break
+            text = f"waiting for the enabling switch to be held, to put the {self._body} back"
+            self._log.info(text, throttle_duration_sec=SWITCH_LOG_PERIOD)
+            self._link.sleep(RETRY_PERIOD)
+        if not answer.success:
+            self._log.warning(f"the {self._body} is not put back: {answer}")
+            self._link.sleep(RETRY_PERIOD)
+
+    def _reset_scene(self, policy: Policy, ready: Ready) -> None:
+        """Let the stand-in reset the scene, again if needed, until the body is ready."""
         end = time.monotonic() + self._settings.patience
-        scene_reset = self._settings.scene_reset
         while True:
             self._reach_start(policy)
-            if scene_reset:
-                answer = self._ask(self._scene, "reset", policy, self._settings.service_timeout)
-                if not answer.success:
-                    raise NotBegunError(f"the scene is not reset: {answer.text}")
+            answer = self._ask(self._scene, "reset", policy, self._settings.service_timeout)
+            if not answer.success:
+                raise NotBegunError(f"the scene is not reset: {answer.text}")
             if not self._body:
                 return
-            self._readiness = readiness = _Readiness(ready, self._body)
-            by_whom = "" if scene_reset else ", which a person puts back"
+            self._resetting = again = Resetting(ready, lambda state: "wait")
             try:
                 self.until(
-                    lambda: readiness.count >= READY_STATES,  # noqa: B023 - called at once
-                    lambda: f"the {self._body} to be ready{by_whom}: {readiness}",  # noqa: B023
-                    READY_TIMEOUT if scene_reset else self._settings.patience,
+                    lambda: again.done,  # noqa: B023 - called at once
+                    lambda: f"the {self._body} to be ready: {again.missing}",  # noqa: B023
+                    READY_TIMEOUT,
                 )
                 return
             except RolloutError:
-                if not scene_reset or time.monotonic() > end:
+                if time.monotonic() > end:
                     raise
-                self._log.warning(f"the scene is reset again: {readiness}")
+                self._log.warning(f"the scene is reset again: {again.missing}")
 
-    def _reach_start(self, policy: Policy) -> None:
+    def _reach_start(self, policy: Policy) -> bool:
         """Move the arm to the start of the policy, after a reset of a fault if needed.
 
         Waits without limit for a person to activate the controller.
+
+        Returns:
+            Whether a person was needed.
         """
+        by_person = False
         end = time.monotonic() + self._settings.patience
         while True:
             answer = self._ask(self.controller, "move_to_start", policy, self._settings.patience)
             if answer.success:
-                return
+                return by_person
             if answer.code is Code.NOT_ACTIVE:
+                by_person = True
                 self._await_activation()
                 end = time.monotonic() + self._settings.patience
                 continue
@@ -283,6 +344,7 @@ class Rollouts:
             if answer.code is Code.FAULT and self._settings.reset_faults:
                 self._call(interface.RESET)
             else:
+                by_person |= answer.code is Code.FAULT
                 self._log.warning(f"the arm cannot move to its start yet: {answer}", once=True)
             self._link.sleep(BUSY_PERIOD if answer.code is Code.BUSY else RETRY_PERIOD)
 

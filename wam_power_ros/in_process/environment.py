@@ -8,6 +8,7 @@ seed and id is bit for bit the same in both.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from hardware_sim.world import World
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.feasibility import simulate_policy, speed_margin
 from wam_power_ros.control.modes import Mode
+from wam_power_ros.control.replay_trajectory import sampled
 from wam_power_ros.faults import Fault
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Rollout
@@ -27,6 +29,8 @@ from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session_log import Record
+from wam_power_ros.tasks.reset import Resetting
+from wam_power_ros.tasks.task import Pose, Task
 from wam_power_ros.tracking.tracker import Tracker
 
 _STILL = 0.05  # [s] for which the arm is held before a rollout, so that its state repeats
@@ -123,15 +127,19 @@ class Environment:
         controller.set_gravity_compensation(False)
         return np.array(stamps), np.array(q)
 
-    def run(self, policy: Policy) -> tuple[Rollout, Truth]:
-        """Execute a policy; return its rollout and the simulator's ground truth."""
+    def run(self, policy: Policy, placed: bool = False) -> tuple[Rollout, Truth]:
+        """Execute a policy; return its rollout and the simulator's ground truth.
+
+        Args:
+            policy: Policy to execute.
+            placed: Whether arm and body are ready as they are, see `put_back`; otherwise the world
+                is reset.
+        """
         world = self.world
-        self.place(policy.id, policy.q_start)
+        if not placed:
+            self.place(policy.id, policy.q_start)
         controller = self.controller
-        controller.load(policy)
-        controller.move_to_start()
-        while not controller.ready:
-            self.tick()
+        self._move_to_start(policy)
         self._tick_for(_STILL)
         controller.execute()
         world.release()
@@ -151,11 +159,64 @@ class Environment:
             body = self.tracker.path(policy.id, start_ns, end_ns)
         return Rollout(tool, body, controller.latched, controller.stopped_in), truth
 
-    def practise(self, practice: Practice) -> Iterator[Record]:
-        """Execute the trials of a session one after another, learn from each, yield its record."""
+    def _move_to_start(self, policy: Policy) -> None:
+        self.controller.load(policy)
+        self.controller.move_to_start()
+        while not self.controller.ready:
+            self.tick()
+
+    def put_back(self, task: Task, policy: Policy) -> dict[str, Any]:
+        """Put the body back without a reset of the world, as `Task.reset` says.
+
+        What needs a person, a reset of the world does.
+
+        Returns:
+            Who was needed, "none", "arm" or "person", and the time it took [s], as logged.
+        """
+        world, controller, begun_ns = self.world, self.controller, self.world.time_ns
+        tool = Pose(*self.arm.tool_pose(policy.q_start))
+        resetting = Resetting(
+            lambda state: task.ready(state, tool),
+            lambda state: task.reset(state, self.arm, policy.q_start),
+            task.rest_time,
+        )
+        if world.frozen:
+            world.release()
+        if controller.latched is not None:
+            resetting.by = "person"
+        else:
+            self._move_to_start(policy)
+        seen_ns = self.tracker.latest_ns
+        while not resetting.done and resetting.by != "person":
+            self.tick()
+            if self.tracker.latest_ns == seen_ns:
+                continue
+            seen_ns = self.tracker.latest_ns
+            resetting.add(self.tracker.at(world.time_ns), world.time_ns)
+            if (move := resetting.move) is not None:
+                settings, limits = controller.settings, controller.limits
+                controller.start_replay(sampled(move, 1.0, settings.period, limits))
+                while controller.mode is Mode.REPLAY or not controller.at_rest:
+                    self.tick()
+                resetting.move = None
+                self._move_to_start(policy)
+        if resetting.by == "person":
+            self.place(policy.id, policy.q_start)
+        return {"by": resetting.by, "seconds": round((world.time_ns - begun_ns) * 1e-9, 3)}
+
+    def practise(self, practice: Practice, scene_reset: bool = True) -> Iterator[Record]:
+        """Execute the trials of a session one after another, learn from each, yield its record.
+
+        Args:
+            practice: The session.
+            scene_reset: Whether the world is reset before each rollout; otherwise see `put_back`.
+        """
         while (trial := practice.next_trial()) is not None:
-            rollout, truth = self.run(trial.policy)
-            yield practice.learn(trial, rollout, truth=truth)
+            clock = {}
+            if not scene_reset:
+                clock = {"reset": self.put_back(practice.task, trial.policy)}
+            rollout, truth = self.run(trial.policy, placed=not scene_reset)
+            yield practice.learn(trial, rollout, truth=truth, clock=clock)
 
     def place(self, rollout_id: str, q_start: np.ndarray) -> None:
         """Reset the world with the arm at a posture and hold it there."""

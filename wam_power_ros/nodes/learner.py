@@ -19,6 +19,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path as FilePath
+from typing import Any
 
 import rclpy
 from pydantic import Field, model_validator
@@ -128,7 +129,8 @@ class Learner(Node):
         self._demonstrations = Demonstrations(self._kind, self._arm, params.joint_names, log)
         self._link = Link(self, params.service_timeout)
         settings = RolloutSettings.of(params.model_dump())
-        self._rollouts = Rollouts(self._link, settings, self._kind.body)
+        names = params.joint_names
+        self._rollouts = Rollouts(self._link, settings, self._kind.body, names)
         self._markers = Markers(self, params.base_frame, self._kind.body, self._arm.region)
 
     # Requests of a person
@@ -233,7 +235,7 @@ class Learner(Node):
                 executed.rollout,
                 bag=executed.bag,
                 truth=executed.truth,
-                clock={"begun": begun, "took": time.time() - begun},
+                clock={"begun": begun, "took": time.time() - begun, **_reset(executed)},
             )
             session.append(record)  # on disk before the next trial
             self._save_best(session, practice)
@@ -311,15 +313,22 @@ class Learner(Node):
                 f"{trial.id} ({trial.purpose}) was not sent: with the present limits it would end "
                 f"in a fault: {fault.text}"
             )
-        tool = Pose(*self._arm.kinematics.tool_pose(trial.policy.q_start))
+        arm, q_start = self._arm.kinematics, trial.policy.q_start
+        tool = Pose(*arm.tool_pose(q_start))
         self._markers.plan(trial.policy, tool.position)
         executed = self._rollouts.execute(
             trial.policy,
             trial.policy.basis.duration + task.settle_time,
             lambda state: task.ready(state, tool),
+            lambda state: task.reset(state, arm, q_start),
+            task.rest_time,
         )
         self._markers.executed(executed.rollout.tool.position)
         return executed
+
+
+def _reset(executed: Executed) -> dict[str, dict[str, Any]]:
+    return {} if executed.reset is None else {"reset": executed.reset}
 
 
 def _line(record: Record) -> str:

@@ -166,6 +166,8 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
     if in_simulation:  # the stand-ins do what a person does in the lab
         for node, values in _read(share(f"config/{SIMULATION}.yaml")).items():
             parameters[node] |= values
+        # A set-up may leave the scene to the task, to try what an arm does without a person.
+        parameters["learner"] |= {k: v for k, v in given["learner"].items() if k == "scene_reset"}
         if parameters["wam_sim"]["pace"] == "lockstep":  # wam_sim publishes the time for all nodes
             for node in set(NODES) - set(STAND_INS):
                 parameters[node]["use_sim_time"] = True

@@ -28,7 +28,14 @@ from wam_power_ros.practice.best_policy import reproduction_learnt_from
 from wam_power_ros.practice.session import SessionHeader
 from wam_power_ros.practice.session_log import Record
 from wam_power_ros.reporting import figures, html_page
-from wam_power_ros.reporting.terminal import before_and_after, counted, number, returned, term_names
+from wam_power_ros.reporting.terminal import (
+    before_and_after,
+    counted,
+    number,
+    resets,
+    returned,
+    term_names,
+)
 from wam_power_ros.tasks.task import Curve, Task
 
 VL2 = 1.0  # factory fault speed of the WAM's safety board, elbow and forearm [m/s]
@@ -172,7 +179,7 @@ def _verdict(header: SessionHeader, task: Task, records: Sequence[Record]) -> st
             f"On {goal.question}, the observation agreed with the simulator in {agree} of "
             f"{counted(len(answers), 'rollout')}."
         )
-    lines = [*before_and_after(records, task), *task.summary(records)]
+    lines = [*before_and_after(records, task), *task.summary(records), *resets(records)]
     text += [f"{line[0].upper()}{line[1:]}." for line in lines]
     if decisions := [record.note for record in records if record.note]:
         text.append(f"Last decision: {decisions[-1]}.")

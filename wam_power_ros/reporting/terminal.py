@@ -25,6 +25,7 @@ SHORT_KINDS = {"reproduction": "repro", "explore": "expl", "mean": "mean", "rete
 OUTCOME_MIN = 24  # width of the column [characters]
 BARS = "▁▂▃▄▅▆▇█"
 STYLES = {"reproduction": "cyan", "explore": "", "mean": "magenta", "retest": "green"}
+BY = {"none": "by nobody", "arm": "by the arm", "person": "by a person"}
 Outcome = Callable[[Record], str]  # such as `Task.outcome`
 
 
@@ -105,12 +106,27 @@ def summary(records: Sequence[Record], task: Task) -> str:
         f"{len(last)}, best {best.ret:.3f} in rollout {best.number} ({task.outcome(best)})",
         *before_and_after(records, task),
         *task.summary(records),
+        *resets(records),
         *(f"  {label} {value}" for label, value in task.measured(retests).items()),
         *_peaks([record.truth for record in retests if record.truth]),
     ]
     if notes := [record.note for record in records if record.note]:
         lines.append(f"last decision: {notes[-1]}")
     return "\n".join(lines)
+
+
+def resets(records: Sequence[Record]) -> list[str]:
+    """Who put the body back before the rollouts; empty if the stand-in always did."""
+    known = [record.clock["reset"] for record in records if record.clock.get("reset")]
+    if not known:
+        return []
+    seconds = {by: [each["seconds"] for each in known if each["by"] == by] for by in BY}
+    text = ", ".join(
+        f"{who} in {len(seconds[by])} (median {np.median(seconds[by]):.0f} s)"
+        for by, who in BY.items()
+        if seconds[by]
+    )
+    return [f"put back before {counted(len(known), 'rollout')}: {text}"]
 
 
 def counted(number: int, noun: str) -> str:

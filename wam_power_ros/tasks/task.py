@@ -25,6 +25,7 @@ from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.regions import Region
+from wam_power_ros.tasks.reset import Action, BodyState
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -56,18 +57,6 @@ class Pose(NamedTuple):
 
     position: np.ndarray  # (3,) [m]
     rotation: np.ndarray  # (3, 3)
-
-
-class BodyState(Protocol):
-    """State of the tracked body in the base frame, as the tracker estimates it."""
-
-    @property
-    def position(self) -> np.ndarray:
-        """Position of the centre [m]. Shape (3,)."""
-
-    @property
-    def velocity(self) -> np.ndarray:
-        """Linear velocity [m/s]. Shape (3,)."""
 
 
 class LoggedRollout(Protocol):
@@ -161,6 +150,7 @@ class Task(ABC):
         presets: Name -> settings of a session: fields of `Settings`, fields of
             `practice.settings.PracticeSettings`, and `learner`, a mapping with a learner's name and
             settings. The first preset is the default.
+        rest_time: Time for which the body must have been `ready` before a rollout [s].
         goal: What is to be achieved, in the words of the reports.
         published: What a publication reports on the task, None for nothing.
 
@@ -179,6 +169,7 @@ class Task(ABC):
     fit_settings: ClassVar[FitSettings]
     Settings: ClassVar[type[BaseModel]]
     presets: ClassVar[Mapping[str, Mapping[str, Any]]]
+    rest_time: ClassVar[float] = 0.0
     goal: ClassVar[Goal] = Goal()
     published: ClassVar[Published | None] = None
     region: Region | None = None
@@ -228,6 +219,19 @@ class Task(ABC):
             tool: Pose of the tool at the start of the policy.
         """
         return ""
+
+    def reset(self, body: BodyState | None, arm: ToolPose, q_start: np.ndarray) -> Action:
+        """What puts back a body that is not `ready`, where no stand-in resets the scene.
+
+        Args:
+            body: State of the tracked body, None if it is not seen or there is none.
+            arm: Kinematics of the arm, at rest at the start of the policy.
+            q_start: Its joint angles there [rad]. Shape (n,).
+
+        Returns:
+            A movement of the arm; "wait" if the body will come to rest; otherwise "person".
+        """
+        return "person"
 
     @abstractmethod
     def assess(self, policy: Policy, rollout: Rollout) -> Assessment:

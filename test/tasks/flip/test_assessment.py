@@ -41,19 +41,21 @@ def toss(half_turns: float, aside: float = 0.0) -> tuple[EndEffectorPath, BodyPa
 
 
 @pytest.mark.parametrize(
-    ("half_turns", "aside", "least_turn", "success"),
+    ("half_turns", "aside", "least_turn", "most_turn", "success"),
     [
-        (1.0, 0.0, 150.0, True),
-        (2.0, 0.0, 150.0, False),  # rests in the pan with the same side up
-        (1.0, 0.2, 150.0, False),  # the other side up, but beside the pan
-        (1.0, 0.0, 190.0, False),  # less rotation than required
-        (2.0, 0.0, 0.0, True),  # the side does not matter if no rotation is required
+        (1.0, 0.0, 150.0, 240.0, True),
+        (1.0, 0.0, 100.0, 140.0, False),  # more rotation than allowed
+        (2.0, 0.0, 150.0, 400.0, False),  # rests in the pan with the same side up
+        (1.0, 0.2, 150.0, 240.0, False),  # the other side up, but beside the pan
+        (1.0, 0.0, 190.0, 240.0, False),  # less rotation than required
+        (2.0, 0.0, 0.0, 240.0, True),  # the side does not matter if no rotation is required
     ],
 )
-def test_a_success_rests_in_the_pan_the_other_side_up_having_turned_far_enough(
-    half_turns: float, aside: float, least_turn: float, success: bool
+def test_a_success_rests_in_the_pan_the_other_side_up_having_turned_far_enough_and_no_further(
+    half_turns: float, aside: float, least_turn: float, most_turn: float, success: bool
 ) -> None:
     update = {"success_angle": math.radians(least_turn), "success_return": 0.01}
+    update["success_angle_max"] = math.radians(most_turn)
     assessment = assess(
         POLICY, Rollout(*toss(half_turns, aside)), SETTINGS.model_copy(update=update)
     )

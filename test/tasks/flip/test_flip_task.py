@@ -12,6 +12,7 @@ from conftest import lift
 from wam_power_ros import rotations
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.flip.planned_toss import plan_tosses, planned_terms
+from wam_power_ros.tasks.flip.settings import TRUE_TURN, FlipSettings
 from wam_power_ros.tasks.flip.task import Flip
 from wam_power_ros.tasks.task import Pose
 
@@ -62,6 +63,9 @@ def judged(observation: dict[str, Any] | None, **fields: object) -> SimpleNamesp
         (-161.0, [0.0, -0.05, -0.5], True),
         (159.0, [0.0, 0.0, 0.0], False),
         (-159.0, [0.0, 0.0, 0.0], False),
+        (229.0, [0.0, 0.0, 0.0], True),
+        (231.0, [0.0, 0.0, 0.0], False),
+        (-231.0, [0.0, 0.0, 0.0], False),
         (180.0, [0.05, 0.05, 0.0], False),
     ],
 )
@@ -70,6 +74,21 @@ def test_a_flip_counts_that_turned_further_than_it_must_and_fell_well_into_the_p
 ) -> None:
     flight = {"angle": np.deg2rad(degrees), "landing_error": error}
     assert FLIP.confirms(judged(flight)) == counts
+
+
+def test_one_window_of_rotation_holds_for_success_confirmation_and_ground_truth() -> None:
+    settings = preset("flip").task_settings
+    window = np.rad2deg([settings.success_angle, settings.success_angle_max])
+    np.testing.assert_allclose(window, TRUE_TURN)
+    for kept in ({"success_angle_max": 2.7}, {"confirm_margin": 1.0}):
+        with pytest.raises(ValueError, match="no rotation is a success"):
+            preset("flip", **kept)
+
+
+def test_a_session_from_before_the_window_has_no_largest_rotation() -> None:
+    known = preset("flip").task_settings.model_dump(exclude={"success_angle_max"})
+    before = Flip(FlipSettings.model_validate(known), {})
+    assert before.confirms(judged({"angle": 4.6, "landing_error": [0.0, 0.0, 0.0]}))
 
 
 def test_a_success_not_seen_counts_only_where_the_flip_does_not_matter() -> None:

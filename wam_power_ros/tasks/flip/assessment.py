@@ -40,7 +40,11 @@ def assess(policy: Policy, rollout: Rollout, settings: FlipSettings) -> Assessme
         result = landing_return(flight, settings.landing_weights)
     success = result.total >= settings.success_return and (
         settings.success_angle == 0.0
-        or bool(flight.resting and flight.flipped and abs(flight.angle) >= settings.success_angle)
+        or bool(
+            flight.resting
+            and flight.flipped
+            and settings.success_angle <= abs(flight.angle) <= settings.success_angle_max
+        )
     )
     return Assessment(result.total, result.terms, observation, success)
 

@@ -108,7 +108,8 @@ class Flip(Task):
             return False
         miss = math.hypot(*flight["landing_error"][:2])  # horizontal part
         angle_min = settings.success_angle + settings.confirm_margin
-        return abs(flight["angle"]) >= angle_min and miss <= settings.confirm_landing
+        angle_max = settings.success_angle_max - settings.confirm_margin
+        return angle_min <= abs(flight["angle"]) <= angle_max and miss <= settings.confirm_landing
 
     def model(self, parametrization: Parametrization, start: np.ndarray) -> Model | None:
         """Return of the planned toss, corrected by the returns of rollouts; see `Task`."""

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scene of ball-in-a-cup: a ball on a string, a swing that is caught, and its ground truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hardware_sim.demonstrator import PAUSE, Target
+from hardware_sim.ground_truth import Truth
+from hardware_sim.scenes.ball_in_cup import HOME, SWING, SwingScript, swing
+from hardware_sim.world import World
+from wam_power_ros.in_process.environment import Environment
+from wam_power_ros.learning.demonstration import Demonstration
+from wam_power_ros.learning.policy import with_id
+from wam_power_ros.params import overlay
+from wam_power_ros.tasks.ball_in_cup.swing import RIM, STRING, observe_swing
+from wam_power_ros.tasks.ball_in_cup.task import BallInCup
+
+FOREARM = 0.08  # [m] of the string from the axis of the forearm: its radius and a margin
+ELBOW, WRIST = "wam_link4", "wam_link6"
+SETTLE = 1.0  # [s]
+
+
+@pytest.fixture(scope="module")
+def environment() -> Environment:
+    setup = overlay.setup(task="ball_in_cup").changed({"wam_sim": {"seed": 3000}})
+    return Environment.of(setup)
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=20)
+def test_every_swing_goes_from_rest_to_rest_in_a_plane_with_the_cup_upright(seed: int) -> None:
+    script = swing(np.random.default_rng(seed))
+    position, rotation = np.array([0.5, 0.0, 0.8]), np.eye(3)
+    for t in np.linspace(0.0, script.end, 50):
+        target = script.target(t, position, rotation)
+        np.testing.assert_array_equal(target.rotation, rotation)
+        assert target.position[1] == 0.0 and not target.omega.any()
+    still = [script.target(t, position, rotation) for t in (0.0, PAUSE, script.end, 9.0)]
+    assert all(np.linalg.norm(target.velocity) < 1e-9 for target in still)
+    np.testing.assert_allclose(still[0].position, position, atol=1e-12)
+    assert swing(np.random.default_rng(seed)).points.tolist() == script.points.tolist()
+    intended = swing(np.random.default_rng(seed), spread=0.0)
+    np.testing.assert_array_equal(intended.points[3:12], SWING)
+
+
+def test_the_velocity_of_a_target_is_that_of_its_position() -> None:
+    script = swing(np.random.default_rng(1))
+
+    def at(t: float) -> Target:
+        return script.target(t, np.zeros(3), np.eye(3))
+
+    for t in np.linspace(PAUSE + 0.01, script.end - 0.01, 20):
+        speed = (at(t + 1e-5).position - at(t - 1e-5).position) / 2e-5
+        np.testing.assert_allclose(at(t).velocity, speed, atol=1e-6)
+
+
+def guided(environment: Environment, script: SwingScript) -> tuple[Truth, np.ndarray, np.ndarray]:
+    """Guide the arm; ground truth, postures (M, nq), and distance of ball and cup (M,) [m]."""
+    world = environment.world
+    world.trace = []
+    environment.demonstrate(script, "demonstration-0-quiet")
+    for _ in range(world.settings.ticks(SETTLE)):  # held by the controller
+        environment.tick()
+    rows, truth = np.array(world.trace), world.truth()
+    world.trace = None
+    tool = np.array([environment.arm.tool_pose(row[:7])[0] for row in rows])
+    return truth, rows, np.linalg.norm(rows[:, 7:10] - tool, axis=1)
+
+
+def test_the_intended_swing_is_caught_on_a_string_that_clears_the_forearm(
+    environment: Environment,
+) -> None:
+    truth, rows, length = guided(environment, swing(np.random.default_rng(0), spread=0.0))
+    assert truth["caught"] and truth["distance"] < 0.05 and truth["apex"] > 0.1
+    assert truth["saturated"] == 0.0 and truth["peak_elbow_speed"] < 1.5
+    assert length.max() < STRING + 0.005
+    assert length[0] == pytest.approx(STRING, abs=0.005) and length[-1] < RIM
+    assert min(clearances(environment.world, rows)) > FOREARM
+
+
+def clearances(world: World, rows: np.ndarray) -> list[float]:
+    """Distance of the string from the axis between elbow and wrist in each posture [m]."""
+    import mujoco
+
+    data, share, found = mujoco.MjData(world.model), np.linspace(0.15, 1.0, 12)[:, None], []
+    for row in rows:
+        data.qpos[:] = row
+        mujoco.mj_kinematics(world.model, data)
+        elbow, wrist = (data.body(name).xpos for name in (ELBOW, WRIST))
+        string = (1.0 - share) * data.body("cup").xpos + share * data.body("ball").xpos
+        axis = wrist - elbow
+        along = np.clip((string - elbow) @ axis / (axis @ axis), 0.0, 1.0)
+        found.append(float(np.linalg.norm(string - elbow - along[:, None] * axis, axis=1).min()))
+    return found
+
+
+def test_a_swing_that_is_too_small_or_too_large_is_missed(environment: Environment) -> None:
+    still = np.zeros((3, 2))
+    for size in (0.9, 1.1):
+        own = size * SWING
+        script = SwingScript(np.vstack([still, own, own[-1:], own[-1:]]), 0.2)
+        truth, _, length = guided(environment, script)
+        assert not truth["caught"] and length[-1] > RIM
+
+
+def test_an_arm_at_rest_has_a_ball_that_hangs_at_rest(environment: Environment) -> None:
+    world = environment.world
+    world.reset("trial-0001", HOME)
+    world.release()
+    for _ in range(20):
+        world.step(environment.arm.gravity(HOME))
+    truth = world.truth()
+    assert (truth["caught"], truth["t_c"], truth["distance"]) == (False, None, None)
+    assert truth["apex"] == pytest.approx(-STRING - RIM - 0.018, abs=0.005)
+
+
+def test_what_the_cameras_see_of_a_swing_is_what_happened(environment: Environment) -> None:
+    script = swing(np.random.default_rng([3000, 0]))
+    stamps_ns, q = environment.demonstrate(script, "demonstration-0")
+    demonstration: Demonstration = BallInCup.demonstration_of(environment.arm, stamps_ns, q)
+    policy = BallInCup.policy_of([demonstration], "demonstration-1")
+    for number in range(4):
+        rollout, truth = environment.run(with_id(policy, f"trial-{number:04d}"))
+        assert rollout.fault is None and rollout.body is not None
+        seen = observe_swing(rollout.tool, rollout.body)
+        assert seen is not None and seen.caught == truth["caught"]
+        assert seen.t_c == pytest.approx(truth["t_c"], abs=0.02)
+        assert seen.distance == pytest.approx(truth["distance"], abs=0.012)  # truth: upright cup
+        assert seen.apex == pytest.approx(truth["apex"], abs=0.015)

@@ -1,0 +1,254 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ball-in-a-cup: when a rollout may begin, what it is worth, and what its miss teaches."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from wam_power_ros.faults import Fault, FaultKind
+from wam_power_ros.learning.demonstration import from_positions
+from wam_power_ros.learning.dmp import fit
+from wam_power_ros.learning.parametrization import Parametrization
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
+from wam_power_ros.practice.settings import preset
+from wam_power_ros.tasks.ball_in_cup.parametrization import cup_parametrization
+from wam_power_ros.tasks.ball_in_cup.settings import CUP_FIT
+from wam_power_ros.tasks.ball_in_cup.swing import GRAVITY, PLANE, STRING, Swing
+from wam_power_ros.tasks.ball_in_cup.task import (
+    APEX_OF_VIGOUR,
+    MISS_OF_SHIFT,
+    MISS_OF_VIGOUR,
+    BallInCup,
+)
+from wam_power_ros.tasks.task import Assessment, Pose
+
+SETTINGS = preset("ball_in_cup").task_settings
+CUP = np.array([0.5, 0.0, 0.8])
+INSIDE, HANGING = np.array([0.0, 0.0, 0.02]), np.array([0.0, 0.0, -STRING])
+
+
+def to_and_fro() -> np.ndarray:
+    t = np.linspace(0.0, 2.0, 500)
+    x, z = 0.1 * np.sin(np.pi * t) ** 2, 0.05 * (1.0 - np.cos(np.pi * t))
+    return CUP + np.stack([x, 0.0 * t, z], axis=1)
+
+
+POLICY = fit([from_positions(to_and_fro(), 0.004)], CUP_FIT, "trial-0001")
+
+
+def task(**changes: float) -> BallInCup:
+    return BallInCup(SETTINGS.model_copy(update=changes), {})
+
+
+def rollout(miss: float, caught: bool, rises: bool = True, fault: Fault | None = None) -> Rollout:
+    """A cup that stays and a ball that falls at 1.5 s, `miss` beside its middle."""
+    end = POLICY.basis.duration + SETTINGS.settle_time
+    t = np.arange(0.0, end, 0.002)
+    cup = EndEffectorPath(
+        POLICY.id, t, np.tile(CUP, (len(t), 1)), np.tile([0.0, 0.0, 0.0, 1.0], (len(t), 1))
+    )
+    frames = t[::16]
+    since = frames - 1.5
+    height = PLANE - 1.8 * since - 0.5 * GRAVITY * since**2 - (0.0 if rises else 0.5)
+    position = CUP + np.stack([miss + 0.0 * since, 0.0 * since, height], axis=1)
+    position[since > 0.0] = CUP + (INSIDE if caught else HANGING)
+    ball = BodyPath(POLICY.id, frames, position, np.tile([0.0, 0.0, 0.0, 1.0], (len(frames), 1)))
+    return Rollout(cup, ball, fault)
+
+
+@pytest.mark.parametrize(
+    ("miss", "caught", "success"),
+    [
+        (0.0, True, True),
+        (-0.025, True, True),
+        (0.01, False, False),  # out again
+        (0.06, True, False),  # snapped back into the cup by the string
+    ],
+)
+def test_a_success_comes_down_onto_the_cup_and_ends_in_it(
+    miss: float, caught: bool, success: bool
+) -> None:
+    assessment = task().assess(POLICY, rollout(miss, caught))
+    assert assessment.success is success
+    assert assessment.ret == pytest.approx(math.exp(-SETTINGS.sharpness * miss**2), abs=0.01)
+    assert sum(assessment.terms.values()) == assessment.ret
+
+
+def test_a_ball_that_stays_low_is_worth_nothing_and_one_that_is_not_seen_is_not_judged() -> None:
+    low = task().assess(POLICY, rollout(0.0, False, rises=False))
+    assert low.ret == 0.0 and low.observation is not None and "rise" in low.why
+    whole = rollout(0.0, True)
+    for unseen in (Rollout(whole.tool, None), Rollout(whole.tool, _cut(whole.body))):
+        assessment = task().assess(POLICY, unseen)
+        assert assessment.ret is None and "not seen" in assessment.why
+
+
+def _cut(path: BodyPath) -> BodyPath:
+    kept = path.t < 1.0
+    return BodyPath(path.id, path.t[kept], path.position[kept], path.quat_xyzw[kept])
+
+
+def test_a_fault_of_the_policy_is_worth_nothing_and_any_other_is_not_judged() -> None:
+    for kind, ret in ((FaultKind.JOINT_SPEED, 0.0), (FaultKind.STATES_LOST, None)):
+        assert task().assess(POLICY, rollout(0.0, True, fault=Fault(kind, "fault"))).ret == ret
+
+
+@pytest.mark.parametrize(
+    ("ball", "speed", "why"),
+    [
+        ((0.0, 0.0, -STRING), 0.0, ""),
+        ((0.0, 0.02, -STRING), 0.02, ""),
+        ((0.0, 0.0, -STRING), 0.2, "swings"),
+        ((0.2, 0.0, -STRING), 0.0, "from where it hangs"),
+        ((0.0, 0.0, 0.02), 0.0, "empty it"),
+    ],
+)
+def test_a_rollout_begins_with_the_ball_at_rest_below_the_cup(
+    ball: tuple[float, ...], speed: float, why: str
+) -> None:
+    state = SimpleNamespace(position=CUP + ball, velocity=np.array([0.0, speed, 0.0]))
+    answer = task().ready(state, Pose(CUP, np.eye(3)))
+    assert why in answer and bool(answer) == bool(why)
+
+
+def test_a_ball_that_is_not_seen_is_not_ready() -> None:
+    assert "not seen" in task().ready(None, Pose(CUP, np.eye(3)))
+
+
+class HeldCup:
+    """An arm whose upright cup is displaced by its first three joints."""
+
+    n = 7
+
+    def tool_pose(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Pose of the cup."""
+        return CUP + q[:3], np.eye(3)
+
+
+@pytest.mark.parametrize(
+    ("ball", "speed", "does"),
+    [
+        ((0.0, 0.0, 0.02), 0.0, "rolls"),
+        ((0.0, 0.0, -STRING), 0.5, "steps"),
+        ((0.05, 0.0, -0.397), 0.0, "steps"),
+        ((0.0, 0.0, -STRING), 2.0, "wait"),
+        ((0.3, 0.0, -0.1), 0.0, "person"),  # on the forearm
+        ((0.0, 0.0, 0.2), 0.0, "person"),
+    ],
+)
+def test_the_arm_empties_the_cup_and_stills_a_ball_on_a_taut_string(
+    ball: tuple[float, ...], speed: float, does: str
+) -> None:
+    state = SimpleNamespace(position=CUP + ball, velocity=np.array([0.0, speed, 0.0]))
+    action = task().reset(state, HeldCup(), np.zeros(7))
+    if isinstance(action, str):
+        assert action == does
+    else:
+        moves = np.ptp(action.q, axis=0) > 1e-9
+        assert moves.tolist() == [does == "steps" and moves[0], moves[1], *[False] * 4, moves[6]]
+        assert moves[6] == (does == "rolls") and moves[:2].any() == (does == "steps")
+
+
+def test_a_ball_that_is_not_seen_needs_a_person() -> None:
+    assert task().reset(None, HeldCup(), np.zeros(7)) == "person"
+
+
+def corrected(swing: Swing, **changes: float) -> dict[str, float]:
+    """Sum of the corrections of each parameter, in its unit."""
+    practised = task(**changes)
+    parametrization = practised.parametrization(POLICY)
+    shifts = practised.hindsight(Assessment(0.5, {}, swing.to_json()), parametrization)
+    total = parametrization.scale * sum(shifts, np.zeros(parametrization.size))
+    assert not total[parametrization.groups["attractors"]].any()
+    return {n: float(total[parametrization.groups[n]][0]) for n in ("vigour", "sideways")}
+
+
+def test_a_fall_beside_the_cup_is_corrected_by_what_would_have_moved_it_back() -> None:
+    short = corrected(Swing(0.1, 2.0, (0.02, -0.01), False), gain=1.0)
+    assert short["vigour"] * MISS_OF_VIGOUR == pytest.approx(-0.02)
+    assert short["vigour"] > 0.0  # it fell short
+    assert short["sideways"] * MISS_OF_SHIFT == pytest.approx(0.01)
+    half = corrected(Swing(0.1, 2.0, (0.02, -0.01), False), gain=0.5)
+    assert half == pytest.approx({name: 0.5 * value for name, value in short.items()})
+    assert corrected(Swing(0.1, 2.0, (-0.02, 0.0), False))["vigour"] < 0.0
+
+
+def test_a_ball_that_stayed_low_is_swung_with_more_vigour_and_no_correction_exceeds_its_limit() -> (
+    None
+):
+    low = corrected(Swing(-0.02, None, None, False), gain=1.0)
+    assert low == pytest.approx({"vigour": 0.02 / APEX_OF_VIGOUR, "sideways": 0.0})
+    far = corrected(Swing(0.3, 2.0, (-0.39, 0.5), False))
+    assert far["vigour"] == pytest.approx(-SETTINGS.vigour_limit)
+    assert abs(far["sideways"]) == pytest.approx(SETTINGS.sideways_limit)
+
+
+def test_nothing_is_corrected_without_a_gain_or_an_observation() -> None:
+    parametrization = task().parametrization(POLICY)
+    seen = Assessment(0.5, {}, Swing(0.1, 2.0, (0.1, 0.0), False).to_json())
+    assert list(task(gain=0.0).hindsight(seen, parametrization)) == []
+    assert list(task().hindsight(Assessment(None), parametrization)) == []
+    kober = preset("ball_in_cup", "kober").task_settings
+    plain = BallInCup(kober, {})
+    assert list(plain.hindsight(seen, plain.parametrization(POLICY))) == []
+
+
+def moved(group: str, amount: float) -> tuple[Parametrization, np.ndarray]:
+    """Change of the attractors by one parameter."""
+    parametrization = cup_parametrization(POLICY, "swing", SETTINGS.noise)
+    z = np.zeros(parametrization.size)
+    z[parametrization.groups[group]] = amount / parametrization.scale[parametrization.groups[group]]
+    policy, _ = parametrization.policy(z, "moved")
+    return parametrization, policy.attractors - POLICY.attractors
+
+
+def test_vigour_scales_the_swing_and_the_sideways_shift_moves_its_end_alone() -> None:
+    _, change = moved("vigour", 0.1)
+    np.testing.assert_allclose(change, 0.1 * (POLICY.attractors - POLICY.attractors[0]))
+    _, change = moved("sideways", 0.02)
+    assert change[-1] == pytest.approx([0.0, 0.02, 0.0])
+    assert not change[:, [0, 2]].any() and not change[: POLICY.basis.count // 2].any()
+
+
+def test_the_learnt_attractors_stay_in_the_plane_of_the_swing() -> None:
+    parametrization, change = moved("attractors", 0.01)
+    assert parametrization.size == 2 * POLICY.basis.count + 2
+    np.testing.assert_allclose(change, np.tile([0.01, 0.0, 0.01], (POLICY.basis.count, 1)))
+
+
+def record(**changes: object) -> SimpleNamespace:
+    swing = Swing(0.1, 2.0, (0.03, 0.0), True).to_json()
+    known = {"kind": "retest", "ret": 0.9, "observation": swing, "success": True}
+    return SimpleNamespace(**{**known, "why": "", "fault": "", "truth": None, **changes})
+
+
+def test_reports_say_how_far_beside_the_cup_and_whether_in_it() -> None:
+    practised = task()
+    low = Swing(-0.12, None, None, False).to_json()
+    missed = Swing(0.1, 2.0, (0.0, 0.2), False).to_json()
+    assert practised.outcome(record()) == "3.0 cm beside, in the cup"
+    assert practised.outcome(record(observation=missed)) == "20.0 cm beside, missed"
+    assert practised.outcome(record(observation=low)) == "12 cm below the rim"
+    assert practised.outcome(record(observation=None, why="not seen")) == "not seen"
+    assert "too fast" in practised.outcome(record(fault="too fast"))
+    (line,) = practised.summary([record(), record(observation=missed)])
+    assert "1 of 2 in the cup" in line and "20.0 cm" in line
+    assert practised.summary([record(kind="mean")]) == []
+    assert practised.measured([record(), record(observation=missed)]) == {
+        "median distance of the re-tests": "11.5 cm"
+    }
+    assert practised.measured([record(observation=low)]) == {}
+    assert [practised.achieved(r) for r in (record(), record(fault="x"))] == [True, False]
+
+
+def test_a_rollout_is_drawn_with_its_string_and_landing_and_without_a_ball_not_at_all() -> None:
+    whole = rollout(0.02, True)
+    drawn, _ = task().figure(whole)
+    side, height = drawn.axes
+    assert len(side.lines) == 2 + len(whole.body.t)  # cup, ball, and the string in each frame
+    assert {line.get_label() for line in height.lines} >= {"ball (camera)", "$t_c$"}
+    assert task().figure(Rollout(whole.tool, None)) is None

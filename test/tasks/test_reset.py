@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Between two rollouts: who puts the body back, and when a rollout may begin."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wam_power_ros.practice.settings import preset
+from wam_power_ros.tasks.reset import (
+    MOVES_MAX,
+    READY_STATES,
+    SETTLE_TIME,
+    Action,
+    BodyState,
+    Move,
+    Resetting,
+)
+
+MOVE = Move(np.linspace(0.0, 1.0, 5), np.zeros((5, 7)))
+FRAME = 33_000_000  # [ns]
+
+
+class Course:
+    """Answers of a task to the states of a body, which follow one another by a frame."""
+
+    def __init__(self, action: Action = "person", rest_time: float = 0.0) -> None:
+        self.missing, self.action, self.asked, self.now_ns = "on the floor", action, 0, 10**9
+        self.resetting = Resetting(lambda state: self.missing, self._reset, rest_time)
+
+    def _reset(self, state: BodyState | None) -> Action:
+        self.asked += 1
+        return self.action
+
+    def go_on(self, seconds: float) -> None:
+        """Let states come for a time."""
+        for _ in range(round(seconds * 1e9 / FRAME)):
+            self.now_ns += FRAME
+            self.resetting.add(None, self.now_ns)
+
+
+def test_a_body_that_is_ready_needs_nobody() -> None:
+    course = Course()
+    course.missing = ""
+    for count in range(READY_STATES):
+        assert not course.resetting.done, count
+        course.go_on(1.1e-9 * FRAME)
+    assert course.resetting.done and course.resetting.by == "none" and not course.asked
+
+
+def test_a_body_must_have_been_ready_without_a_break_for_its_time_of_rest() -> None:
+    course = Course("wait", rest_time=0.6)
+    for _ in range(3):  # as a swinging ball is at its ends
+        course.missing = ""
+        course.go_on(0.4)
+        assert not course.resetting.done
+        course.missing = "it swings"
+        course.go_on(0.2)
+    course.missing = ""
+    course.go_on(0.7)
+    assert course.resetting.done and course.resetting.by == "none"
+
+
+def test_a_person_counts_only_once_the_body_has_had_time_to_come_to_rest() -> None:
+    course = Course("person")
+    course.go_on(SETTLE_TIME - 0.5)
+    assert course.resetting.by == "none" and not course.resetting.waits
+    course.go_on(1.0)
+    assert course.resetting.by == "person"
+    course.missing = ""
+    course.go_on(1.0)
+    assert course.resetting.done and course.resetting.by == "person"
+
+
+def test_what_comes_to_rest_by_itself_is_waited_for_without_a_person() -> None:
+    course = Course("wait")
+    course.go_on(10.0 * SETTLE_TIME)
+    assert course.resetting.waits and course.resetting.by == "none"
+    assert course.resetting.missing == "on the floor"
+
+
+def test_the_arm_does_one_movement_at_a_time_and_states_meanwhile_are_not_judged() -> None:
+    course = Course(MOVE)
+    course.go_on(1.0)
+    assert course.resetting.move is MOVE and course.resetting.by == "arm" and course.asked == 1
+    course.missing = ""
+    course.go_on(1.0)
+    assert not course.resetting.done
+    course.resetting.move = None
+    course.go_on(1.0)
+    assert course.resetting.done and course.resetting.by == "arm"
+
+
+def test_an_arm_that_tries_in_vain_asks_for_a_person() -> None:
+    course = Course(MOVE)
+    for _ in range(MOVES_MAX):
+        assert course.resetting.by != "person"
+        course.go_on(0.1)
+        course.resetting.move = None
+    course.go_on(2.0 * SETTLE_TIME)
+    assert course.resetting.by == "person" and course.asked == MOVES_MAX
+
+
+@pytest.mark.parametrize("name", ["flip"])
+def test_a_task_that_does_not_know_how_leaves_it_to_a_person(name: str) -> None:
+    task = preset(name).make_task({})
+    assert task.reset(None, None, np.zeros(7)) == "person" and task.rest_time == 0.0

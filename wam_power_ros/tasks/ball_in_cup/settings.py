@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Settings of ball-in-a-cup, and its presets."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from wam_power_ros.learning.demonstration import Movement
+from wam_power_ros.learning.dmp import FitSettings
+from wam_power_ros.learning.parametrization import NoiseScales
+
+# A swing of 2.2 s with accelerations of 9 m/s^2, which alternate every 0.3 s. Stiff: friction and
+# torque constants scatter the landings of one policy by 0.5 to 0.8 cm (standard deviation), with
+# half the stiffness by twice that.
+CUP_FIT = FitSettings(
+    count=16,
+    width=0.6,
+    k_min=800.0,
+    k_max=2000.0,
+    damping=80.0,
+    movement=Movement(start=0.05, end=0.05),
+)
+
+
+class CupNoise(NoiseScales):
+    """Standard deviation of the exploration noise of a swing.
+
+    Attributes:
+        vigour: Noise of the vigour [1].
+        sideways: Noise of the sideways shift [m].
+    """
+
+    vigour: float = Field(default=0.01, gt=0.0, le=1.0)
+    sideways: float = Field(default=0.005, gt=0.0, le=1.0)
+
+
+class CupSettings(BaseModel):
+    """Settings of the task.
+
+    Attributes:
+        variant: Learnt parameters, see `cup_parametrization`.
+        noise: Standard deviation of the exploration noise of each group of parameters.
+        sharpness: alpha of the return exp(-alpha d^2) [1/m^2]; 100 in [Kober2011].
+        gain: Fraction of the miss for which a rollout is corrected in hindsight [1]; 0: no
+            correction. Needs the variant "swing".
+        vigour_limit: Largest correction of the vigour per rollout [1].
+        sideways_limit: Largest correction of the sideways shift per rollout [m].
+        success_distance: Largest d of a success, whose ball also ends in the cup [m].
+        settle_time: Time that a rollout continues after the movement [s].
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    variant: Literal["swing", "attractors", "full", "diagonal", "symmetric"]
+    noise: CupNoise
+    sharpness: float = Field(gt=0.0, le=1000.0)
+    gain: float = Field(default=0.0, ge=0.0, le=1.0)
+    vigour_limit: float = Field(default=0.05, gt=0.0, le=1.0)
+    sideways_limit: float = Field(default=0.05, gt=0.0, le=1.0)
+    success_distance: float = Field(default=0.03, gt=0.0, le=1.0)
+    settle_time: float = Field(default=1.0, ge=0.0, le=10.0)
+
+
+_COMMON: Mapping[str, Any] = {
+    "noise": {"stiffness": 0.1, "attractor": 0.003, "rotation": 0.03},
+    "learner": {"name": "power", "sigma": 6, "weights": "sharpened", "decay": 0.97},
+    "budget": 75,
+    "mean_every": 3,
+    "confirm": 8,
+    "retests": 10,
+}
+PRESETS: Mapping[str, Mapping[str, Any]] = {
+    "cup": {
+        **_COMMON,
+        "variant": "swing",
+        "sharpness": 100.0,
+        "gain": 0.5,
+    },
+    # What Kober and Peters learnt with: the return alone, and attractors alone.
+    "kober": {**_COMMON, "variant": "attractors", "sharpness": 100.0},
+}

@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ball-in-a-cup: swing the ball up, and let it fall into the cup."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from wam_power_ros.learning.demonstration import ToolPose
+from wam_power_ros.learning.parametrization import Parametrization
+from wam_power_ros.learning.policy import Policy
+from wam_power_ros.learning.rollout import Rollout
+from wam_power_ros.tasks.ball_in_cup.parametrization import cup_parametrization
+from wam_power_ros.tasks.ball_in_cup.put_back import (
+    SWING_RATE,
+    emptying,
+    stilling,
+    swing_phasor,
+)
+from wam_power_ros.tasks.ball_in_cup.settings import CUP_FIT, PRESETS, CupSettings
+from wam_power_ros.tasks.ball_in_cup.swing import STRING, Swing, in_cup, observe_swing, swing_of
+from wam_power_ros.tasks.reset import Action, BodyState
+from wam_power_ros.tasks.task import (
+    Assessment,
+    Goal,
+    LoggedRollout,
+    Pose,
+    Task,
+    cut_short,
+    fault_assessment,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+HANGING_TOLERANCE = 0.05  # [m] of the ball from below the cup before a rollout
+REST_SPEED = 0.03  # [m/s] of a ball at rest: a swing of 6 mm, or less and the noise of the cameras
+TAUT = 0.03  # [m] by which a ball on a taut string may be nearer or farther than its length
+SWING_MIN = 0.005  # [m] amplitude of a swing that is stilled; a smaller one is noise
+SWING_MAX = 0.3  # [m] the same; a larger one loses height by itself
+# Effect of the corrected parameters, measured on demonstrated swings. The ball swings up on the far
+# side: with too little vigour it falls short, which is outward, with too much beyond the cup.
+MISS_OF_VIGOUR = -2.5  # [m] change of the miss along x per unit of vigour
+APEX_OF_VIGOUR = 1.0  # [m] change of the apex per unit of vigour
+MISS_OF_SHIFT = -0.9  # change of the miss along y per shift [1]
+
+
+class BallInCup(Task):
+    """The task `ball_in_cup`; see `tasks.task.Task`.
+
+    The return is that of [Kober2011]: exp(-alpha d^2), with the horizontal distance d of ball and
+    cup when the ball comes down through the plane of the rim; 0 if it never does. It is flat
+    where the string stays taut, and a ball may fall beside the cup and be snapped into it, so a
+    success needs both: a small d, and the ball in the cup at the end.
+    """
+
+    name: ClassVar[str] = "ball_in_cup"
+    body: ClassVar[str] = "ball"
+    single_policy: ClassVar[bool] = False
+    fit_settings = CUP_FIT
+    Settings: ClassVar[type[CupSettings]] = CupSettings
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = PRESETS
+    rest_time = math.pi / SWING_RATE  # half a swing: at its ends the ball is slow, too
+    goal = Goal(
+        achieved="caught the ball",
+        first="first catch",
+        retests="in the cup",
+        question="whether the ball was in the cup",
+        observed="caught",
+        true="caught",
+    )
+
+    def parametrization(self, policy: Policy) -> Parametrization:
+        """Learnt parameters of a policy; see `Task`."""
+        return cup_parametrization(policy, self.settings.variant, self.settings.noise)
+
+    def ready(self, body: BodyState | None, tool: Pose) -> str:
+        """Check that the ball hangs below the cup, at rest; see `Task`."""
+        if body is None:
+            return "the ball is not seen"
+        offset = body.position - tool.position
+        if in_cup(tool.rotation.T @ offset):
+            return "the ball is in the cup: empty it"
+        beside = float(np.linalg.norm(offset + np.array([0.0, 0.0, STRING])))
+        speed = float(np.linalg.norm(body.velocity))
+        if speed > REST_SPEED:
+            return f"the ball swings at {speed:.2f} m/s"
+        if beside > HANGING_TOLERANCE:
+            return f"the ball is {beside:.2f} m from where it hangs, {STRING} m below the cup"
+        return ""
+
+    def reset(self, body: BodyState | None, arm: ToolPose, q_start: np.ndarray) -> Action:
+        """Empty the cup, or still a swinging ball; see `Task`."""
+        if body is None:
+            return "person"
+        tool = Pose(*arm.tool_pose(q_start))
+        offset = body.position - tool.position
+        if in_cup(tool.rotation.T @ offset):
+            return emptying(q_start)
+        taut = abs(float(np.linalg.norm(offset)) - STRING) < TAUT and offset[2] < 0.0
+        if not taut:
+            return "person"
+        swing = swing_phasor(offset[:2], body.velocity[:2])
+        stills = SWING_MIN < np.abs(swing).max() < SWING_MAX
+        return stilling(arm, q_start, swing) if stills else "wait"
+
+    def assess(self, policy: Policy, rollout: Rollout) -> Assessment:
+        """Return and success of a rollout of `policy`."""
+        if rollout.fault is not None:
+            return fault_assessment(rollout.fault)
+        if why := cut_short(policy, rollout, self.settle_time):
+            return Assessment(None, why=why)
+        swing = None if rollout.body is None else observe_swing(rollout.tool, rollout.body)
+        if swing is None:
+            return Assessment(None, why="the ball was not seen when it came down or at the end")
+        ret, why = 0.0, "the ball did not rise above the rim"
+        if swing.t_c is not None:
+            ret, why = math.exp(-self.settings.sharpness * swing.distance**2), ""
+        success = swing.caught and swing.distance <= self.settings.success_distance
+        return Assessment(ret, {"distance": ret}, swing.to_json(), success, why)
+
+    def hindsight(
+        self, assessment: Assessment, parametrization: Parametrization
+    ) -> Sequence[np.ndarray]:
+        """More vigour for a ball that fell short or stayed low, and the cup below where it fell."""
+        settings = self.settings
+        if assessment.observation is None or not settings.gain:
+            return ()
+        swing = swing_of(assessment.observation)
+        if swing.miss is None:
+            wanted = {"vigour": (-swing.apex / APEX_OF_VIGOUR, settings.vigour_limit)}
+        else:
+            x, y = swing.miss
+            wanted = {
+                "vigour": (-x / MISS_OF_VIGOUR, settings.vigour_limit),
+                "sideways": (-y / MISS_OF_SHIFT, settings.sideways_limit),
+            }
+        shifts = []
+        for name, (change, limit) in wanted.items():
+            index = parametrization.groups[name]
+            shift = np.zeros(parametrization.size)
+            shift[index] = np.clip(settings.gain * change, -limit, limit)
+            shifts.append(shift / parametrization.scale)
+        return shifts
+
+    def outcome(self, record: LoggedRollout) -> str:
+        """Distance from the cup and end of the ball, as tracked; see `Task`."""
+        if record.fault:
+            return f"fault: {record.fault}"
+        if record.observation is None:
+            return record.why or "not seen"
+        swing = swing_of(record.observation)
+        if swing.t_c is None:
+            return f"{-100 * swing.apex:.0f} cm below the rim"
+        return f"{100 * swing.distance:.1f} cm beside, {_end(swing)}"
+
+    def summary(self, records: Sequence[LoggedRollout]) -> list[str]:
+        """Catches and distances of the re-tests; see `Task`."""
+        retests = [record for record in records if record.kind == "retest"]
+        seen = [swing_of(r.observation) for r in retests if r.observation]
+        if not seen:
+            return []
+        caught = sum(swing.caught for swing in seen)
+        text = f"re-tests of the final policy: {caught} of {len(retests)} in the cup"
+        if missed := [swing.distance for swing in seen if swing.t_c is not None]:
+            text += f", at most {100 * max(missed):.1f} cm beside its middle"
+        return [text]
+
+    def achieved(self, record: LoggedRollout) -> bool:
+        """Whether the ball was in the cup at the end; see `Task`."""
+        return bool(not record.fault and (record.observation or {}).get("caught"))
+
+    def measured(self, retests: Sequence[LoggedRollout]) -> Mapping[str, str]:
+        """Median distance of the re-tests; see `Task`."""
+        swings = [swing_of(record.observation) for record in retests if record.observation]
+        known = [swing.distance for swing in swings if swing.t_c is not None]
+        if not known:
+            return {}
+        return {"median distance of the re-tests": f"{100 * np.median(known):.1f} cm"}
+
+    def figure(self, rollout: Rollout) -> tuple[Figure, str] | None:
+        """Cup and ball from the side; see `Task`."""
+        from wam_power_ros.tasks.ball_in_cup.figures import side_view  # imports matplotlib: slow
+
+        if rollout.body is None:
+            return None
+        swing = observe_swing(rollout.tool, rollout.body)
+        t_c = None if swing is None else swing.t_c
+        return side_view(rollout.tool, rollout.body, t_c), "Dots are camera frames of the ball."
+
+
+def _end(swing: Swing) -> str:
+    return "in the cup" if swing.caught else "missed"
