@@ -142,10 +142,6 @@ def test_too_few_trials_are_refused_before_anybody_teaches(
     assert message in refusal("learn", *words)
 
 
-def test_no_trials_at_all_are_refused(refusal: Callable[..., str]) -> None:
-    assert "budget" in refusal("learn", "--trials", "0")
-
-
 @pytest.mark.parametrize("command", ["learn", "teach"])
 def test_a_full_disk_is_an_error_before_anybody_teaches(
     command: str, refusal: Callable[..., str], monkeypatch: pytest.MonkeyPatch

@@ -46,7 +46,8 @@ class InspectedTake(NamedTuple):
 def add_to(subparsers: argparse._SubParsersAction) -> None:
     """Add the command to the command line."""
     group = add_command(subparsers, "bags", None, "inspect and edit recordings")
-    add = partial(add_command, group.add_subparsers(required=True, metavar="COMMAND"))
+    group.set_defaults(command=group.print_help)
+    add = partial(add_command, group.add_subparsers(metavar="COMMAND"))
     listing = add("list", list_, "print a line for each take: task, duration, quality and reasons")
     listing.add_argument("folder", type=Path, nargs="*", help="of takes (default: the usual ones)")
     shown = add("show", show, "print topics, joints and quality of a take")

@@ -95,7 +95,6 @@ def learn(
 ) -> int:
     """Start or resume a session, run it to its end and write its report."""
     from wam_power_ros.practice.session import Session, read
-    from wam_power_ros.reporting import terminal
 
     if resume:
         folder = existing_session(session)
@@ -132,8 +131,7 @@ def learn(
         print(f"wam-power: {pasteable(str(error))}", file=sys.stderr, flush=True)
         _print_how_to_go_on(folder, asked, devices)
         return 2
-    ended = read(folder)
-    print(terminal.wrapped(terminal.summary(ended.records, ended.task)))
+    _print_summary(read(folder))
     return report(folder)
 
 
@@ -170,17 +168,24 @@ def _has_ended(session: Session) -> bool:
 
 def _report_ended(session: Session, devices: Devices) -> int:
     """Print the result of a session that has ended and how to practise longer; start nothing."""
-    from wam_power_ros.reporting import terminal
-
     folder, header = session.folder, session.header
     print(f"{short_path(folder)} has ended: all its re-tests are recorded. Nothing is started.")
-    print(terminal.wrapped(terminal.summary(session.records, session.task)))
+    _print_summary(session)
     settings = header.settings
     words = ["learn", "--task", settings.task, "--trials", str(2 * settings.practice.budget)]
     bags = map(str, map(short_path, map(Path, header.demonstrations)))
     words += ["--bags", *bags, *devices.words]
     _print_command("To practise longer, in a new session on the same demonstrations:", words)
     return 0 if (folder / "report.html").is_file() else report(folder)
+
+
+def _print_summary(session: Session) -> None:
+    """Print how a session practised, and its result."""
+    from wam_power_ros.reporting import terminal
+
+    method = terminal.method(session.header.settings, session.task)
+    result = terminal.summary(session.records, session.task)
+    print(terminal.wrapped(f"{method[0].upper()}{method[1:]}\n{result}"))
 
 
 def _print_command(purpose: str, words: Sequence[str]) -> None:
@@ -333,8 +338,7 @@ def _follow(folder: Path, processes: Processes, learner: Running, bell: bool) ->
             if size != size_shown:
                 size_shown = size
                 found = session.read(folder)
-                settings = found.header.settings.practice
-                display.show(found.log, settings.budget + settings.retests, found.task.outcome)
+                display.show(found.log, found.header.settings, found.task)
             for entry in logs.new():
                 display.show_message(entry.text, entry.severity in PROBLEMS)
                 prompt.cue(bell and entry.severity == "ERROR", "fault")

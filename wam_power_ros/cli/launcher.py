@@ -228,11 +228,11 @@ def discovery_range(environment: Mapping[str, str]) -> str:
 
 
 def _print_domain(domain: int) -> None:
-    exported = os.environ.get("ROS_DOMAIN_ID")
-    unused = f", not in the exported {exported}," if exported else ""
+    yours = os.environ.get("ROS_DOMAIN_ID")
+    unused = f", not yours, {yours}," if yours else ""
     show(
-        f"Simulation: in its own DDS domain{unused} that no robot shares. To see its topics in "
-        f"another terminal: export ROS_DOMAIN_ID={domain}"
+        f"The simulation uses ROS_DOMAIN_ID {domain}{unused} so that it reaches no robot. To see "
+        f"its topics in another terminal: export ROS_DOMAIN_ID={domain}"
     )
 
 

@@ -101,7 +101,8 @@ def _parser() -> argparse.ArgumentParser:
         prog=COMMAND_LINE, description="Teach a robot arm by hand; let it improve by practising."
     )
     parser.add_argument("--version", action="version", version=f"wam_power_ros {__version__}")
-    subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
+    parser.set_defaults(command=parser.print_help)
+    subparsers = parser.add_subparsers(metavar="COMMAND")
 
     add = partial(add_command, subparsers)
     learn = add(
@@ -135,9 +136,7 @@ def _parser() -> argparse.ArgumentParser:
     names = ", ".join(overlay.known())
     config.add_argument("config", nargs="*", metavar="NAME", help=f"{names}, or a .yaml file")
     task_option(config)
-    config.add_argument(
-        "--simulate", action="store_true", help="replace the devices by simulated stand-ins"
-    )
+    config.add_argument("--simulate", action="store_true", help="replace the devices by stand-ins")
 
     plan_command.add_to(subparsers)
 

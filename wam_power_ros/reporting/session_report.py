@@ -28,7 +28,16 @@ from wam_power_ros.practice.best_policy import reproduction_learnt_from
 from wam_power_ros.practice.session import SessionHeader
 from wam_power_ros.practice.session_log import Record
 from wam_power_ros.reporting import figures, html_page
-from wam_power_ros.reporting.terminal import before_and_after, counted, number, returned, term_names
+from wam_power_ros.reporting.terminal import (
+    FOREARM,
+    KIND_NAMES,
+    before_and_after,
+    counted,
+    method,
+    number,
+    returned,
+    term_names,
+)
 from wam_power_ros.tasks.task import Curve, Task
 
 VL2 = 1.0  # factory fault speed of the WAM's safety board, elbow and forearm [m/s]
@@ -144,9 +153,9 @@ def _cards(task: Task, records: Sequence[Record]) -> str:
 def _verdict(header: SessionHeader, task: Task, records: Sequence[Record]) -> str:
     settings = header.settings
     text = [
-        f"The session has seed {header.seed}, practises the task {settings.task!r} with the "
-        f"learner {settings.learner!r} and may use "
-        f"{counted(settings.practice.budget, 'rollout')}."
+        f"Seed {header.seed}, {method(settings, task)}; at most "
+        f"{counted(settings.practice.budget, 'rollout')}, then "
+        f"{counted(settings.practice.retests, 're-test')} of the final policy."
     ]
     goal = task.goal
     if (first := _first(task, records)) is not None:
@@ -169,8 +178,8 @@ def _verdict(header: SessionHeader, task: Task, records: Sequence[Record]) -> st
     if answers := [(t[true], o[seen]) for t, o in pairs if true in t and seen in o]:
         agree = sum(bool(one) == bool(other) for one, other in answers)
         text.append(
-            f"On {goal.question}, the observation agreed with the simulator in {agree} of "
-            f"{counted(len(answers), 'rollout')}."
+            f"{goal.question[0].upper()}{goal.question[1:]}: measurements and the simulator's "
+            f"ground truth agree in {agree} of {counted(len(answers), 'rollout')}."
         )
     lines = [*before_and_after(records, task), *task.summary(records)]
     text += [f"{line[0].upper()}{line[1:]}." for line in lines]
@@ -234,7 +243,7 @@ def _terms(records: Sequence[Record]) -> str:
 
 def _speeds(records: Sequence[Record]) -> str:
     """Speeds that the safety board of a real arm would have to allow, from the ground truth."""
-    names = {"elbow": "peak_elbow_speed", "forearm, 350 mm past the elbow": "peak_forearm_speed"}
+    names = {"elbow": "peak_elbow_speed", FOREARM: "peak_forearm_speed"}
     tests = [r.truth for r in records if r.kind == "retest" and r.truth]
     known = tests or [record.truth for record in records if record.truth]
     peaks = {
@@ -261,7 +270,7 @@ def _table(task: Task, records: Sequence[Record]) -> str:
     heads = ["#", "kind", "return", *names, "outcome", "decision"]
     rows = []
     for record in records:
-        cells = [str(record.number), record.kind, returned(record)]
+        cells = [str(record.number), KIND_NAMES[record.kind], returned(record)]
         cells += [number(record.terms.get(name)) for name in names]
         rows.append([*cells, task.outcome(record), record.note])
     good = [index for index, record in enumerate(records) if record.success]

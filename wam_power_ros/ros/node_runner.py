@@ -133,12 +133,12 @@ def run(
     """Run a node until SIGINT or SIGTERM, after which it can still send.
 
     Args:
-        make_node: Makes the node; raises ValueError for an invalid configuration. If the node has a
+        make_node: Makes the node; raises ValueError for invalid parameters. If the node has a
             method `close`, it is called at the end, to finish files and send the last command.
         spin: Dispatches callbacks until the function it is given returns True.
 
     Returns:
-        Exit status: 0 after a signal, 2 when the configuration was refused.
+        Exit status: 0 after a signal, 2 when the parameters were refused.
     """
     received: list[int] = []
     for number in SIGNALS:

@@ -14,6 +14,7 @@ from viser import uplot
 
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.policy_shapes import ellipsoids
+from wam_power_ros.reporting.terminal import KIND_NAMES
 from wam_power_ros.view.skeleton import Shape, Skeleton
 
 PLANNED, EXECUTED, ATTRACTOR = (37, 99, 235), (234, 88, 12), (13, 148, 136)
@@ -222,7 +223,7 @@ class Page:
         """
         points = [
             uplot.Series(
-                label=name,
+                label=KIND_NAMES[name],
                 stroke=KIND_COLOURS[name],
                 width=0,
                 points={"show": True, "size": 7, "fill": KIND_COLOURS[name]},

@@ -145,7 +145,7 @@ class SessionPage:
 
     def _lines(self) -> dict[str, str]:
         records = self._progress.records
-        returns = [r.rated_return for r in records if r.rated_return is not None]
+        returns = [record.ret for record in records if record.ret is not None]
         lines = {
             "session": f"{self._folder.name} ({ENDED if self._node is None else RUNNING})",
             "rollouts": f"{len(records)}, best return {max(returns, default=0.0):.3f}",
