@@ -56,7 +56,16 @@ ALLOWED: dict[str, set[str]] = {
         "tracking",
     },
     "conformance": {"rotations", "learning", "control", "tracking"},
-    "ros": {"entry", "plain_json", "faults", "rotations", "learning", "params", "bags"},
+    "ros": {
+        "durable_files",
+        "entry",
+        "plain_json",
+        "faults",
+        "rotations",
+        "learning",
+        "params",
+        "bags",
+    },
     "reporting": {"durable_files", "plotting", "learning", "tasks", "practice"},
 }
 BELOW = set(ALLOWED)
@@ -73,24 +82,24 @@ ALLOWED["benchmark"] = {*ALLOWED}
 # Lines that a folder may have, docstrings and blanks included. Needing more is a reason to look for
 # what can go; where nothing can, the commit that raises a figure says why.
 BUDGET = {
-    "ground": 790,  # the modules of wam_power_ros/ itself
+    "ground": 840,  # the modules of wam_power_ros/ itself
     "learning": 2420,
     "control": 4140,
-    "tracking": 600,
+    "tracking": 620,
     "tasks": 2700,
-    "practice": 2100,
+    "practice": 2110,
     "conformance": 1120,
     "bags": 2600,
     "params": 1090,
-    "ros": 2680,
+    "ros": 2710,
     "client": 1260,
-    "nodes": 3040,
+    "nodes": 3060,
     "console": 920,
-    "view": 1360,
-    "reporting": 960,
+    "view": 1430,
+    "reporting": 980,
     "in_process": 350,
     "cli": 2800,
-    "hardware_sim": 2890,
+    "hardware_sim": 2920,
     "launch": 260,
     "examples": 380,
     "reproduction": 3350,
