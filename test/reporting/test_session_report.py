@@ -103,6 +103,16 @@ def test_what_was_learnt_from_comes_before_the_papers_return(folder: Path) -> No
     assert html.count('class="drawn"') == html.count("<img")  # readable in the dark
 
 
+def test_every_picture_is_described_and_what_is_too_wide_says_that_it_scrolls(folder: Path) -> None:
+    shown = session_report.ShownRollout("caught.", a_rollout("trial-0006", TURNS[5]), b"film")
+    html = session_report.write(folder, shown).read_text()
+    described = re.findall(r'<img alt="([^"]*)"', html)
+    assert len(described) == html.count("<img") == 6 == len({*described})
+    assert all(len(text.split()) > 3 for text in described)
+    pictures = re.findall(r'<div class="wide picture" tabindex="0"><img', html)
+    assert len(pictures) == 5 and "scroll sideways" in html
+
+
 def test_page_and_terminal_say_the_same_of_the_retests(folder: Path) -> None:
     found = session.read(folder)
     records, task = found.records, found.task

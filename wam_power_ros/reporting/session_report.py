@@ -91,7 +91,7 @@ def render(
         if published is not None:
             text += f" {published.remark}"
         drawn = figures.stiffness(profiles, published)
-        parts.append(html_page.section("Stiffness", [text], _svg(drawn)))
+        parts.append(html_page.section("Stiffness", [text], _svg(drawn, text)))
     parts += [_speeds(records), _table(task, records), _settings(header)]
     return html_page.page(f"Session of seed {header.seed}, task {task.name}", parts)
 
@@ -129,8 +129,8 @@ def _first(task: Task, records: Sequence[Record]) -> int | None:
     return next((record.number for record in records if task.achieved(record)), None)
 
 
-def _svg(drawn: Figure) -> str:
-    return html_page.image(plotting.svg(drawn), style="drawn")
+def _svg(drawn: Figure, alt: str) -> str:
+    return html_page.image(plotting.svg(drawn), alt, style="drawn")
 
 
 def _cards(task: Task, records: Sequence[Record]) -> str:
@@ -191,14 +191,15 @@ def _verdict(header: SessionHeader, task: Task, records: Sequence[Record]) -> st
 def _shown(task: Task, shown: ShownRollout, why_no_film: str) -> str:
     rollout = shown.rollout
     if shown.film is not None:
-        content = html_page.image(shown.film, "image/webp")
+        alt = f"Film of the arm that executes {rollout.tool.id}: {shown.caption}"
+        content = html_page.image(shown.film, alt, "image/webp")
     else:
         content = f'<p class="quiet">No film: {escape(why_no_film)}</p>'
     text = shown.caption
     if (drawn := task.figure(rollout)) is not None:
         figure, remark = drawn
         text = f"{text} {remark}".rstrip()
-        content += _svg(figure)
+        content += _svg(figure, f"Measured path of {rollout.tool.id}. {remark}".rstrip())
     return html_page.section(f"The session's policy, {rollout.tool.id}", [text], content)
 
 
@@ -232,13 +233,17 @@ def _curve(
     drawn = figures.learning_curve(returns, kinds, marks, published)
     if published is not None:
         text = f"{text} {published.remark}"
-    return html_page.section(title, [text], _svg(drawn))
+    known = [each for each in returns if math.isfinite(each)]
+    reached = f" From {known[0]:.3f} to {known[-1]:.3f}, at most {max(known):.3f}." if known else ""
+    alt = f"{title} of {counted(len(returns), 'rollout')}.{reached}"
+    return html_page.section(title, [text], _svg(drawn, alt))
 
 
 def _terms(records: Sequence[Record]) -> str:
     values = {name: [record.terms.get(name) for record in records] for name in term_names(records)}
     drawn = figures.terms([record.number for record in records], values)
-    return html_page.section("Terms", content=_svg(drawn))
+    alt = f"Terms of the return of each rollout, stacked: {', '.join(values)}."
+    return html_page.section("Terms", content=_svg(drawn, alt))
 
 
 def _speeds(records: Sequence[Record]) -> str:

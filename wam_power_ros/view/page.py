@@ -242,6 +242,7 @@ class Page:
                 series,
                 scales={"x": uplot.Scale(time=False), "y": uplot.Scale(range=(0.0, 1.1))},
                 axes=(uplot.Axis(label="rollout"), uplot.Axis(label="return")),
+                legend=viser.uplot.Legend(show=True, live=False),
                 height=220,
             )
             self.terms = self.server.gui.add_markdown("")

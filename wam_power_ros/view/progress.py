@@ -39,15 +39,20 @@ def newest(records: Sequence[Record], task: Task) -> str:
 
 
 def label(record: Record) -> str:
-    """Label of a rollout: number, kind and return."""
+    """Label of a rollout: number, kind and return with its ratings."""
     return f"{record.number} {KIND_NAMES[record.kind]} {returned(record)}"
+
+
+def entry(record: Record) -> str:
+    """Entry of a rollout in a list to choose from: as its label, but the same for ever."""
+    return f"{record.number} {KIND_NAMES[record.kind]} {number(record.ret)}"
 
 
 class Progress:
     """Shows a session and reads its log again whenever it has grown.
 
     Attributes:
-        bags: Label of a rollout with a bag -> path of the bag, newest first.
+        bags: Entry of a rollout with a bag -> path of the bag, newest first.
         records: Rollouts of the session.
 
     Args:
@@ -76,7 +81,7 @@ class Progress:
         self._size = size
         self.records = session.read(self._folder).records
         self.bags = {
-            label(record): self._folder / "bags" / record.bag
+            entry(record): self._folder / "bags" / record.bag
             for record in reversed(self.records)
             if record.bag
         }
