@@ -69,15 +69,15 @@ def teach(
     plugins.task_type(task or DEFAULT_TASK)  # raises for an unknown name before anything starts
     folder = (folder or Path("demonstrations") / timestamp()).resolve()
     file = folder / series.FILE
-    before = len(series.read(file))
+    before, text = len(series.read(file)), ""
     if before:
-        print(f"{short_path(folder)} holds {counted(before, 'demonstration')}; new ones are added.")
+        text = f"{short_path(folder)} holds {counted(before, 'demonstration')}; new ones are added."
     seed = before if seed is None else seed  # so that new movements differ
     status = 0
     try:
         parameters = devices.parameters(task or DEFAULT_TASK, seed, folder)
         plan = plan_of(folder, parameters, devices.stand_ins, secure=secured())
-        with launch(plan) as launcher:
+        with launch(plan, text) as launcher:
             _teach(launcher, file, demonstrations, bell, review=sys.stdin.isatty())
     except KeyboardInterrupt:
         status = INTERRUPTED
@@ -105,9 +105,9 @@ def learn(
         begun = read(folder)
         if _has_ended(begun):
             return _report_ended(begun, devices)
-        print(f"Resuming {folder} with {len(begun.records)} recorded rollouts.")
+        text = f"Resuming {folder} with {len(begun.records)} recorded rollouts."
     else:
-        print(f"New session {folder}; Ctrl-C stops it, and it can be resumed.")
+        text = f"New session {folder}; Ctrl-C stops it, and it can be resumed."
     signal.signal(signal.SIGTERM, interrupt)
 
     try:
@@ -116,7 +116,7 @@ def learn(
         parameters = parameters.changed({LEARNER: given})
         also = (TRACKER, LEARNER)
         plan = plan_of(folder, parameters, devices.stand_ins, also=also, secure=secured())
-        with launch(plan) as launcher:
+        with launch(plan, text) as launcher:
             taught: dict[str, list[str]] = {}
             if not resumed and not asked.bags:
                 bags = _record_demonstrations(launcher, folder, asked.demonstrations, bell)
@@ -369,15 +369,22 @@ def view(path: Path | None, address: str, port: int) -> int:
     """Serve a page that shows a session or a bag, until Ctrl-C."""
     from wam_power_ros.practice.session import Session
 
+    print("Preparing the page …", file=sys.stderr, flush=True)
     try:
         from wam_power_ros.view import guarded_server, viewer
     except ImportError as error:
         raise UsageError(
             f"the page needs viser ({error}): pip install 'viser>=1.1.1,<1.2'"
         ) from None
+    signal.signal(signal.SIGTERM, interrupt)
+    if path is not None and not Session.exists(path) and viewer.running(path):
+        print(f"{path} is being taught; the page opens with its session", file=sys.stderr)
+        while not Session.exists(path):
+            if not viewer.running(path):
+                raise UsageError(f"{path} has ended before its session began")
+            time.sleep(1.0)
     is_bag = path is not None and not Session.exists(path) and path.exists()
     folder = path.resolve() if is_bag else existing_session(path)
-    signal.signal(signal.SIGTERM, interrupt)
     server = guarded_server.open_server(address, port)
     try:
         host = f"[{address}]" if ":" in address else address
@@ -390,7 +397,7 @@ def view(path: Path | None, address: str, port: int) -> int:
     except KeyboardInterrupt:
         pass
     finally:
-        server.stop()
+        guarded_server.close(server)
     return 0
 
 

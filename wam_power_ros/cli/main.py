@@ -34,6 +34,7 @@ from wam_power_ros.cli.parser import (
 )
 from wam_power_ros.cli.processes import ProcessError
 from wam_power_ros.cli.session_options import SessionOptions
+from wam_power_ros.durable_files import explained
 from wam_power_ros.entry import INTERRUPTED
 from wam_power_ros.params import overlay
 
@@ -58,7 +59,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         command, values = _command(options)
         return int(command(**values) or 0)
     except (UsageError, ProcessError, OSError, ValueError) as error:
-        print(f"{COMMAND_LINE}: {pasteable(str(error))}", file=sys.stderr)
+        text = explained(error) if isinstance(error, OSError) else pasteable(str(error))
+        print(f"{COMMAND_LINE}: {text}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return INTERRUPTED

@@ -30,6 +30,7 @@ from wam_power_ros import plain_json
 from wam_power_ros.arm_identity import refusal, remark
 from wam_power_ros.client.link import Link
 from wam_power_ros.client.rollouts import Executed, Rollouts, RolloutSettings
+from wam_power_ros.durable_files import explained
 from wam_power_ros.nodes.demonstrations import Demonstrations
 from wam_power_ros.nodes.markers import Markers
 from wam_power_ros.nodes.simulated_arm import SimulatedArm
@@ -330,7 +331,8 @@ def main() -> int:
         node.practise()
     except (SessionFailed, ServiceError, ValueError, OSError) as error:
         log = node.get_logger() if node else rclpy.logging.get_logger("learner")
-        log.fatal(str(error) if node else f"{error}{parameter_file_hint()}")
+        text = explained(error) if isinstance(error, OSError) else str(error)
+        log.fatal(text if node else f"{text}{parameter_file_hint()}")
         return 2
     except (KeyboardInterrupt, ExternalShutdownException):
         pass

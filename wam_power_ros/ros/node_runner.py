@@ -25,6 +25,7 @@ from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from wam_power_ros.durable_files import explained
 from wam_power_ros.entry import INTERRUPTED, REFUSED, SIGNALS
 from wam_power_ros.params import parameter_file
 from wam_power_ros.ros import network, security
@@ -249,7 +250,8 @@ def run_script(make_node: Callable[[], N], work: Callable[[N], int | None]) -> i
         with participant(make_node) as node:
             return work(node) or 0
     except (ServiceError, ValueError, OSError) as error:
-        sys.stderr.write(f"{error}\n")
+        text = explained(error) if isinstance(error, OSError) else str(error)
+        sys.stderr.write(f"{text}\n")
         return REFUSED
     except (KeyboardInterrupt, ExternalShutdownException):
         return INTERRUPTED
