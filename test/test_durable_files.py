@@ -78,12 +78,13 @@ def test_an_error_of_the_disk_has_its_file_and_a_remedy(
     assert "Errno" not in text
 
 
-def test_an_error_that_names_its_file_keeps_it_and_any_other_is_told_as_it_is(
+def test_the_file_that_was_meant_is_named_and_any_other_error_is_told_as_it_is(
     tmp_path: Path,
 ) -> None:
-    with pytest.raises(OSError) as caught, durable_files.naming(tmp_path / "other"):
-        (tmp_path / "missing").read_text()
-    assert durable_files.explained(caught.value).startswith(f"{tmp_path / 'missing'}: No such")
+    with pytest.raises(OSError) as caught:
+        durable_files.replace(tmp_path / "missing" / "report.html", "")
+    file = tmp_path / "missing" / "report.html"
+    assert durable_files.explained(caught.value) == f"{file}: No such file or directory"
     assert durable_files.explained(OSError("gone")) == "gone"
 
 

@@ -39,12 +39,12 @@ def explained(error: OSError) -> str:
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Add the file to an `OSError` that names none, as those of writing and flushing do."""
+    """Name the file in an `OSError`, which those of writing, flushing and its parts do not."""
     try:
         yield
     except OSError as error:
-        if error.errno is not None and error.filename is None:
-            error.filename = str(path)
+        if error.errno is not None:
+            error.filename, error.filename2 = str(path), None
         raise
 
 

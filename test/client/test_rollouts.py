@@ -321,6 +321,8 @@ def test_a_simulation_that_is_slow_is_waited_for_and_one_that_stands_or_is_overd
     late = lambda: ticks > begun + 50  # noqa: E731 - after two limits of wall time and a half
     if step == 10_000_000:
         client.until(late, "slow", limit)
+        with pytest.raises(RolloutError, match="waited 1 s in vain for the end"):
+            client.until(lambda: False, "the end", 0.2)  # but not for ever
     else:
         with pytest.raises(RolloutError, match="waited 1 s in vain for the overdue end"):
             client.until(late, "the overdue end", limit)

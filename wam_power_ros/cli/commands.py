@@ -328,6 +328,7 @@ def _follow(folder: Path, processes: Processes, learner: Running, bell: bool) ->
 
     path, logs = folder / "rollouts.jsonl", NodeLogs(folder / "logs")
     size_shown = 0
+    stopped: list[str] = []
     ended = False
     with terminal.Display() as display, Keys(domain_environment(session_domain(folder))) as keys:
         while not ended:
@@ -339,6 +340,10 @@ def _follow(folder: Path, processes: Processes, learner: Running, bell: bool) ->
                 size_shown = size
                 found = session.read(folder)
                 display.show(found.log, found.header.settings, found.task)
+            stopped, before = processes.stopped, stopped
+            for text in stopped:
+                if text not in before:
+                    display.show_message(text, is_problem=True)
             for entry in logs.new():
                 display.show_message(entry.text, entry.severity in PROBLEMS)
                 prompt.cue(bell and entry.severity == "ERROR", "fault")

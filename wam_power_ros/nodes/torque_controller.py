@@ -244,8 +244,9 @@ class TorqueController(LifecycleNode):
         now_ns, params = time.monotonic_ns(), self._params
         if now_ns - self._watchdog.arrived_ns >= STATE_AGE_MAX_NS:
             unmatched = self._unmatched(params.state_topic, JointState, interface.STATE_IN)
-            clock = self._other_clock()
-            return f"no joint state within the last second{unmatched}{clock and f'; {clock}'}"
+            there = self.count_publishers(params.state_topic)  # its clock would be known as well
+            clock = f"; {clock}" if there and (clock := self._other_clock()) else ""
+            return f"no joint state within the last second{unmatched}{clock}"
         if params.velocity_topic and now_ns - self._qd_ns >= STATE_AGE_MAX_NS:
             unmatched = self._unmatched(params.velocity_topic, JointState, interface.STATE_IN)
             return f"no joint velocity on {params.velocity_topic} within the last second{unmatched}"

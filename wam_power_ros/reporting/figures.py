@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from wam_power_ros import durable_files
 from wam_power_ros.plotting import (
     BLUE,
     CYCLE,
@@ -190,7 +191,8 @@ def save_film(frames: Sequence[np.ndarray], path: Path, rate: float) -> None:
         raise ValueError("a film must have at least one frame, got none")
     first, *others = (Image.fromarray(np.ascontiguousarray(frame)) for frame in frames)
     settings = {"duration": round(1000 / rate), "loop": 0, "quality": 70, "method": 4}
-    first.save(path, format="WEBP", save_all=True, append_images=others, **settings)
+    with durable_files.naming(path):
+        first.save(path, format="WEBP", save_all=True, append_images=others, **settings)
 
 
 def _running_mean(values: np.ndarray, width: int) -> np.ndarray:

@@ -155,6 +155,7 @@ PAGE = Template("""<!doctype html>
                       linear-gradient(270deg, var(--shade), transparent) 100% 0;
           background-repeat: no-repeat; background-attachment: local, local, scroll, scroll;
           background-size: 2rem 100%, 2rem 100%, .8rem 100%, .8rem 100%; }
+  .picture { background: none; }
   table { border-collapse: collapse; font-size: .82rem; white-space: nowrap;
           font-variant-numeric: tabular-nums; }
   th, td { text-align: right; padding: .26rem .7rem; border-bottom: 1px solid var(--line); }

@@ -186,7 +186,7 @@ class SessionPage:
             self._page.notify(label, "the session is not running", good=False)
             return
         answer = node.call(name, on)
-        self._page.notify(label, answer.text or answer.code.value, good=answer.success)
+        self._page.notify(label, answer.said, good=answer.success)
 
     def _teach(self) -> None:
         if self._teaching is None and self._node is not None:
