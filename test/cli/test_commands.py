@@ -25,7 +25,7 @@ from wam_power_ros.cli.launcher import (
     pasteable,
     program_command,
 )
-from wam_power_ros.cli.session_options import SessionOptions
+from wam_power_ros.cli.session_options import SessionOptions, method_words
 from wam_power_ros.params import overlay
 from wam_power_ros.practice.session import Session, read
 from wam_power_ros.practice.settings import preset
@@ -244,3 +244,19 @@ def test_resuming_is_offered_only_for_what_is_on_disk(
     (folder / "rollouts.jsonl").unlink()
     lost = said()
     assert "cannot be resumed: " in lost and "To resume" not in lost
+
+
+@pytest.mark.parametrize(
+    ("name", "learner", "words"),
+    [
+        ("flip", "", []),
+        ("paper", "", ["--preset", "paper"]),
+        ("return_only", "cma_es", ["--preset", "return_only", "--learner", "cma_es"]),
+        ("corrections_only", "", ["--preset", "corrections_only"]),
+    ],
+)
+def test_a_command_that_repeats_a_session_asks_for_its_preset_and_learner(
+    name: str, learner: str, words: list[str]
+) -> None:
+    settings = preset("flip", name, {"name": learner} if learner else None, budget=9)
+    assert method_words(settings) == words

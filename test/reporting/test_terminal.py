@@ -9,6 +9,7 @@ from rich.console import Console
 from toss_task import demonstrated_policy, practice_of, toss
 
 from wam_power_ros.practice.practice import Practice
+from wam_power_ros.practice.session_log import KIND_NAMES
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.reporting import terminal
 
@@ -96,7 +97,7 @@ def test_a_file_that_is_quiet_gets_a_sign_of_life(practice: Practice) -> None:
 def test_a_line_has_number_return_terms_and_outcome(practice: Practice) -> None:
     record = practice.records[2]
     text = terminal.line(record, lambda _: "went well")
-    assert text.split()[:2] == ["3", terminal.KIND_NAMES[record.kind]]
+    assert text.split()[:2] == ["3", KIND_NAMES[record.kind]]
     for name, value in record.terms.items():
         assert f"{name} {value:.3f}" in text
     assert f"return {record.ret:.3f}" in text and "went well" in text

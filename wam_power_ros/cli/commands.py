@@ -41,6 +41,7 @@ from wam_power_ros.cli.session_options import (
     chosen,
     existing_session,
     learner_parameters,
+    method_words,
 )
 from wam_power_ros.console import prompt
 from wam_power_ros.entry import INTERRUPTED
@@ -172,7 +173,8 @@ def _report_ended(session: Session, devices: Devices) -> int:
     print(f"{short_path(folder)} has ended: all its re-tests are recorded. Nothing is started.")
     _print_summary(session)
     settings = header.settings
-    words = ["learn", "--task", settings.task, "--trials", str(2 * settings.practice.budget)]
+    words = ["learn", "--task", settings.task, *method_words(settings)]
+    words += ["--trials", str(2 * settings.practice.budget)]
     bags = map(str, map(short_path, map(Path, header.demonstrations)))
     words += ["--bags", *bags, *devices.words]
     _print_command("To practise longer, in a new session on the same demonstrations:", words)

@@ -12,6 +12,7 @@ from wam_power_ros.cli.launcher import Devices, UsageError, task_stems
 
 if TYPE_CHECKING:
     from wam_power_ros.practice.session import SessionHeader
+    from wam_power_ros.practice.settings import SessionSettings
 
 SESSIONS = Path("sessions")
 DEFAULT_TASK = "flip"
@@ -98,6 +99,23 @@ def learner_parameters(folder: Path, asked: SessionOptions, seed: int, task: str
         "trials": asked.trials or 0,
         "demonstrations": [str(bag.resolve()) for bag in asked.bags] or [""],
     }
+
+
+def method_words(settings: SessionSettings) -> list[str]:
+    """Command-line words that ask for the preset and the learner of a session."""
+    from wam_power_ros.practice import plugins
+    from wam_power_ros.practice.settings import preset
+
+    presets = plugins.task_type(settings.task).presets
+    own_first = sorted(presets, key=lambda of: presets[of]["learner"]["name"] != settings.learner)
+    for name in own_first:
+        own = presets[name]["learner"]["name"]
+        learner = {} if settings.learner == own else {"name": settings.learner}
+        made = preset(settings.task, name, learner)
+        if made.model_copy(update={"practice": settings.practice}) == settings:
+            words = [] if name == next(iter(presets)) else ["--preset", name]
+            return words + (["--learner", settings.learner] if learner else [])
+    return ["--learner", settings.learner]
 
 
 def _differences(asked: SessionOptions, header: SessionHeader) -> Iterator[str]:

@@ -39,7 +39,7 @@ from wam_power_ros.params.torque_controller_params import require_same_joints
 from wam_power_ros.practice import plugins
 from wam_power_ros.practice.practice import RATING_MAX, Practice
 from wam_power_ros.practice.session import Session, read
-from wam_power_ros.practice.session_log import Event, Record, Trial
+from wam_power_ros.practice.session_log import KIND_NAMES, Event, Record, Trial
 from wam_power_ros.practice.settings import SessionSettings, preset
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer, Code, ServiceError
@@ -319,7 +319,7 @@ class Learner(Node):
 
 def _line(record: Record) -> str:
     ret = "-" if record.ret is None else f"{record.ret:.3f}"
-    return f"{record.id} {record.kind}: return {ret} {record.why}"
+    return f"{record.id} {KIND_NAMES[record.kind]}: return {ret} {record.why}"
 
 
 def main() -> int:

@@ -26,11 +26,10 @@ from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.practice import session
 from wam_power_ros.practice.best_policy import reproduction_learnt_from
 from wam_power_ros.practice.session import SessionHeader
-from wam_power_ros.practice.session_log import Record
+from wam_power_ros.practice.session_log import KIND_NAMES, Record
 from wam_power_ros.reporting import figures, html_page
 from wam_power_ros.reporting.terminal import (
     FOREARM,
-    KIND_NAMES,
     before_and_after,
     counted,
     method,

@@ -16,18 +16,12 @@ from rich.table import Table
 from rich.text import Text
 
 from wam_power_ros.practice.best_policy import reproduction_learnt_from
-from wam_power_ros.practice.session_log import Line, Record, with_ratings
+from wam_power_ros.practice.session_log import KIND_NAMES, Line, Record, with_ratings
 from wam_power_ros.practice.settings import SessionSettings
 from wam_power_ros.tasks.task import Task
 
 ROLLOUTS_SHOWN = 14  # newest rollouts in the table
 SILENCE_MAX = 5.0  # longest time without a line in a file [s]
-KIND_NAMES = {
-    "reproduction": "reproduction",
-    "explore": "exploration",
-    "mean": "mean policy",
-    "retest": "re-test",
-}
 FOREARM = "forearm (350 mm past the elbow)"  # the point of the truth's `peak_forearm_speed`
 OUTCOME_MIN = 24  # width of the column [characters]
 BARS = "▁▂▃▄▅▆▇█"

@@ -14,7 +14,7 @@ from viser import uplot
 
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.policy_shapes import ellipsoids
-from wam_power_ros.reporting.terminal import KIND_NAMES
+from wam_power_ros.practice.session_log import KIND_NAMES
 from wam_power_ros.view.skeleton import Shape, Skeleton
 
 PLANNED, EXECUTED, ATTRACTOR = (37, 99, 235), (234, 88, 12), (13, 148, 136)

@@ -10,8 +10,8 @@ from typing import get_args
 import numpy as np
 
 from wam_power_ros.practice import session
-from wam_power_ros.practice.session_log import Kind, Record
-from wam_power_ros.reporting.terminal import KIND_NAMES, number, returned, term_names
+from wam_power_ros.practice.session_log import KIND_NAMES, Kind, Record
+from wam_power_ros.reporting.terminal import number, returned, term_names
 from wam_power_ros.tasks.task import Task
 from wam_power_ros.view.page import Page, plain
 
