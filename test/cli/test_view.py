@@ -68,4 +68,5 @@ def test_nothing_of_the_library_is_printed_with_a_refusal(
     pytest.importorskip("viser", reason="no viser")
     (tmp_path / "README.md").write_text("# no bag\n")
     assert main.main(["view", str(tmp_path / "README.md"), "--port", "0"]) == 2
-    assert capsys.readouterr().out == ""
+    out, err = capsys.readouterr()
+    assert out == "" and "README.md" in err and "bag" in err

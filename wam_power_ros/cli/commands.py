@@ -44,6 +44,7 @@ from wam_power_ros.cli.session_options import (
     method_words,
 )
 from wam_power_ros.console import prompt
+from wam_power_ros.durable_files import check_name
 from wam_power_ros.entry import INTERRUPTED
 from wam_power_ros.params import overlay, parameter_file
 
@@ -384,6 +385,8 @@ def view(path: Path | None, address: str, port: int) -> int:
             f"the page needs viser ({error}): pip install 'viser>=1.1.1,<1.2'"
         ) from None
     signal.signal(signal.SIGTERM, interrupt)
+    if path is not None:
+        check_name(path)
     if path is not None and not Session.exists(path) and viewer.running(path):
         print(f"{path} is being taught; the page opens with its session", file=sys.stderr)
         while not Session.exists(path):

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from wam_power_ros.cli.launcher import Devices, UsageError, task_stems
+from wam_power_ros.durable_files import check_name
 
 if TYPE_CHECKING:
     from wam_power_ros.practice.session import SessionHeader
@@ -62,6 +63,7 @@ def existing_session(folder: Path | None) -> Path:
         if not sessions:
             raise UsageError(f"no session in {SESSIONS.resolve()}; name one with --session")
         folder = max(sessions, key=lambda path: (path / "session.yaml").stat().st_mtime)
+    check_name(folder)
     if not Session.exists(folder):
         raise UsageError(f"{folder} holds no session")
     return folder.resolve()

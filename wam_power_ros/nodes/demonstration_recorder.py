@@ -183,7 +183,8 @@ class DemonstrationRecorder(Node):
         self._directory.mkdir(parents=True, exist_ok=True)
         if (free := self._free()) < self._params.free_to_start:
             needed = self._params.free_to_start
-            text = f"{free:.0f} MB free in {self._directory}, {needed:.0f} MB needed"
+            place = f"{free:.0f} MB free on the disk of {self._directory}"
+            text = f"{place}, {needed:.0f} MB needed: free some space"
             return Answer(Code.REFUSED, text)
         self._topics.discover()
         self._topics.take()  # what came before the request does not belong into the bag

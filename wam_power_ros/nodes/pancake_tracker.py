@@ -170,9 +170,7 @@ class PancakeTracker(Node):
 
         In lockstep, simulated time goes on while frames that were lost are sent again.
         """
-        ticked_ns, self._ticked_ns = self._ticked_ns, time.monotonic_ns()
-        if (stood_still := (self._ticked_ns - ticked_ns) * 1e-9) > STANDSTILL_MIN:
-            self._stood_still, self._stood_still_ns = stood_still, self._ticked_ns
+        self._look_for_standstill()
         now_ns = self._timeout_clock.now().nanoseconds
         silent_ns = max(now_ns - self._frame_ns, 0)
         state = self._tracker.at(self._tracker.latest_ns + silent_ns)
@@ -209,6 +207,11 @@ class PancakeTracker(Node):
         message = pose_messages.path_message(path, rollout.start_ns, self._frame)
         self._paths.publish(message)
 
+    def _look_for_standstill(self) -> None:
+        ticked_ns, self._ticked_ns = self._ticked_ns, time.monotonic_ns()
+        if (stood_still := (self._ticked_ns - ticked_ns) * 1e-9) > STANDSTILL_MIN:
+            self._stood_still, self._stood_still_ns = stood_still, self._ticked_ns
+
     def _late(self, offset: float) -> str:
         """Why stamps are off, see `late_stamps`; frames of a standstill are late for a window."""
         recent = time.monotonic_ns() - self._stood_still_ns < 2 * OFFSET_WINDOW
@@ -227,6 +230,7 @@ class PancakeTracker(Node):
 
     def _report(self) -> None:
         tracker = self._tracker
+        self._look_for_standstill()
         self._find_unmatched()
         level, text = LEVELS.get(tracker.validity, "error"), tracker.validity.value
         offset, offset_max = self._clock_offset.seconds, self._params.clock_offset_max
