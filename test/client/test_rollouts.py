@@ -299,7 +299,7 @@ def test_a_body_thrown_off_by_a_lost_request_is_put_back_again_where_a_simulatio
         assert cell.requests == [MOVE]
 
 
-@pytest.mark.parametrize("step", [10_000_000, 0, 2_000_000_000])
+@pytest.mark.parametrize("step", [2_000_000, 0, 2_000_000_000])
 def test_a_simulation_that_is_slow_is_waited_for_and_one_that_stands_or_is_overdue_is_not(
     step: int, client: Rollouts, cell: Cell
 ) -> None:
@@ -319,7 +319,7 @@ def test_a_simulation_that_is_slow_is_waited_for_and_one_that_stands_or_is_overd
     client._link.until(lambda: now().nanoseconds, "the simulated clock")
     begun = ticks
     late = lambda: ticks > begun + 50  # noqa: E731 - after two limits of wall time and a half
-    if step == 10_000_000:
+    if step == 2_000_000:
         client.until(late, "slow", limit)
         with pytest.raises(RolloutError, match="waited 1 s in vain for the end"):
             client.until(lambda: False, "the end", 0.2)  # but not for ever
