@@ -93,7 +93,7 @@ BUDGET = {
     "params": 1090,
     "ros": 2710,
     "client": 1260,
-    "nodes": 3060,
+    "nodes": 3070,
     "console": 920,
     "view": 1430,
     "reporting": 980,

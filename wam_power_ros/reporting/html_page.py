@@ -172,7 +172,7 @@ PAGE = Template("""<!doctype html>
   .met { color: var(--green); font-weight: 700; white-space: nowrap; }
   .missed { color: var(--red); font-weight: 700; white-space: nowrap; }
   .reported { color: var(--quiet); white-space: nowrap; }
-  @media (max-width: 46rem) {
+  @media screen and (max-width: 46rem) {
     body { margin-top: 1.2rem; }
     img.drawn { min-width: 34rem; }
     td.text:last-child { min-width: 12rem; }
@@ -187,12 +187,12 @@ PAGE = Template("""<!doctype html>
     .claims small { font-weight: 400; }
     .claims td:empty { display: none; }
   }
-  @media (max-width: 36rem) {
+  @media screen and (max-width: 36rem) {
+    caption { max-width: calc(100vw - 2.6rem); }
     .picture::before { content: "↔ scroll sideways"; position: sticky; left: 0;
                        color: var(--quiet); font-size: .8rem; }
   }
   @media print { .wide { overflow: visible; background: none; }
-                 .picture::before { content: none; } img.drawn { min-width: 0; }
                  table { font-size: .62rem; white-space: normal; }
                  th, td { padding: .2rem .3rem; } td.text:last-child { min-width: 0; }
                  img, tr { break-inside: avoid; }
