@@ -151,6 +151,7 @@ class WamSim(Node):
         self._barrett.update()
         self._scene.update()
         moves = self._scene.label not in IDLE_LABELS or self._scene.busy or self._control.engaged
+        moves = moves or world.moving
         self._still_ticks = 0 if moves else self._still_ticks + 1
         for frame in world.mocap_frames():
             self._on_frame(frame, self.stamp_offset_ns, world.time_ns)

@@ -99,7 +99,7 @@ BUDGET = {
     "reporting": 980,
     "in_process": 350,
     "cli": 2860,
-    "hardware_sim": 2920,
+    "hardware_sim": 2930,
     "launch": 260,
     "examples": 380,
     "reproduction": 3350,
