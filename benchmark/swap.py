@@ -3,7 +3,7 @@
 
     python -m benchmark.swap --folder /tmp/swap
 
-Every configuration, chosen by --config alone, resumes a copy of the same session and so executes
+Every set-up, chosen by --config alone, resumes a copy of the same session and so executes
 the same next policies. The first row, the default stand-in in lockstep, is the reference; the
 others run in real time. At the end git shows whether a file of the checkout was changed.
 """
@@ -36,7 +36,7 @@ SET_UPS = (
 
 
 def main() -> int:
-    """Run all configurations and print a table; return 1 if one is incomplete or a file changed."""
+    """Run all set-ups and print a table; return 1 if one is incomplete or a file changed."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--folder", type=Path, required=True, help="new folder for the sessions")
     parser.add_argument("--seed", type=int, default=21)
@@ -51,7 +51,7 @@ def main() -> int:
     begun = options.folder / "begun"
     learn(begun, options.rollouts, options.patience, "--seed", str(options.seed))
     first = session.read(begun).records
-    table = Table("configuration", "rollouts", "returns", "caught", "faults", "same policies", "s")
+    table = Table("set-up", "rollouts", "returns", "caught", "faults", "same policies", "s")
     policies: list[list[float]] = []
     short = False
     for names in SET_UPS:

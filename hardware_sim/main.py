@@ -2,8 +2,9 @@
 """Process of both stand-ins: one world, two nodes, and the pace.
 
 Lockstep: publish a state, and repeat it every 50 ms, until the torque with its stamp arrives; then
-step the world. Real time: a step every control period on absolute deadlines, over links that delay,
-jitter and lose messages as real networks do.
+step the world, and only 20 times a second while nothing has moved for long. Real time: a step every
+control period on absolute deadlines, over links that delay, jitter and lose messages as real
+networks do.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from wam_power_ros.ros.domain import exported, hold
 from wam_power_ros.ros.loop_statistics import LoopStatistics
 
 REPEAT_PERIOD_NS = 50_000_000  # [ns] after which an unanswered state is published again
+IDLE_PERIOD_NS = 50_000_000  # [ns] between two steps while nothing moves: waiting costs little
 LAG_MAX_NS = 100_000_000  # [ns] behind the clock; beyond, the time of the simulation is shifted
 
 
@@ -105,6 +107,7 @@ class Simulation:
         )
         self._statistics = LoopStatistics(params.period_ns)
         self._published_ns = 0  # [ns] on the steady clock
+        self._held: joint_messages.TorqueReading | None = None  # answer that waits in idleness
         self._granted = _schedule(0 if self.wam.lockstep else params.realtime_priority)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.wam.create_timer(1.0, self._report, clock=steady)
@@ -128,17 +131,27 @@ class Simulation:
             self._real_time(executor, stopped)
 
     def _lockstep(self, executor: Executor, ended: Callable[[], bool]) -> None:
-        self.wam.on_torque = self._step
+        self.wam.on_torque = self._answered
         while not ended():
-            if time.monotonic_ns() - self._published_ns > REPEAT_PERIOD_NS:
+            waited_ns = time.monotonic_ns() - self._published_ns
+            if self._held is not None:
+                if waited_ns > IDLE_PERIOD_NS or not self.wam.idle:
+                    self._step(self._held)
+            elif waited_ns > REPEAT_PERIOD_NS:
                 self._publish(self.wam.state())
             executor.spin_once(timeout_sec=0.02)
 
-    def _step(self, reading: joint_messages.TorqueReading) -> None:
-        """Step once if this is the torque for the last published state."""
+    def _answered(self, reading: joint_messages.TorqueReading) -> None:
+        """Step if this is the torque for the last published state; in idleness later."""
         if reading.stamp_ns != self.wam.stamp_ns:
             self.wam.counters["torques out of step"] += 1
-            return
+        elif self.wam.idle:
+            self._held = reading
+        else:
+            self._step(reading)
+
+    def _step(self, reading: joint_messages.TorqueReading) -> None:
+        self._held = None
         begun_ns = time.monotonic_ns()
         self._publish(self.wam.tick(reading))
         self._statistics.add(begun_ns, self._published_ns)

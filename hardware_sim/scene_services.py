@@ -70,6 +70,12 @@ class SceneServices:
         if body:
             node.create_service(Trigger, interface.body_topic(body, "drop"), self._on_drop)
 
+    @property
+    def busy(self) -> bool:
+        """Whether a request is pending or a demonstration or reset under way."""
+        under_way = self._demonstrating or self._resetting is not None
+        return under_way or bool(self._server.pending) or not self._world.carried
+
     def change(self, label: str, stamp_ns: int) -> None:
         """Change the activity of the controller; a rollout begins or ends with this tick.
 

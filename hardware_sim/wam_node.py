@@ -29,6 +29,8 @@ from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.ros.diagnostics import component, diagnostics_message
 
 CLOCK_PERIOD_NS = 10_000_000  # [ns] of /clock, which every node in lockstep reads and records
+IDLE_TIME = 5.0  # [s] without motion and requests, longer than any wait of a session
+IDLE_LABELS = ("", "inactive", "hold", "gravity_compensation", "fault")
 TORQUE_PER_CURRENT = 12.0  # [N m/A] of a motor and its gear, where effort is its current
 
 
@@ -57,6 +59,7 @@ class WamSim(Node):
         self.on_torque: Callable[[joint_messages.TorqueReading], None] = lambda reading: None
         self.counters: Counter[str] = Counter()
         self.lockstep = params.pace == "lockstep"
+        self._still_ticks = 0  # without motion and requests
 
     def attach(self, world: World, on_frame: Callable[[MocapFrame, int, int], None]) -> None:
         """Attach a world and create the topics and services of the driver.
@@ -114,6 +117,11 @@ class WamSim(Node):
     # The tick
 
     @property
+    def idle(self) -> bool:
+        """Whether nothing has moved or been requested for long, and nothing is requested now."""
+        return self._still_ticks * self.params.period > IDLE_TIME and not self._scene.busy
+
+    @property
     def stamp_ns(self) -> int:
         """Stamp of the current state [ns]."""
         return self.world.time_ns + self.stamp_offset_ns
@@ -131,6 +139,7 @@ class WamSim(Node):
         if reading is not None and reading.label != self._scene.label:
             if (self._scene.label, reading.label) == ("fault", "hold"):
                 world.idle = False  # the controller was reset: the arm is active again
+            self._still_ticks = 0
             self._scene.change(reading.label, self.stamp_ns)
         tau = None if reading is None else reading.tau
         if self._barrett.deactivated:
@@ -141,6 +150,9 @@ class WamSim(Node):
         world.step(tau)
         self._barrett.update()
         self._scene.update()
+        moves = self._scene.label not in IDLE_LABELS or self._scene.busy or self._control.engaged
+        moves = moves or world.moving
+        self._still_ticks = 0 if moves else self._still_ticks + 1
         for frame in world.mocap_frames():
             self._on_frame(frame, self.stamp_offset_ns, world.time_ns)
         return self.state()

@@ -34,6 +34,7 @@ QUIET = "-quiet"  # suffix of the id of a rollout without wind, offset and varia
 DROP_HEIGHT = 0.7  # [m]
 TRACE_RATE = 100.0  # [Hz] of the poses in `World.trace`
 CARRY_REST = 0.1  # [s] at its end, in which the filtered velocity becomes zero
+REST_SPEED = 0.05  # [rad/s] or [m/s] of what counts as at rest
 CARRY_SPEED = 1.0  # [rad/s] peak joint speed of an arm that is carried to a posture
 _SETTLE_STEPS = 900  # physics steps, at most, until bodies are at rest
 _SETTLE_CHECK = 50  # physics steps between checks for rest
@@ -280,6 +281,12 @@ class World:
         self._body[:] = [*self._tool_position, math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0]
         self._body[2] += DROP_HEIGHT
         self._body_twist[:] = 0.0
+
+    @property
+    def moving(self) -> bool:
+        """Whether arm or scene move, such as a body that has not come to rest."""
+        speeds = (self._qd, self._scene_qd)
+        return not self.frozen and any(np.abs(qd).max(initial=0.0) > REST_SPEED for qd in speeds)
 
     @property
     def pulled(self) -> bool:

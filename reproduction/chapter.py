@@ -112,7 +112,7 @@ class Chapter:
         self.figures[name] = png = plotting.png(drawn)
         photographs = any(axes.images for axes in drawn.axes)  # keep their colours in dark mode
         style = "" if photographs else "drawn"
-        return Markup(html_page.figure(html_page.image(png, "image/png", caption, style), caption))
+        return Markup(html_page.figure(html_page.image(png, caption, "image/png", style), caption))
 
 
 @dataclass(frozen=True)

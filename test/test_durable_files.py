@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from pathlib import Path
 
@@ -60,3 +61,42 @@ def test_a_file_and_a_folder_can_be_flushed_and_nothing_stays_open(
     durable_files.sync(tmp_path / name)
     assert flushed == [(tmp_path / name, None)]
     assert set(os.listdir("/proc/self/fd")) == before
+
+
+@pytest.mark.parametrize(
+    ("number", "remedy"),
+    [(errno.ENOSPC, "free some space"), (errno.EROFS, "read-only"), (errno.EACCES, "not yours")],
+)
+def test_an_error_of_the_disk_has_its_file_and_a_remedy(
+    number: int, remedy: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "rollouts.jsonl"
+    with pytest.raises(OSError, match="rollouts") as caught, durable_files.naming(file):
+        raise OSError(number, os.strerror(number))
+    text = durable_files.explained(caught.value)
+    assert text.startswith(f"{file}: {os.strerror(number)}; ") and remedy in text
+    assert "Errno" not in text
+
+
+def test_the_file_that_was_meant_is_named_and_any_other_error_is_told_as_it_is(
+    tmp_path: Path,
+) -> None:
+    with pytest.raises(OSError) as caught:
+        durable_files.replace(tmp_path / "missing" / "report.html", "")
+    file = tmp_path / "missing" / "report.html"
+    assert durable_files.explained(caught.value) == f"{file}: No such file or directory"
+    assert durable_files.explained(OSError("gone")) == "gone"
+
+
+@pytest.mark.parametrize("name", ["a\nb", "a\x1b[31mb", "a\tb", "a\udc80b"])
+def test_a_name_with_control_characters_is_escaped_and_refused(name: str) -> None:
+    assert durable_files.printable(name).isprintable()
+    with pytest.raises(ValueError, match="control characters") as caught:
+        durable_files.check_name(Path(name))
+    assert str(caught.value).isprintable()
+
+
+def test_any_other_name_is_printed_as_it_is() -> None:
+    name = "Übung 1_é (2).mcap"
+    durable_files.check_name(Path(name))
+    assert durable_files.printable(name) == name

@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that survive a crash: flushed to disk and replaced atomically."""
+"""Files that survive a crash: flushed to disk and replaced atomically; errors that say which."""
 
 from __future__ import annotations
 
+import errno
 import os
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 _KINDS = {
@@ -14,6 +17,50 @@ _KINDS = {
     stat.S_IFCHR: "a device",
     stat.S_IFBLK: "a device",
 }
+
+
+_REMEDIES = {
+    errno.ENOSPC: "free some space on its disk",
+    errno.EDQUOT: "free some of your quota on its disk",
+    errno.EFBIG: "the file may not grow any more: see `ulimit -f`",
+    errno.EROFS: "its disk is read-only: choose another folder",
+    errno.EACCES: "it is not yours: choose another folder, or change its rights",
+}
+
+
+def explained(error: OSError) -> str:
+    """File of an error, reason and remedy, as far as they are known."""
+    if error.strerror is None:
+        return str(error)
+    file = f"{printable(error.filename)}: " if error.filename else ""
+    remedy = _REMEDIES.get(error.errno or 0, "")
+    return f"{file}{error.strerror}{remedy and f'; {remedy}'}"
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Name the file in an `OSError`, which those of writing, flushing and its parts do not."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno is not None:
+            error.filename, error.filename2 = str(path), None
+        raise
+
+
+def printable(path: Path | str) -> str:
+    """Path as one line for a terminal: control characters are escaped."""
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in str(path))
+
+
+def check_name(path: Path) -> None:
+    """Check that a path can be printed.
+
+    Raises:
+        ValueError: It has control characters, such as a line feed or an escape sequence.
+    """
+    if not str(path).isprintable():
+        raise ValueError(f"{printable(path)} has control characters in its name: rename it")
 
 
 def check_regular(path: Path) -> None:
@@ -59,7 +106,8 @@ def replace(path: Path, text: str) -> None:
         OSError: If writing fails; the old file is then unchanged.
     """
     part = path.with_name(f".{path.name}.part")
-    part.write_text(text, encoding="utf-8")
-    sync(part)
-    part.replace(path)
-    sync(path.parent)
+    with naming(path):
+        part.write_text(text, encoding="utf-8")
+        sync(part)
+        part.replace(path)
+        sync(path.parent)

@@ -27,7 +27,6 @@ RETESTS = 30  # of the final policy
 SOLVED = 27  # or more true flips among the re-tests of a solved session
 CONFIRM = preset("flip", "flip").practice.confirm  # successes in a row that end a session
 HELD_OUT = range(7001, 7031)  # seeds not used for tuning
-_NO_CORRECTIONS = dict.fromkeys(("landing_gain", "turn_gain", "vigour_gain", "tempo_gain"), 0.0)
 
 
 class Row(NamedTuple):
@@ -35,22 +34,22 @@ class Row(NamedTuple):
 
     Attributes:
         told: Measurements of a rollout that the learner receives.
-        changes: Changes to the preset `flip`.
+        preset: Name of the preset of the task `flip`.
+        changes: Changes to it.
     """
 
     told: str
+    preset: str
     changes: Mapping[str, Any]
 
 
 ROWS = {
-    "flip": Row("return, landing error, rotation", {}),
-    "corrections": Row(
-        "landing error, rotation", {"learner": {"name": "corrections_only"}, "mean_every": 1}
-    ),
-    "power": Row("return", _NO_CORRECTIONS),
-    "cma_es": Row("return", {**_NO_CORRECTIONS, "learner": {"name": "cma_es"}}),
-    "pi2_bb": Row("return", {**_NO_CORRECTIONS, "learner": {"name": "pi2_bb"}}),
-    "random": Row("return", {**_NO_CORRECTIONS, "learner": {"name": "random"}}),
+    "flip": Row("return, landing error, rotation", "flip", {}),
+    "corrections": Row("landing error, rotation", "corrections_only", {}),
+    "power": Row("return", "return_only", {}),
+    "cma_es": Row("return", "return_only", {"learner": {"name": "cma_es"}}),
+    "pi2_bb": Row("return", "return_only", {"learner": {"name": "pi2_bb"}}),
+    "random": Row("return", "return_only", {"learner": {"name": "random"}}),
 }
 # Arguments of a session in each case. "unknown" and "varied": worlds drawn from the seed, one for
 # the session or one for each rollout.
@@ -81,7 +80,7 @@ def jobs(
             session,
             {
                 "seed": seed,
-                "name": "flip",
+                "name": ROWS[name].preset,
                 "demonstrations": 1,
                 "changes": {"budget": BUDGET, "retests": RETESTS, **ROWS[name].changes},
                 **CASES[case],

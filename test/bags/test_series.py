@@ -77,9 +77,17 @@ def test_a_bag_that_is_named_another_way_is_the_one_in_its_series(way: str, tmp_
         assert bag not in series.read(tmp_path / "real" / series.FILE)
 
 
-@pytest.mark.parametrize("name", ["b", "", "..", ".hidden", "x/y", "x.unfinished"])
+@pytest.mark.parametrize(
+    "name", ["b", "", "..", ".hidden", "x/y", "x.unfinished", "a\nb", "\x1b[31mx"]
+)
 def test_a_name_that_is_taken_or_none_is_refused(file: Path, name: str) -> None:
     first, _ = series.read(file)
     with pytest.raises(ValueError, match=r"name of a bag|exists already"):
         series.rename(first, name)
     assert first.is_dir()
+
+
+def test_a_bag_with_control_characters_in_its_name_is_refused_in_one_line(tmp_path: Path) -> None:
+    bag = demonstration(tmp_path / "a\nb", random_q(20))
+    with pytest.raises(ValueError, match=r"a\\nb has control characters"):
+        Bag(bag)

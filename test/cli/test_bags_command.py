@@ -176,3 +176,13 @@ def test_a_bag_that_was_never_closed_is_recovered(
     assert layout.unfinished(tmp_path / "cut").exists()
     assert main.main(["recover", str(tmp_path / "cut")]) == 0
     assert "1 messages" in capsys.readouterr().out
+
+
+def test_a_name_with_control_characters_is_listed_and_deleted_in_one_line(
+    take: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = take.rename(take.with_name("reach_\x1b[2J\nx"))
+    listed, deleted = said(capsys, "list", bag.parent), said(capsys, "delete", bag)
+    for text in (listed, deleted):
+        assert "\x1b" not in text and "reach_\\x1b[2J\\nx" in text
+    assert len(deleted.splitlines()) == 1

@@ -25,7 +25,12 @@ from wam_power_ros.cli.launcher import (
     pasteable,
     program_command,
 )
-from wam_power_ros.cli.session_options import SessionOptions, learner_parameters, with_origin
+from wam_power_ros.cli.session_options import (
+    SessionOptions,
+    learner_parameters,
+    method_words,
+    with_origin,
+)
 from wam_power_ros.params import overlay
 from wam_power_ros.practice.session import Session, read
 from wam_power_ros.practice.settings import preset
@@ -279,3 +284,19 @@ def test_a_session_from_another_one_is_refused_where_that_does_not_fit(
     assert "brings its own demonstrations: omit --bags" in refusal(*given, "--bags", bag)
     (origin / "policy.json").unlink()
     assert "has learnt no policy yet" in refusal(*given)
+
+
+@pytest.mark.parametrize(
+    ("name", "learner", "words"),
+    [
+        ("flip", "", []),
+        ("paper", "", ["--preset", "paper"]),
+        ("return_only", "cma_es", ["--preset", "return_only", "--learner", "cma_es"]),
+        ("corrections_only", "", ["--preset", "corrections_only"]),
+    ],
+)
+def test_a_command_that_repeats_a_session_asks_for_its_preset_and_learner(
+    name: str, learner: str, words: list[str]
+) -> None:
+    settings = preset("flip", name, {"name": learner} if learner else None, budget=9)
+    assert method_words(settings) == words

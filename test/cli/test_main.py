@@ -134,8 +134,8 @@ def test_a_log_shows_every_rollout_once_on_a_line_of_its_own() -> None:
     text = io.StringIO()
     with terminal.Display(Console(file=text, width=80)) as display:
         for count in (0, 2, 2, 9):
-            display.show(records[:count], 9, OUTCOME)
-    lines = text.getvalue().splitlines()
+            display.show(records[:count], preset("flip"), TASK)
+    _, *lines = text.getvalue().splitlines()
     assert [int(line.split()[0]) for line in lines] == list(range(1, 10))
     assert all(f"return {record.ret:.3f}" in line for record, line in zip(records, lines, strict=1))
 
@@ -148,18 +148,18 @@ def test_a_terminal_shows_the_newest_rollouts_and_the_best_return_so_far() -> No
     assert bests[-1] == f"{max(record.ret or 0.0 for record in records):.3f}"
     text = io.StringIO()
     with terminal.Display(Console(file=text, width=120, force_terminal=True)) as display:
-        display.show(records, 60, OUTCOME)
+        display.show(records, preset("flip", budget=60), TASK)
     assert "40 of at most 60 rollouts" in re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", text.getvalue())
 
 
 def test_the_summary_counts_the_retests_by_tracker_and_by_truth() -> None:
     record = some_records(3)[-1]
-    good = {**(record.observation or {}), "resting": True, "flipped": True, "tossed": True}
+    good = {**(record.observation or {}), "resting": True, "flipped": True, "angle": 3.0}
     truth = {"caught": True, "flipped": False}
     tests = [
         record.model_copy(update={"kind": "retest", "observation": good, "truth": truth}),
         record.model_copy(update={"kind": "retest", "observation": {**good, "resting": False}}),
     ]
     text = terminal.summary(tests, TASK)
-    assert "1 of 2 flipped and caught" in text
+    assert "1 of 2 flipped" in text
     assert "simulator's ground truth: 0 of 1" in text

@@ -30,7 +30,8 @@ def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
         (["bags", "lst"], "did you mean 'list'?"),
         (["run", "torque_controler"], "did you mean 'torque_controller'?"),
         (["teach", "--demonstrations", "0"], "0 must be at least 1"),
-        (["learn", "--trials", "-3"], "-3 must be at least 0"),
+        (["learn", "--trials", "0"], "--trials: 0 must be at least 1"),
+        (["learn", "--seed", "-3"], "-3 must be at least 0"),
         (["learn", "--seed", "x"], "'x' is not a whole number"),
     ],
 )
@@ -77,3 +78,11 @@ def test_the_shell_completes_commands(tmp_path: Path) -> None:
     command = [sys.executable, "-c", "from wam_power_ros.cli.main import main; main()"]
     subprocess.run(command, env=os.environ | words, timeout=60, check=True)
     assert answer.read_text().split() == ["report", "replay"]
+
+
+@pytest.mark.parametrize("words", [[], ["bags"]])
+def test_a_name_without_a_command_prints_the_commands(
+    words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main.main(words) == 0
+    assert "COMMAND" in capsys.readouterr().out

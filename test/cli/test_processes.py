@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from conftest import python_path
@@ -91,3 +92,34 @@ def test_processes_end_when_their_parent_is_killed(command: list[str], tmp_path:
     parent.kill()
     parent.wait(10.0)
     assert soon(lambda: not alive(child))
+
+
+def test_a_process_that_is_killed_or_stopped_is_told_so_in_words(tmp_path: Path) -> None:
+    with Processes(tmp_path, {}) as processes:
+        victim = processes.start("victim", SLEEP)
+        assert processes.stopped == []
+        victim.process.send_signal(signal.SIGSTOP)
+        assert soon(lambda: processes.stopped)
+        pid = victim.process.pid
+        assert processes.stopped == [f"victim is stopped; kill -CONT {pid} continues it"]
+        victim.process.kill()
+        victim.process.wait(20.0)
+        assert processes.stopped == []
+        with pytest.raises(ProcessError, match=r"victim was ended by SIGKILL .*lack of memory"):
+            processes.check()
+
+
+@pytest.mark.parametrize(
+    ("free", "flag", "said"),
+    [(0, 0, "is full"), (10**6, os.ST_RDONLY, "is read-only"), (10**6, 0, "")],
+)
+def test_a_disk_on_which_no_log_can_be_written_is_named_with_the_end_of_a_process(
+    free: int, flag: int, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with Processes(tmp_path, {}) as processes:
+        died = processes.start("died", [sys.executable, "-c", "raise SystemExit(2)"])
+        died.process.wait(20.0)
+        disk = SimpleNamespace(f_flag=flag, f_bavail=free, f_frsize=4096)
+        monkeypatch.setattr(os, "statvfs", lambda _: disk)
+        text = str(died.error())
+    assert ("The disk of" in text) == bool(said) and said in text

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import os
 import time
+from collections import Counter
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +17,8 @@ from sensor_msgs.msg import PointCloud2
 from stand_ins import CONFIGS, NAMES, TICK, Hardware, arm_model
 from std_msgs.msg import Float64MultiArray, String
 
+from hardware_sim.main import Simulation
+from hardware_sim.wam_node import IDLE_TIME, WamSim
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.ros import interface, joint_messages, pose_messages
 from wam_power_ros.ros.stamps import nanoseconds
@@ -146,3 +150,23 @@ def test_a_wrong_scene_configuration_is_refused_at_start(
     process = processes.node("hardware_sim.main", *CONFIGS, **wrong)
     assert process.wait(60.0) == 2
     assert reason in processes.output(process)
+
+
+def test_a_torque_waits_only_while_nothing_moves_and_nothing_is_requested() -> None:
+    simulation, taken = Simulation.__new__(Simulation), []
+    simulation._held, simulation._step = None, taken.append
+    simulation.wam = SimpleNamespace(stamp_ns=TICK, counters=Counter(), idle=False)
+    for stamp_ns, idle in ((TICK, False), (TICK + 1, False), (TICK, True)):
+        simulation.wam.idle = idle
+        simulation._answered(SimpleNamespace(stamp_ns=stamp_ns))
+    assert [reading.stamp_ns for reading in taken] == [TICK]
+    assert simulation.wam.counters["torques out of step"] == 1 and simulation._held is not None
+
+    def idle(ticks: int, busy: bool) -> bool:
+        scene = SimpleNamespace(busy=busy)
+        params = SimpleNamespace(period=0.002)
+        node = SimpleNamespace(_still_ticks=ticks, _scene=scene, params=params)
+        return WamSim.idle.fget(node)
+
+    longest = round(IDLE_TIME / 0.002)
+    assert idle(longest + 1, False) and not idle(longest, False) and not idle(longest + 1, True)

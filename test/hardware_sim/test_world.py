@@ -39,6 +39,18 @@ def test_an_arm_at_rest_stays_where_it_is_under_its_gravity_torque(calm: World) 
     assert np.abs(calm.data.qvel[:7]).max() < 1e-3
 
 
+def test_a_body_that_falls_moves_and_an_arm_at_rest_or_frozen_does_not(calm: World) -> None:
+    gravity = begin(calm)
+    run(calm, gravity, 500)
+    assert not calm.moving
+    calm.drop()
+    run(calm, gravity, 50)
+    assert calm.moving
+    calm.reset("trial-0002", LEVEL)
+    assert calm.frozen and not calm.moving
+    calm.release()
+
+
 @pytest.mark.parametrize("joints", [1, 4, 6])
 def test_an_arm_of_any_number_of_joints_is_simulated_by_its_urdf(joints: int) -> None:
     home = (0.0, 0.2, 0.3, 0.4, -0.5, 0.3)[:joints]

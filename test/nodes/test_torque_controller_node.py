@@ -13,6 +13,7 @@ from conftest import ROOT, Probe, Process, Processes, lift
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from played_arm import HOME, MODULE, NAMES, TICK, PlayedArm
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
@@ -278,6 +279,7 @@ def test_a_driver_may_name_its_joints_otherwise_than_the_model(
 
 
 def test_in_simulated_time_states_may_stay_away(probe: Probe, processes: Processes) -> None:
+    probe.publisher(Clock, interface.CLOCK, interface.CLOCK_QOS, readers=0)
     arm = PlayedArm(probe, processes, state_timeout=0.006, use_sim_time=True)
     arm.activate()
     count = len(arm.read())

@@ -280,7 +280,7 @@ def test_a_mean_that_succeeds_is_run_again_unchanged_until_it_fails_or_is_confir
     assert practice.next_trial().kind == "explore"
 
     run(practice, lambda trial: bad() if trial.kind == "explore" else good())
-    assert practice.stopped == "a mean succeeded 4 times in a row"
+    assert practice.stopped == "the mean policy succeeded 4 times in a row"
     *_, confirmed, again, last = practice.records
     assert (confirmed.kind, again.kind, last.kind) == ("mean", "retest", "retest")
     assert confirmed.z == again.z == last.z
@@ -295,7 +295,7 @@ def test_a_mean_that_barely_succeeds_does_not_stop_the_session() -> None:
     while practice.next_trial().kind == "explore":
         run(practice, lambda trial: good(), rollouts=1)
     run(practice, lambda trial: good(angle=math.radians(165.0)), rollouts=1)
-    assert practice.stopped == "a mean succeeded 1 times in a row"
+    assert practice.stopped == "the mean policy succeeded 1 times in a row"
 
 
 def test_a_success_while_exploring_calls_for_the_mean_in_the_papers_session() -> None:
@@ -306,7 +306,7 @@ def test_a_success_while_exploring_calls_for_the_mean_in_the_papers_session() ->
     run(practice, lambda trial: bad(), rollouts=1)
     assert practice.next_trial().kind == "explore"
     run(practice, lambda trial: good(), rollouts=3)
-    assert practice.stopped == "a mean succeeded 2 times in a row"
+    assert practice.stopped == "the mean policy succeeded 2 times in a row"
 
 
 @presets
@@ -428,7 +428,7 @@ def test_records_of_another_session_are_refused() -> None:
 
 
 def test_settings_and_candidates_that_cannot_be_are_refused() -> None:
-    with pytest.raises(ValueError, match="'quick' of 'flip' is not one of flip, paper"):
+    with pytest.raises(ValueError, match="'quick' of 'flip' is not one of flip, return_only, "):
         preset("flip", "quick")
     with pytest.raises(ValueError, match="task 'fly' is not one of ball_in_cup, flip, reach"):
         preset("fly")

@@ -517,7 +517,8 @@ def test_a_disk_that_refuses_the_acknowledgement_costs_no_rollout(
 
         patch.setattr(durable_files, "replace", refuse)
         go_on(session, session.practice(ANY_ARM), 2)
-    assert "acknowledged.json could not be written" in caplog.text
+    said = "acknowledged.json: No space left on device; free some space on its disk"
+    assert "could not be written" in caplog.text and said in caplog.text
     with Session.open(folder) as session:
         assert len(session.records) == 4
 

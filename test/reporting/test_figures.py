@@ -32,7 +32,7 @@ def test_each_kind_of_rollout_has_points_of_its_own_and_only_explorations_are_av
     for kind, (label, *_) in figures.POINTS.items():
         at = [k + 1 for k, other in enumerate(kinds) if other == kind]
         assert found[label].get_xdata().tolist() == at
-    mean = found["mean of up to five explorations"]
+    mean = found["average of the last five explorations"]
     assert mean.get_xdata().tolist() == [3, 4, 6]
     np.testing.assert_allclose(mean.get_ydata(), [0.5, 0.6, 0.6])
     assert found["first reproduction"].get_ydata()[0] == 0.3

@@ -72,8 +72,21 @@ def test_a_report_lists_every_rollout_with_its_angle(folder: Path) -> None:
 
 def test_a_report_has_the_first_flip_and_the_speeds_that_were_needed(folder: Path) -> None:
     html = session_report.write(folder).read_text()
-    assert "Rollout 2 was the first that flipped and caught" in html  # 100 degrees topple over
+    assert "Rollout 4 was the first that flipped the pancake" in html  # 100 degrees topple over
+    assert "° turned over, caught" in html
     assert "1.37 m/s" in html and "exceeds the factory fault speed" in html
+
+
+def test_a_report_names_the_corrections_of_the_learner(folder: Path) -> None:
+    found = session.read(folder)
+    for name, told in (
+        ("flip", "learner power with corrections of landing error and rotation;"),
+        ("return_only", "learner power without corrections;"),
+        ("corrections_only", "learner corrections_only with corrections of landing error and"),
+    ):
+        settings = preset("flip", name)
+        header = found.header.model_copy(update={"settings": settings})
+        assert told in session_report.render(header, settings.make_task({}), None, None, ())
 
 
 def test_a_report_has_the_reproduction_beside_the_answer(folder: Path) -> None:
@@ -88,6 +101,16 @@ def test_what_was_learnt_from_comes_before_the_papers_return(folder: Path) -> No
     titles = re.findall(r"<h2>(.*?)</h2>", html)
     assert titles.index("Learning curve") < titles.index("Return of the paper, Eq. 5")
     assert html.count('class="drawn"') == html.count("<img")  # readable in the dark
+
+
+def test_every_picture_is_described_and_what_is_too_wide_says_that_it_scrolls(folder: Path) -> None:
+    shown = session_report.ShownRollout("caught.", a_rollout("trial-0006", TURNS[5]), b"film")
+    html = session_report.write(folder, shown).read_text()
+    described = re.findall(r'<img alt="([^"]*)"', html)
+    assert len(described) == html.count("<img") == 6 == len({*described})
+    assert all(len(text.split()) > 3 for text in described)
+    pictures = re.findall(r'<div class="wide picture" tabindex="0"><img', html)
+    assert len(pictures) == 5 and "scroll sideways" in html
 
 
 def test_page_and_terminal_say_the_same_of_the_retests(folder: Path) -> None:
@@ -144,7 +167,10 @@ def test_a_report_of_a_reach_speaks_of_the_obstacle_and_of_no_pancake(reach: Pat
     for word in ("pancake", "flip", "Eq. 5", "caught"):
         assert word not in visible
     assert "Rollout 2 was the first that succeeded." in html
-    assert "obstacle was touched, the observation agreed with the simulator in 3 of 3" in html
+    said = (
+        "obstacle was touched: measurements and the simulator&#x27;s ground truth agree in 3 of 3"
+    )
+    assert said in html
     assert (
         html.count("data:image/svg+xml;base64,") == 4
     )  # the final policy, learning curve, terms, stiffness

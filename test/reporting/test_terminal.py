@@ -9,6 +9,7 @@ from rich.console import Console
 from toss_task import demonstrated_policy, practice_of, toss
 
 from wam_power_ros.practice.practice import Practice
+from wam_power_ros.practice.session_log import KIND_NAMES
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.reporting import terminal
 
@@ -47,6 +48,19 @@ def test_no_head_and_no_outcome_is_cut_at_any_width(practice: Practice, width: i
     for record, row in zip(practice.records, rows, strict=True):
         assert "a pancake on the floor" in row and f"{record.ret:.3f}" in row
     assert ("caught" in head.split()) == (width > 80)  # terms are left out where there is no room
+    assert {row.split()[1] for row in rows} == {"reproduction", "exploration", "mean"}  # in full
+
+
+def test_the_best_return_is_measured_even_if_another_rollout_was_rewarded(
+    practice: Practice,
+) -> None:
+    first = practice.records[0]
+    rewarded = first.model_copy(update={"number": 2, "ret": first.ret / 2.0, "adjustment": 1.0})
+    table = terminal.rollout_table([first, rewarded], lambda record: "")
+    assert [*table.columns[-2].cells] == [f"{first.ret:.3f}"] * 2
+    assert f"best {first.ret:.3f} in rollout 1" in terminal.summary(
+        [first, rewarded], practice.task
+    )
 
 
 def test_the_budget_is_not_known_before_the_session_is(practice: Practice) -> None:
@@ -74,16 +88,16 @@ def test_a_file_that_is_quiet_gets_a_sign_of_life(practice: Practice) -> None:
             display.tick(now)
         assert [line.split()[1] for line in text.getvalue().splitlines()] == ["6", "11"]
         assert "the pancake to be ready" in text.getvalue()
-        display.show(practice.log[:1], 6, practice.task.outcome)
+        display.show(practice.log[:1], practice.settings, practice.task)
         display.tick(12.0)
         display.tick(16.0)
-    assert len(text.getvalue().splitlines()) == 3  # the rollout was itself a line of the file
+    assert len(text.getvalue().splitlines()) == 4  # the first rollout has lines of its own
 
 
 def test_a_line_has_number_return_terms_and_outcome(practice: Practice) -> None:
     record = practice.records[2]
     text = terminal.line(record, lambda _: "went well")
-    assert text.split()[:2] == ["3", record.kind]
+    assert text.split()[:2] == ["3", KIND_NAMES[record.kind]]
     for name, value in record.terms.items():
         assert f"{name} {value:.3f}" in text
     assert f"return {record.ret:.3f}" in text and "went well" in text
@@ -94,7 +108,7 @@ def test_the_summary_has_the_peak_speeds_of_the_retests(practice: Practice) -> N
     truth |= {"peak_forearm_speed": 1.37, "peak_pan_speed": 2.5}
     tests = [practice.records[0].model_copy(update={"kind": "retest", "truth": truth})]
     text = terminal.summary([*practice.records, *tests], practice.task)
-    assert "elbow 0.61, point 350 mm beyond it 1.37, tool 2.50 m/s" in text
+    assert "elbow 0.61 m/s, forearm (350 mm past the elbow) 1.37 m/s, tool 2.50 m/s" in text
     assert "no-load speed in 1 of 1" in text
 
 
@@ -126,9 +140,23 @@ def test_a_file_gets_every_line_once(practice: Practice) -> None:
     text = io.StringIO()
     console = Console(file=text, width=80)
     with terminal.Display(console) as display:
-        display.show(practice.log[:2], 6, practice.task.outcome)
-        display.show(practice.log, 6, practice.task.outcome)
-    assert [int(line.split()[0]) for line in text.getvalue().splitlines()] == [1, 2, 3, 4, 5, 6]
+        display.show(practice.log[:2], practice.settings, practice.task)
+        display.show(practice.log, practice.settings, practice.task)
+    how, *lines = text.getvalue().splitlines()
+    assert how == "Task flip, learner power with corrections of landing error and rotation"
+    assert [int(line.split()[0]) for line in lines] == [1, 2, 3, 4, 5, 6]
+
+
+def test_rollouts_of_the_budget_and_re_tests_are_counted_apart(practice: Practice) -> None:
+    tests = [
+        r.model_copy(update={"kind": "retest"}) if r.number > 4 else r for r in practice.records
+    ]
+    settings = preset("flip", budget=4, retests=10)
+    text = io.StringIO()
+    with terminal.Display(Console(file=text, width=120, force_terminal=True)) as display:
+        display.show(tests[:3], settings, practice.task)
+        display.show(tests, settings, practice.task)
+    assert "re-test 2 of 10" in text.getvalue() and "of 14" not in text.getvalue()
 
 
 def test_lines_are_broken_between_words(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -143,7 +171,7 @@ def test_one_of_a_thing_is_told_in_the_singular(practice: Practice) -> None:
     assert told == ["0 takes", "1 take", "2 takes"]
     record = practice.records[0]
     task = practice.task
-    assert terminal.summary([record], task).startswith("1 rollout; return ")
+    assert terminal.summary([record], task).startswith("1 rollout; mean return ")
     unusable = record.model_copy(update={"ret": None})
     assert terminal.summary([unusable], task) == "1 rollout, none usable"
 

@@ -16,11 +16,11 @@ def test_rows_differ_only_in_the_learner_and_its_information() -> None:
     assert {job.arguments["seed"] for job in found} == {1, 2}
     assert not set(novice.HELD_OUT) & set(HELD_OUT)
     own = {"task_settings", "learner", "learner_settings", "practice"}
-    blank = {"seed": 0, "changes": 0, "carried": 0, "repeats": 0}
+    blank = {"seed": 0, "name": "", "changes": 0, "carried": 0, "repeats": 0}
     plain = preset("flip", "flip", **found[0].arguments["changes"])
     for job in found:
         assert {**job.arguments, **blank} == {**found[0].arguments, **blank}
-        settings = preset("flip", "flip", **job.arguments["changes"])
+        settings = preset("flip", job.arguments["name"], **job.arguments["changes"])
         assert settings.model_dump(exclude=own) == plain.model_dump(exclude=own)
         assert settings.practice.budget == plain.practice.budget
         assert settings.practice.retests == plain.practice.retests

@@ -17,7 +17,7 @@ from wam_power_ros.ros.answers import Code
 
 def test_the_example_teaches_learns_and_replays_over_dds(tmp_path: Path) -> None:
     domain, taught, *others, moved = output(OVER_DDS, tmp_path)
-    assert domain.startswith("Simulation: in its own DDS domain")
+    assert domain.startswith("The simulation uses ROS_DOMAIN_ID")
     assert taught.startswith("taught demo_") and moved.startswith("moved: ")
     assert [line.split(": ")[0] for line in others[:4]] == [f"trial-{k}" for k in range(4)]
     assert "rms" in "".join(others[4:])

@@ -3,7 +3,7 @@
 
 import pytest
 
-from wam_power_ros.tracking.tracker import ClockOffset
+from wam_power_ros.tracking.tracker import ClockOffset, late_stamps
 
 START = 1_700_000_000_000_000_000
 
@@ -30,3 +30,10 @@ def test_the_offset_of_two_clocks_is_the_age_that_jitter_cannot_lower() -> None:
     behind = ClockOffset()
     behind.add(START, START - 40_000_000)
     assert behind.seconds == pytest.approx(-0.04)
+
+
+def test_late_stamps_have_the_cause_that_can_be_seen() -> None:
+    assert "0.600 s off: synchronise the clocks" in late_stamps(0.6, 0.0)
+    stopped = late_stamps(5.0, 5.1)
+    assert "this node stood still for 5.1 s" in stopped and "synchronise" not in stopped
+    assert "use_sim_time" in late_stamps(1.7e9, 0.0) and "use_sim_time" in late_stamps(-1.7e9, 0.0)

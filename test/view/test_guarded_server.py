@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 import socket
+from contextlib import suppress
 
 import pytest
 
 pytest.importorskip("viser", reason="no viser")
 
-from wam_power_ros.view.guarded_server import open_server, refusal
+from wam_power_ros.view.guarded_server import close, open_server, refusal
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1:8080", "localhost:8080", "[::1]:8080", "10.0.0.7:80"])
@@ -62,3 +63,42 @@ def test_the_next_free_port_is_used_and_without_one_the_server_is_refused() -> N
             server.stop()
     with pytest.raises(ValueError, match="port from 70000"):
         open_server("127.0.0.1", 70000)
+
+
+def test_a_client_that_is_no_page_is_told_and_prints_no_traceback(
+    caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str]
+) -> None:
+    import msgspec
+    import viser
+    import zstandard
+    from websockets.exceptions import ConnectionClosed
+    from websockets.sync.client import connect
+
+    server, pressed = open_server("127.0.0.1", 0), []
+    try:
+        server.gui.add_button("Reward").on_click(pressed.append)
+        (uuid,) = server.gui._gui_input_handle_from_uuid
+        address = f"ws://127.0.0.1:{server.get_port()}"
+        protocol = [f"viser-v{viser.__version__}"]
+        press = {"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"value": True}}
+        with connect(address, subprotocols=protocol, max_size=None) as client:
+            client.send(msgspec.msgpack.encode(press))
+            said = b""
+            while b"must send its camera first" not in said:
+                frame = client.recv(timeout=20.0)
+                said = zstandard.decompress(frame[16 : 16 + int.from_bytes(frame[8:16], "little")])
+        bad = [b"", b"\x00", b"{", {"type": "no such"}, {"updates": {}}, {**press, "updates": 3}]
+        bad += [{**press, "updates": {"nothing": 1}}]
+        for message in bad:
+            with connect(address, subprotocols=protocol, max_size=None) as client:
+                raw = isinstance(message, bytes)
+                client.send(message if raw else msgspec.msgpack.encode(message))
+                with suppress(ConnectionClosed, TimeoutError):
+                    while True:
+                        client.recv(timeout=0.3)
+    finally:
+        close(server)
+    out, err = capfd.readouterr()
+    assert "Traceback" not in out + err and not any(r.exc_info for r in caplog.records)
+    assert not pressed and "stopped" not in out
+    assert sum("ignored" in r.getMessage() for r in caplog.records) >= 1

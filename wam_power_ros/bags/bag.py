@@ -15,7 +15,7 @@ from typing import Any
 from rosbags.interfaces import Qos, QosDurability
 from rosbags.rosbag2 import Reader
 
-from wam_power_ros import plain_yaml
+from wam_power_ros import durable_files, plain_yaml
 from wam_power_ros.arm_identity import ArmIdentity, from_json
 from wam_power_ros.bags import integrity, layout
 
@@ -61,6 +61,7 @@ class Bag:
                 several types.
         """
         self.path = Path(path)
+        durable_files.check_name(self.path)
         metadata = _metadata(self.path)
         try:
             if metadata is None:

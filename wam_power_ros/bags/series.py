@@ -68,7 +68,7 @@ def rename(bag: Path, name: str) -> Path:
     if not _is_bag(bag, bag):
         raise ValueError(f"{bag} is not a bag")
     invalid = not name or Path(name).name != name or name.startswith(".")
-    if invalid or name.endswith(layout.UNFINISHED):
+    if invalid or not name.isprintable() or name.endswith(layout.UNFINISHED):
         raise ValueError(f"{name!r} is not a valid name of a bag")
     to = bag.with_name(name)
     if to.exists() or layout.unfinished(to).exists():

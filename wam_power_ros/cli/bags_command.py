@@ -14,6 +14,7 @@ from wam_power_ros.cli.launcher import UsageError, pasteable, short_path, task_s
 from wam_power_ros.cli.node_log import progress_messages
 from wam_power_ros.cli.parser import add_command, config_option
 from wam_power_ros.cli.session_options import DEFAULT_TASK
+from wam_power_ros.durable_files import check_name, printable
 from wam_power_ros.params import overlay
 
 if TYPE_CHECKING:
@@ -46,7 +47,8 @@ class InspectedTake(NamedTuple):
 def add_to(subparsers: argparse._SubParsersAction) -> None:
     """Add the command to the command line."""
     group = add_command(subparsers, "bags", None, "inspect and edit recordings")
-    add = partial(add_command, group.add_subparsers(required=True, metavar="COMMAND"))
+    group.set_defaults(command=group.print_help)
+    add = partial(add_command, group.add_subparsers(metavar="COMMAND"))
     listing = add("list", list_, "print a line for each take: task, duration, quality and reasons")
     listing.add_argument("folder", type=Path, nargs="*", help="of takes (default: the usual ones)")
     shown = add("show", show, "print topics, joints and quality of a take")
@@ -104,18 +106,19 @@ def list_(folder: Sequence[Path], config: Sequence[str]) -> None:
     tasks, setup = task_stems(), overlay.setup(config)
     arm = setup.arm()
     judgements = Judgements(*_judged_by(setup, arm, tasks))
-    width = min(max(len(path.name) for path in found), NAME_WIDTH_MAX)
+    width = min(max(len(printable(path.name)) for path in found), NAME_WIDTH_MAX)
     print(f"{'take':{width}}  {'task':9}  {'time':>6}  {'quality':7}  reasons")
     shown = None
     for path in found:
         if path.parent != shown:
             shown, outcomes = path.parent, _outcomes([path])
-            print(f"{short_path(shown.resolve())}/", flush=True)
+            print(f"{printable(short_path(shown.resolve()))}/", flush=True)
         judge = partial(_verdict, path, setup.joint_names, arm, tasks)
         kind, row, reasons = _row(path, partial(judgements.of, path, judge))
         kind = "/".join(sorted(tasks.get(kind, {kind})))
         notes = "; ".join(filter(None, (outcomes.get(path.resolve(), ""), reasons)))
-        print(f"{path.name:{width}}  {kind:9}  {row}  {notes}".rstrip(), flush=True)
+        name = printable(path.name)
+        print(f"{name:{width}}  {kind:9}  {row}  {notes}".rstrip(), flush=True)
 
 
 def show(bag: Path, config: Sequence[str]) -> None:
@@ -246,8 +249,9 @@ def _row(path: Path, judge: Callable[[], tuple[str, str, str]]) -> tuple[str, st
         with progress_messages(f"reading {path.name}"):
             return judge()
     except (ValueError, OSError) as error:
-        reason = pasteable(str(error).removeprefix(f"{path}").lstrip(": "))
-        return path.name.partition("_")[0], f"{'–':>6}  {Grade.POOR.name.lower():7}", reason
+        reason = pasteable(str(error).removeprefix(printable(path)).lstrip(": "))
+        kind = printable(path.name.partition("_")[0])
+        return kind, f"{'–':>6}  {Grade.POOR.name.lower():7}", reason
 
 
 def _verdict(
@@ -425,7 +429,7 @@ def delete(bag: Sequence[Path]) -> None:
     from wam_power_ros.bags import series
 
     for each in bag:
-        print(f"{each} was moved to {series.discard(each)}")
+        print(f"{printable(each)} was moved to {printable(series.discard(each))}")
 
 
 def recover(bag: Sequence[Path]) -> None:
@@ -433,6 +437,7 @@ def recover(bag: Sequence[Path]) -> None:
     from wam_power_ros.bags.recovery import recover
 
     for each in bag:
+        check_name(each)
         print(recover(each))
 
 

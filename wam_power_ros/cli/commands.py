@@ -41,9 +41,11 @@ from wam_power_ros.cli.session_options import (
     chosen,
     existing_session,
     learner_parameters,
+    method_words,
     with_origin,
 )
 from wam_power_ros.console import prompt
+from wam_power_ros.durable_files import check_name
 from wam_power_ros.entry import INTERRUPTED
 from wam_power_ros.params import overlay, parameter_file
 
@@ -70,15 +72,15 @@ def teach(
     plugins.task_type(task or DEFAULT_TASK)  # raises for an unknown name before anything starts
     folder = (folder or Path("demonstrations") / timestamp()).resolve()
     file = folder / series.FILE
-    before = len(series.read(file))
+    before, text = len(series.read(file)), ""
     if before:
-        print(f"{short_path(folder)} holds {counted(before, 'demonstration')}; new ones are added.")
+        text = f"{short_path(folder)} holds {counted(before, 'demonstration')}; new ones are added."
     seed = before if seed is None else seed  # so that new movements differ
     status = 0
     try:
         parameters = devices.parameters(task or DEFAULT_TASK, seed, folder)
         plan = plan_of(folder, parameters, devices.stand_ins, secure=secured())
-        with launch(plan) as launcher:
+        with launch(plan, text) as launcher:
             _teach(launcher, file, demonstrations, bell, review=sys.stdin.isatty())
     except KeyboardInterrupt:
         status = INTERRUPTED
@@ -96,7 +98,6 @@ def learn(
 ) -> int:
     """Start or resume a session, run it to its end and write its report."""
     from wam_power_ros.practice.session import Session, read
-    from wam_power_ros.reporting import terminal
 
     if resume:
         folder = existing_session(session)
@@ -108,9 +109,9 @@ def learn(
         begun = read(folder)
         if _has_ended(begun):
             return _report_ended(begun, devices)
-        print(f"Resuming {folder} with {len(begun.records)} recorded rollouts.")
+        text = f"Resuming {folder} with {len(begun.records)} recorded rollouts."
     else:
-        print(f"New session {folder}; Ctrl-C stops it, and it can be resumed.")
+        text = f"New session {folder}; Ctrl-C stops it, and it can be resumed."
     signal.signal(signal.SIGTERM, interrupt)
 
     try:
@@ -119,7 +120,7 @@ def learn(
         parameters = parameters.changed({LEARNER: given})
         also = (TRACKER, LEARNER)
         plan = plan_of(folder, parameters, devices.stand_ins, also=also, secure=secured())
-        with launch(plan) as launcher:
+        with launch(plan, text) as launcher:
             taught: dict[str, list[str]] = {}
             if not resumed and not asked.bags:
                 bags = _record_demonstrations(launcher, folder, asked.demonstrations, bell)
@@ -134,8 +135,7 @@ def learn(
         print(f"wam-power: {pasteable(str(error))}", file=sys.stderr, flush=True)
         _print_how_to_go_on(folder, asked, devices)
         return 2
-    ended = read(folder)
-    print(terminal.wrapped(terminal.summary(ended.records, ended.task)))
+    _print_summary(read(folder))
     return report(folder)
 
 
@@ -172,17 +172,25 @@ def _has_ended(session: Session) -> bool:
 
 def _report_ended(session: Session, devices: Devices) -> int:
     """Print the result of a session that has ended and how to practise longer; start nothing."""
-    from wam_power_ros.reporting import terminal
-
     folder, header = session.folder, session.header
     print(f"{short_path(folder)} has ended: all its re-tests are recorded. Nothing is started.")
-    print(terminal.wrapped(terminal.summary(session.records, session.task)))
+    _print_summary(session)
     settings = header.settings
-    words = ["learn", "--task", settings.task, "--trials", str(2 * settings.practice.budget)]
+    words = ["learn", "--task", settings.task, *method_words(settings)]
+    words += ["--trials", str(2 * settings.practice.budget)]
     bags = map(str, map(short_path, map(Path, header.demonstrations)))
     words += ["--bags", *bags, *devices.words]
     _print_command("To practise longer, in a new session on the same demonstrations:", words)
     return 0 if (folder / "report.html").is_file() else report(folder)
+
+
+def _print_summary(session: Session) -> None:
+    """Print how a session practised, and its result."""
+    from wam_power_ros.reporting import terminal
+
+    method = terminal.method(session.header.settings, session.task)
+    result = terminal.summary(session.records, session.task)
+    print(terminal.wrapped(f"{method[0].upper()}{method[1:]}\n{result}"))
 
 
 def _print_command(purpose: str, words: Sequence[str]) -> None:
@@ -324,6 +332,7 @@ def _follow(folder: Path, processes: Processes, learner: Running, bell: bool) ->
 
     path, logs = folder / "rollouts.jsonl", NodeLogs(folder / "logs")
     size_shown = 0
+    stopped: list[str] = []
     ended = False
     with terminal.Display() as display, Keys(domain_environment(session_domain(folder))) as keys:
         while not ended:
@@ -334,8 +343,11 @@ def _follow(folder: Path, processes: Processes, learner: Running, bell: bool) ->
             if size != size_shown:
                 size_shown = size
                 found = session.read(folder)
-                settings = found.header.settings.practice
-                display.show(found.log, settings.budget + settings.retests, found.task.outcome)
+                display.show(found.log, found.header.settings, found.task)
+            stopped, before = processes.stopped, stopped
+            for text in stopped:
+                if text not in before:
+                    display.show_message(text, is_problem=True)
             for entry in logs.new():
                 display.show_message(entry.text, entry.severity in PROBLEMS)
                 prompt.cue(bell and entry.severity == "ERROR", "fault")
@@ -366,15 +378,24 @@ def view(path: Path | None, address: str, port: int) -> int:
     """Serve a page that shows a session or a bag, until Ctrl-C."""
     from wam_power_ros.practice.session import Session
 
+    print("Preparing the page …", file=sys.stderr, flush=True)
     try:
         from wam_power_ros.view import guarded_server, viewer
     except ImportError as error:
         raise UsageError(
             f"the page needs viser ({error}): pip install 'viser>=1.1.1,<1.2'"
         ) from None
+    signal.signal(signal.SIGTERM, interrupt)
+    if path is not None:
+        check_name(path)
+    if path is not None and not Session.exists(path) and viewer.running(path):
+        print(f"{path} is being taught; the page opens with its session", file=sys.stderr)
+        while not Session.exists(path):
+            if not viewer.running(path):
+                raise UsageError(f"{path} has ended before its session began")
+            time.sleep(1.0)
     is_bag = path is not None and not Session.exists(path) and path.exists()
     folder = path.resolve() if is_bag else existing_session(path)
-    signal.signal(signal.SIGTERM, interrupt)
     server = guarded_server.open_server(address, port)
     try:
         host = f"[{address}]" if ":" in address else address
@@ -387,7 +408,7 @@ def view(path: Path | None, address: str, port: int) -> int:
     except KeyboardInterrupt:
         pass
     finally:
-        server.stop()
+        guarded_server.close(server)
     return 0
 
 

@@ -28,6 +28,7 @@ from wam_power_ros.cli.plan import (
 )
 from wam_power_ros.cli.processes import Processes, Running
 from wam_power_ros.console.prompt import ask, show
+from wam_power_ros.durable_files import check_name
 from wam_power_ros.params import overlay
 from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
 from wam_power_ros.params.resources import robot_description
@@ -84,6 +85,7 @@ class Devices:
         setup = setup.changed({SIMULATION: {"seed": seed}})
         if folder is None:
             return setup
+        check_name(folder)
         return setup.changed({RECORDER: {"directory": str(folder / "bags")}})
 
 
@@ -125,8 +127,12 @@ class Launcher:
 
 
 @contextmanager
-def launch(plan: Plan) -> Iterator[Launcher]:
+def launch(plan: Plan, text: str = "") -> Iterator[Launcher]:
     """Start the nodes of a plan, except a learner, and activate the controller of an arm.
+
+    Args:
+        plan: The plan.
+        text: What is shown once nothing stands against it; empty for nothing.
 
     Raises:
         UsageError: Another session or learner uses the folder, or its disk is nearly full.
@@ -145,6 +151,8 @@ def launch(plan: Plan) -> Iterator[Launcher]:
                 stack.enter_context(lock)
             environment = {network.RANGE: discovery_range(os.environ)} | shared(domain)
         stack.enter_context(folder_lock(plan.folder))
+        if text:
+            show(text)
         if plan.stand_ins:
             _print_domain(domain)
         else:
@@ -228,11 +236,11 @@ def discovery_range(environment: Mapping[str, str]) -> str:
 
 
 def _print_domain(domain: int) -> None:
-    exported = os.environ.get("ROS_DOMAIN_ID")
-    unused = f", not in the exported {exported}," if exported else ""
+    yours = os.environ.get("ROS_DOMAIN_ID")
+    unused = f", not yours, {yours}," if yours else ""
     show(
-        f"Simulation: in its own DDS domain{unused} that no robot shares. To see its topics in "
-        f"another terminal: export ROS_DOMAIN_ID={domain}"
+        f"The simulation uses ROS_DOMAIN_ID {domain}{unused} so that it reaches no robot. To see "
+        f"its topics in another terminal: export ROS_DOMAIN_ID={domain}"
     )
 
 

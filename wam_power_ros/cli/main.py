@@ -42,6 +42,7 @@ from wam_power_ros.cli.parser import (
 )
 from wam_power_ros.cli.processes import ProcessError
 from wam_power_ros.cli.session_options import SessionOptions
+from wam_power_ros.durable_files import explained
 from wam_power_ros.entry import INTERRUPTED
 from wam_power_ros.params import overlay
 
@@ -66,7 +67,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         command, values = _command(options)
         return int(command(**values) or 0)
     except (UsageError, ProcessError, OSError, ValueError) as error:
-        print(f"{COMMAND_LINE}: {pasteable(str(error))}", file=sys.stderr)
+        text = explained(error) if isinstance(error, OSError) else pasteable(str(error))
+        print(f"{COMMAND_LINE}: {text}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return INTERRUPTED
@@ -109,7 +111,8 @@ def _parser() -> argparse.ArgumentParser:
         prog=COMMAND_LINE, description="Teach a robot arm by hand; let it improve by practising."
     )
     parser.add_argument("--version", action="version", version=f"wam_power_ros {__version__}")
-    subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
+    parser.set_defaults(command=parser.print_help)
+    subparsers = parser.add_subparsers(metavar="COMMAND")
 
     add = partial(add_command, subparsers)
     learn = add(
@@ -143,9 +146,7 @@ def _parser() -> argparse.ArgumentParser:
     names = ", ".join(overlay.known())
     config.add_argument("config", nargs="*", metavar="NAME", help=f"{names}, or a .yaml file")
     task_option(config)
-    config.add_argument(
-        "--simulate", action="store_true", help="replace the devices by simulated stand-ins"
-    )
+    config.add_argument("--simulate", action="store_true", help="replace the devices by stand-ins")
 
     commission_command.add_to(add, _arm_options)
     doctor_command.add_to(add, _arm_options)

@@ -115,7 +115,8 @@ def session_options(parser: argparse.ArgumentParser) -> None:
     learners = f"one of {_known('learners')} (default: the preset's)"
     parser.add_argument("--learner", metavar="NAME", default="", help=learners)
     preset_option(parser)
-    parser.add_argument("--trials", type=natural, help="budget of rollouts (default: the preset's)")
+    trials = "at most so many rollouts, before the re-tests (default: the preset's)"
+    parser.add_argument("--trials", type=positive, help=trials)
     bags = "learn from these demonstrations, record none"
     parser.add_argument("--bags", type=Path, nargs="+", default=(), help=bags)
     origin = "begin with the policy of this session, such as one in simulation; record none"

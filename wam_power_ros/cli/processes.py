@@ -23,6 +23,19 @@ PR_SET_PDEATHSIG = 1
 TAIL_LINES = 15  # of a log, shown when a process dies
 
 
+MEMORY = " (by a person, or by the kernel for lack of memory: see `dmesg`)"
+SPACE_MIN = 1e6  # free bytes of a disk, below which nothing can be logged
+
+
+def full_disk(folder: Path) -> str:
+    """Say that the disk of a folder is full or read-only, so that no log says it; "" if not."""
+    disk = os.statvfs(folder)
+    if disk.f_flag & os.ST_RDONLY:
+        return f"The disk of {folder} is read-only."
+    full = disk.f_bavail * disk.f_frsize < SPACE_MIN
+    return f"The disk of {folder} is full, and so are the logs: free some space." if full else ""
+
+
 class ProcessError(RuntimeError):
     """A process ended that should still run; the message has the end of its log."""
 
@@ -36,6 +49,17 @@ class Running:
     log: Path
 
     @property
+    def stopped(self) -> str:
+        """Say that the process is stopped, as by SIGSTOP; empty if it is not."""
+        try:
+            state = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()[0]
+        except OSError:  # it has ended, or there is no /proc
+            return ""
+        return f"{self.name} is stopped; kill -CONT {self.process.pid} continues it" * (
+            state == "T"
+        )
+
+    @property
     def tail(self) -> str:
         """Last lines of the log."""
         lines = self.log.read_text(errors="replace").splitlines()
@@ -44,8 +68,12 @@ class Running:
     def error(self) -> ProcessError:
         """Error that says how the process has ended."""
         status = self.process.returncode
-        cause = f"signal {-status}" if status < 0 else f"status {status}"
-        return ProcessError(f"{self.name} ended with {cause}. End of {self.log}:\n{self.tail}")
+        cause = f"ended with status {status}"
+        if status < 0:
+            cause = f"was ended by {signal.Signals(-status).name}"
+            cause += MEMORY if -status == signal.SIGKILL else ""
+        text = f"{self.name} {cause}. End of {self.log}:\n{self.tail}"
+        return ProcessError("\n".join(filter(None, [text, full_disk(self.log.parent)])))
 
 
 class Processes:
@@ -105,6 +133,11 @@ class Processes:
         for running in self._running:
             if running is not but and running.process.poll() is not None:
                 raise running.error()
+
+    @property
+    def stopped(self) -> list[str]:
+        """What is said of the processes that are stopped."""
+        return [text for running in self._running if (text := running.stopped)]
 
     def stop(self, timeout: float = 8.0) -> None:
         """End every process: SIGINT, after `timeout` [s] SIGTERM, then SIGKILL."""

@@ -71,6 +71,7 @@ def _score_session(folder: Path, task_name: str | None, chosen: str, config: Seq
 
     from wam_power_ros.bags.bag import Bag
     from wam_power_ros.practice import session
+    from wam_power_ros.practice.session_log import KIND_NAMES
     from wam_power_ros.practice.settings import preset
 
     found = session.read(folder)
@@ -96,11 +97,13 @@ def _score_session(folder: Path, task_name: str | None, chosen: str, config: Seq
                 if name == found.header.settings.task:  # a drop may have a high return
                     outcome += f"; {task.outcome(record)}"
                 if record.ret is not None and assessed.ret is not None:
-                    by_kind.setdefault(record.kind, []).append((record.ret, assessed.ret))
-        print(f"{record.number:4d}  {record.kind:12}  {logged:>6}  {outcome}", flush=True)
+                    pair = record.ret, assessed.ret
+                    by_kind.setdefault(KIND_NAMES[record.kind], []).append(pair)
+        kind = KIND_NAMES[record.kind]
+        print(f"{record.number:4d}  {kind:12}  {logged:>6}  {outcome}", flush=True)
     for kind, pairs in by_kind.items():
         before, now = np.mean(pairs, axis=0)
-        print(f"mean of {len(pairs)} {kind}: {before:.3f} logged, {now:.3f} now")
+        print(f"{kind}, mean return of {len(pairs)}: {before:.3f} logged, {now:.3f} now")
 
 
 def _set_up(task: str, config: Sequence[str]) -> tuple[overlay.Setup, Arm]:

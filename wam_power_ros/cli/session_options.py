@@ -9,9 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from wam_power_ros.cli.launcher import Devices, UsageError, task_stems
+from wam_power_ros.durable_files import check_name
 
 if TYPE_CHECKING:
     from wam_power_ros.practice.session import SessionHeader
+    from wam_power_ros.practice.settings import SessionSettings
 
 SESSIONS = Path("sessions")
 POLICY = "policy.json"  # in the folder of a session
@@ -66,6 +68,7 @@ def existing_session(folder: Path | None) -> Path:
         if not sessions:
             raise UsageError(f"no session in {SESSIONS.resolve()}; name one with --session")
         folder = max(sessions, key=lambda path: (path / "session.yaml").stat().st_mtime)
+    check_name(folder)
     if not Session.exists(folder):
         raise UsageError(f"{folder} holds no session")
     return folder.resolve()
@@ -129,6 +132,23 @@ def learner_parameters(folder: Path, asked: SessionOptions, seed: int, task: str
         "demonstrations": [str(bag.resolve()) for bag in asked.bags] or [""],
         "policy": "" if asked.origin is None else str(asked.origin / POLICY),
     }
+
+
+def method_words(settings: SessionSettings) -> list[str]:
+    """Command-line words that ask for the preset and the learner of a session."""
+    from wam_power_ros.practice import plugins
+    from wam_power_ros.practice.settings import preset
+
+    presets = plugins.task_type(settings.task).presets
+    own_first = sorted(presets, key=lambda of: presets[of]["learner"]["name"] != settings.learner)
+    for name in own_first:
+        own = presets[name]["learner"]["name"]
+        learner = {} if settings.learner == own else {"name": settings.learner}
+        made = preset(settings.task, name, learner)
+        if made.model_copy(update={"practice": settings.practice}) == settings:
+            words = [] if name == next(iter(presets)) else ["--preset", name]
+            return words + (["--learner", settings.learner] if learner else [])
+    return ["--learner", settings.learner]
 
 
 def _differences(asked: SessionOptions, header: SessionHeader) -> Iterator[str]:

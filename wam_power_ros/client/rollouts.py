@@ -36,6 +36,7 @@ from wam_power_ros.tasks.reset import Action, BodyState, Move, Resetting
 from wam_power_ros.tasks.task import MISSING_MAX
 
 STARTS_MAX = 5  # attempts to begin one rollout
+TIMEOUTS_MAX = 5  # of a wait while simulated time advances
 ANSWER_TIMEOUT = 10.0  # after which the answer of a service counts as lost [s of wall time]
 READY_TIMEOUT = 10.0  # after which the scene is reset again [s of wall time]
 BUSY_PERIOD = 0.02  # [s of wall time] to the next request to an arm that comes to rest
@@ -175,20 +176,21 @@ class Rollouts:
     ) -> None:
         """Wait until a condition holds, see `Link.until`.
 
-        While simulated time advances, the timeout must have passed in it, too: a busy machine is
-        not an error.
+        While simulated time advances, the timeout must have passed in it, too, but `TIMEOUTS_MAX`
+        of them suffice: a busy machine is not an error, but an idle simulation is slow.
 
         Raises:
             RolloutError: It did not come true within `timeout` [s of wall time].
         """
         clock = self._node.get_clock()
         begun = last = clock.now()
+        timeouts = 0
         while not self._link.until(condition, what, timeout):
-            now = clock.now()
-            advances = clock.ros_time_is_active and now > last
+            now, timeouts = clock.now(), timeouts + 1
+            advances = clock.ros_time_is_active and now > last and timeouts < TIMEOUTS_MAX
             if not advances or (now - begun).nanoseconds > timeout * 1e9:
                 awaited = what() if callable(what) else what
-                raise RolloutError(f"waited {timeout:.0f} s in vain for {awaited}")
+                raise RolloutError(f"waited {timeouts * timeout:.0f} s in vain for {awaited}")
             last = now
 
     # Requests
@@ -212,7 +214,7 @@ class Rollouts:
         if not answer.success and self._end_bag():  # of a killed learner
             answer = self._call(interface.RECORD, True)
         if not answer.success:
-            self._log.warning(f"{policy_id} is not recorded: {answer}")
+            self._log.warning(f"{policy_id} is not recorded: {answer.said}")
 
     def _end_bag(self) -> str:
         """End the recording; returns the name of the bag, empty without one."""
@@ -240,7 +242,7 @@ class Rollouts:
                 text = f"waiting for the enabling switch to be held, for {policy.id}"
                 self._log.info(text, throttle_duration_sec=SWITCH_LOG_PERIOD)
             elif time.monotonic() > end:
-                raise RolloutError(f"{policy.id} could not be executed: {answer}")
+                raise RolloutError(f"{policy.id} could not be executed: {answer.said}")
             self._link.sleep(RETRY_PERIOD)
 
     def _prepare(self, policy: Policy, resetting: Resetting) -> dict[str, Any] | None:
@@ -340,12 +342,14 @@ class Rollouts:
                 end = time.monotonic() + self._settings.patience
                 continue
             if time.monotonic() > end or answer.code is Code.REFUSED:
-                raise RolloutError(f"the arm cannot move to the start of {policy.id}: {answer}")
+                raise RolloutError(
+                    f"the arm cannot move to the start of {policy.id}: {answer.said}"
+                )
             if answer.code is Code.FAULT and self._settings.reset_faults:
                 self._call(interface.RESET)
             else:
                 by_person |= answer.code is Code.FAULT
-                self._log.warning(f"the arm cannot move to its start yet: {answer}", once=True)
+                self._log.warning(f"the arm cannot move to its start yet: {answer.said}", once=True)
             self._link.sleep(BUSY_PERIOD if answer.code is Code.BUSY else RETRY_PERIOD)
 
     def _await_activation(self) -> None:

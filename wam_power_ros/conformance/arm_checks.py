@@ -132,7 +132,7 @@ def _names(
         advice = "each state must contain every joint of the arm once, with its position"
         return row(text + also, FAIL, advice)
     if not complete:
-        advice = "set joint_names of the configuration to the names that the driver uses"
+        advice = "set joint_names of the set-up to the names that the driver uses"
         return row(" ".join(others) or "no names at all", FAIL, advice)
     order = complete[0].names == tuple(joint_names)
     return row(f"{'as expected' if order else 'in another order, matched by name'}{also}", OK)

@@ -43,7 +43,7 @@ class Row:
 
     Attributes:
         name: Name of the check, unique in a table.
-        expected: Requirement of the configuration.
+        expected: Requirement of the set-up.
         found: Measured value.
         verdict: Whether the measured value meets the requirement.
         advice: Remedy where it does not.

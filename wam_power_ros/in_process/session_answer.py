@@ -17,6 +17,7 @@ from typing import Any
 
 from hardware_sim.ground_truth import Truth
 from hardware_sim.world import QUIET, TRACE_RATE
+from wam_power_ros import durable_files
 from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.in_process.render import render
 from wam_power_ros.learning import policy
@@ -29,6 +30,7 @@ from wam_power_ros.tasks.task import Task
 
 FILM_RATE = 25.0  # [Hz], real time
 UNITS = {"t_f": " s", "angle_deg": "°", "apex": " m"}
+WORDS = {"flipped": "turned over"}  # a flip is a true flip
 ARM_TRUTH = ("peak_", "saturated")  # ground truth about the arm, left out of the caption
 
 
@@ -87,7 +89,7 @@ def _caption(task: Task, executed: Policy, rollout: Rollout, truth: Truth) -> st
     facts = ", ".join(
         f"{name.removesuffix('_deg')} {value:.3g}{UNITS.get(name, '')}"
         if isinstance(value, float)
-        else name.replace("_", " ")
+        else WORDS.get(name, name.replace("_", " "))
         for name, value in truth.items()
         if value is True or (isinstance(value, float) and not name.startswith(ARM_TRUTH))
     )
@@ -100,8 +102,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("session", type=Path)
     parser.add_argument("--no-film", metavar="REASON", help="render no film, for this reason")
     options = parser.parse_args(arguments)
-    shown = run(options.session, film=options.no_film is None)
-    session_report.write(options.session, shown, options.no_film or "")
+    try:
+        shown = run(options.session, film=options.no_film is None)
+        session_report.write(options.session, shown, options.no_film or "")
+    except OSError as error:
+        sys.exit(durable_files.explained(error))
     return 0
 
 

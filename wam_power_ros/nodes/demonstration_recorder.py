@@ -34,6 +34,7 @@ from wam_power_ros.bags import layout
 from wam_power_ros.bags.background_writer import Recording
 from wam_power_ros.bags.writer import header_stamp
 from wam_power_ros.control.arm import Arm
+from wam_power_ros.durable_files import explained
 from wam_power_ros.learning import policy
 from wam_power_ros.params.node_params import Names, Params
 from wam_power_ros.params.resources import robot_description
@@ -168,7 +169,8 @@ class DemonstrationRecorder(Node):
         try:
             answer = self._start() if request.data else self._stop(layout.STOP_REQUESTED)
         except (OSError, ValueError) as error:
-            answer = Answer(Code.REFUSED, str(error))
+            text = explained(error) if isinstance(error, OSError) else str(error)
+            answer = Answer(Code.REFUSED, text)
         if not answer.success:
             self.get_logger().warning(f"request refused: {answer.text}")
         response.success, response.message = answer.success, str(answer)
@@ -181,7 +183,8 @@ class DemonstrationRecorder(Node):
         self._directory.mkdir(parents=True, exist_ok=True)
         if (free := self._free()) < self._params.free_to_start:
             needed = self._params.free_to_start
-            text = f"{free:.0f} MB free in {self._directory}, {needed:.0f} MB needed"
+            place = f"{free:.0f} MB free on the disk of {self._directory}"
+            text = f"{place}, {needed:.0f} MB needed: free some space"
             return Answer(Code.REFUSED, text)
         self._topics.discover()
         self._topics.take()  # what came before the request does not belong into the bag
@@ -262,7 +265,8 @@ class DemonstrationRecorder(Node):
     def _abandon(self, error: OSError) -> None:
         """Leave the bag unfinished; the node goes on, since nothing else depends on the disk."""
         path, self._recording = self._recording.path, None
-        self._error = f"{path} left unfinished: {error}; to recover it: wam-power recover {path}"
+        with_file = OSError(error.errno, error.strerror, str(path)) if error.errno else error
+        self._error = f"bag left unfinished: {explained(with_file)}; then wam-power recover {path}"
         self.get_logger().error(self._error)
         self._report()
 
@@ -317,7 +321,7 @@ class DemonstrationRecorder(Node):
             try:
                 self._stop("shutdown")
             except OSError as error:
-                self.get_logger().error(f"bag not closed: {error}")
+                self.get_logger().error(f"bag not closed: {explained(error)}")
 
 
 def main() -> int:

@@ -32,6 +32,7 @@ from wam_power_ros import plain_json
 from wam_power_ros.arm_identity import refusal, remark
 from wam_power_ros.client.link import Link
 from wam_power_ros.client.rollouts import Executed, Rollouts, RolloutSettings
+from wam_power_ros.durable_files import explained
 from wam_power_ros.learning.policy import with_id
 from wam_power_ros.nodes.demonstrations import Demonstrations
 from wam_power_ros.nodes.markers import Markers
@@ -41,7 +42,7 @@ from wam_power_ros.params.torque_controller_params import require_same_joints
 from wam_power_ros.practice import plugins
 from wam_power_ros.practice.practice import RATING_MAX, Practice
 from wam_power_ros.practice.session import Session, read, read_policy
-from wam_power_ros.practice.session_log import Event, Record, Trial
+from wam_power_ros.practice.session_log import KIND_NAMES, Event, Record, Trial
 from wam_power_ros.practice.settings import SessionSettings, preset
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer, Code, ServiceError
@@ -333,7 +334,7 @@ def _reset(executed: Executed) -> dict[str, dict[str, Any]]:
 
 def _line(record: Record) -> str:
     ret = "-" if record.ret is None else f"{record.ret:.3f}"
-    return f"{record.id} {record.kind}: return {ret} {record.why}"
+    return f"{record.id} {KIND_NAMES[record.kind]}: return {ret} {record.why}"
 
 
 def main() -> int:
@@ -345,7 +346,8 @@ def main() -> int:
         node.practise()
     except (SessionFailed, ServiceError, ValueError, OSError) as error:
         log = node.get_logger() if node else rclpy.logging.get_logger("learner")
-        log.fatal(str(error) if node else f"{error}{parameter_file_hint()}")
+        text = explained(error) if isinstance(error, OSError) else str(error)
+        log.fatal(text if node else f"{text}{parameter_file_hint()}")
         return 2
     except (KeyboardInterrupt, ExternalShutdownException):
         pass

@@ -153,7 +153,8 @@ class TorqueController(LifecycleNode):
 
         In simulation it also requires that no node but a stand-in publishes states.
         """
-        reason = self._missing_state() or self._stranger() or self._missing_realtime()
+        reason = self._missing_state() or self._stranger() or self._other_clock() or None
+        reason = reason or self._missing_realtime()
         reason = reason or self._unheard() or self._guard.begin()
         if reason is None and self._controller.mode is not Mode.FAULT:
             try:
@@ -243,7 +244,9 @@ class TorqueController(LifecycleNode):
         now_ns, params = time.monotonic_ns(), self._params
         if now_ns - self._watchdog.arrived_ns >= STATE_AGE_MAX_NS:
             unmatched = self._unmatched(params.state_topic, JointState, interface.STATE_IN)
-            return f"no joint state within the last second{unmatched}"
+            there = self.count_publishers(params.state_topic)  # its clock would be known as well
+            clock = f"; {clock}" if there and (clock := self._other_clock()) else ""
+            return f"no joint state within the last second{unmatched}{clock}"
         if params.velocity_topic and now_ns - self._qd_ns >= STATE_AGE_MAX_NS:
             unmatched = self._unmatched(params.velocity_topic, JointState, interface.STATE_IN)
             return f"no joint velocity on {params.velocity_topic} within the last second{unmatched}"
@@ -270,6 +273,11 @@ class TorqueController(LifecycleNode):
     def _stranger(self) -> str | None:
         """Publisher of joint states that a simulation must not answer; None on an arm."""
         return None if self._simulation_guard is None else self._simulation_guard.stranger()
+
+    def _other_clock(self) -> str:
+        """Clock of a stand-in that this node does not follow; empty on an arm."""
+        guard, lockstep = self._simulation_guard, not self._watchdog.enabled
+        return "" if guard is None else guard.other_clock(lockstep)
 
     def _missing_realtime(self) -> str | None:
         if self._params.allow_no_realtime or self._granted.complete:

@@ -157,7 +157,7 @@ class StoppingRule:
             return f"ended after {before} successes in a row" if before else ""
         if record.success and self._settings.mean_every == 0:
             self.mean_is_due = True
-            return "a success: the mean is run to confirm it"
+            return "a success: the mean policy is run to confirm it"
         return ""
 
     def forget(self, record: Record) -> None:
@@ -237,11 +237,16 @@ class Improvement:
         """
         rule, settings = self._rule, self._settings.practice
         if rule.z is not None:
-            return "mean", rule.z, 0, f"confirms a mean, {rule.count + 1} of {settings.confirm}"
+            return (
+                "mean",
+                rule.z,
+                0,
+                f"confirms the mean policy, {rule.count + 1} of {settings.confirm}",
+            )
         every = settings.mean_every
         if rule.mean_is_due or (every > 0 and (self.practised + 1) % every == 0):
             mean = self.shrunk(self.learner.mean, past, rejections)
-            return "mean", *mean, "the mean, without exploration"
+            return "mean", *mean, "the mean policy, without exploration"
         drawn = sample(self.learner, *self._feasible(past), rejections)
         return "explore", *drawn, "explores"
 

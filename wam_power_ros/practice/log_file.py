@@ -17,7 +17,7 @@ from wam_power_ros import durable_files, plain_json
 from wam_power_ros.practice.session_log import Line, Record, out_of_order, parse_line
 from wam_power_ros.practice.settings import in_one_line
 
-ACKNOWLEDGED = "acknowledged.json"
+LOG, ACKNOWLEDGED = "rollouts.jsonl", "acknowledged.json"
 RESTORE = "Restore it from a backup; nothing was changed."
 _LINE_MAX = 1_000_000  # length of a line, far above any real one [byte]
 
@@ -78,8 +78,9 @@ class LogFile:
         except ValueError as error:  # such as a ground truth nested too deeply
             raise ValueError(f"{self.folder}: line would not be readable: {error}") from None
         try:
-            _write_all(self._file, line)
-            os.fsync(self._file)
+            with durable_files.naming(self.folder / LOG):
+                _write_all(self._file, line)
+                os.fsync(self._file)
         except OSError:
             os.ftruncate(self._file, self._size)
             raise
@@ -101,12 +102,13 @@ class LogFile:
         """Write size and digest of the log, so that a loss is detected; the log is on disk."""
         path = self.folder / ACKNOWLEDGED
         try:
-            durable_files.replace(path, self._state().model_dump_json() + "\n")
+            with durable_files.naming(path):
+                durable_files.replace(path, self._state().model_dump_json() + "\n")
         except OSError as error:
-            _log.warning("%s could not be written: %s", path, error)
+            _log.warning("could not be written: %s", durable_files.explained(error))
 
     def _open(self) -> int:
-        path = self.folder / "rollouts.jsonl"
+        path = self.folder / LOG
         file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
         incomplete = os.fstat(file).st_size - self._size
         if incomplete:
@@ -129,7 +131,7 @@ def read_lines(folder: Path) -> tuple[list[Line], bytes]:
     Raises:
         ValueError: The log is malformed, or has lost acknowledged lines.
     """
-    path = folder / "rollouts.jsonl"
+    path = folder / LOG
     acknowledged = _read_acknowledged(folder)  # before the log: a learner may be writing
     data = b""
     if path.is_symlink() or path.exists():

@@ -570,7 +570,7 @@ class Practice:
         note = self._improvement.add(record)
         if self._improvement.confirmed:
             confirm = self.settings.practice.confirm
-            self._stop(np.array(record.z), f"a mean succeeded {confirm} times in a row")
+            self._stop(np.array(record.z), f"the mean policy succeeded {confirm} times in a row")
         return note
 
     def _stop(self, answer: np.ndarray, why: str) -> None:

@@ -115,6 +115,7 @@ def _read_head(folder: Path) -> tuple[SessionHeader, tuple[Policy, ...], dict[st
     Raises:
         ValueError: There is no session, or a file is malformed; names the file.
     """
+    durable_files.check_name(folder)
     path = folder / "session.yaml"
     if not path.is_file():
         raise ValueError(f"{folder} holds no session: there is no session.yaml")

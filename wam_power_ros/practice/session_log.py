@@ -23,6 +23,12 @@ from wam_power_ros.learning.policy import Policy, from_json
 from wam_power_ros.practice.settings import in_one_line
 
 Kind = Literal["reproduction", "explore", "mean", "retest"]
+KIND_NAMES: Mapping[str, str] = {  # for a person
+    "reproduction": "reproduction",
+    "explore": "exploration",
+    "mean": "mean policy",
+    "retest": "re-test",
+}
 
 
 @dataclass(frozen=True)

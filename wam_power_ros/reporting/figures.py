@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from wam_power_ros import durable_files
 from wam_power_ros.plotting import (
     BLUE,
     CYCLE,
@@ -29,7 +30,7 @@ Limits = tuple[np.ndarray, np.ndarray, np.ndarray]  # lowest, highest [rad], fas
 POINTS = {  # kind of a rollout -> label, marker and colour
     "reproduction": ("reproductions", "D", STEEL),
     "explore": ("explorations", "o", BLUE),
-    "mean": ("the mean", "s", ORANGE),
+    "mean": ("mean policy", "s", ORANGE),
     "retest": ("re-tests", "^", GREEN),
 }
 
@@ -40,10 +41,10 @@ def learning_curve(
     marks: Mapping[int, str] | None = None,
     published: Curve | None = None,
 ) -> Figure:
-    """Return over the rollouts of a session by their kind, with a running mean of explorations.
+    """Return over the rollouts of a session by their kind, with an average of explorations.
 
     The first reproduction, before any learning, is a horizontal line; re-tests, which repeat one
-    policy, are shaded and excluded from the mean.
+    policy, are shaded and excluded from the average.
 
     Args:
         returns: Return of each rollout, NaN where it was not usable. Length n.
@@ -71,9 +72,8 @@ def learning_curve(
     explored = rollout_kinds == "explore"
     if explored.any():
         means = _running_mean(values[explored], 5)
-        axes.plot(
-            rollout[explored], means, color=BLUE, lw=2, label="mean of up to five explorations"
-        )
+        label = "average of the last five explorations"
+        axes.plot(rollout[explored], means, color=BLUE, lw=2, label=label)
     top = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points", "va": "top"}
     for number, text in (marks or {}).items():
         axes.axvline(number, color=GREEN, lw=0.8, ls=":")
@@ -130,9 +130,9 @@ def stiffness(profiles: Mapping[str, np.ndarray], published: Curve | None = None
             axes.plot(t, middle, color=color, lw=2, label=f"{name}{count}")
             if len(rows) > 1:
                 axes.fill_between(t, low, high, color=color, alpha=0.15, lw=0)
-    absolute.set(xlabel="part of the movement", ylabel="$K_{33}$ [1/s$^2$]")
+    absolute.set(xlabel="time / duration of the movement", ylabel="$K_{33}$ [1/s$^2$]")
     absolute.set_ylim(0.0, None)
-    relative.set(xlabel="part of the movement", ylabel="$K_{33}$ about its mean [%]")
+    relative.set(xlabel="time / duration of the movement", ylabel="$K_{33}$ about its mean [%]")
     shared_legend(figure, [absolute], 4)
     return figure
 
@@ -191,7 +191,8 @@ def save_film(frames: Sequence[np.ndarray], path: Path, rate: float) -> None:
         raise ValueError("a film must have at least one frame, got none")
     first, *others = (Image.fromarray(np.ascontiguousarray(frame)) for frame in frames)
     settings = {"duration": round(1000 / rate), "loop": 0, "quality": 70, "method": 4}
-    first.save(path, format="WEBP", save_all=True, append_images=others, **settings)
+    with durable_files.naming(path):
+        first.save(path, format="WEBP", save_all=True, append_images=others, **settings)
 
 
 def _running_mean(values: np.ndarray, width: int) -> np.ndarray:

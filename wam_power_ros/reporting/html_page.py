@@ -43,19 +43,19 @@ def items(text: Sequence[str]) -> str:
     return f"<ul>{''.join(f'<li>{escape(part)}</li>' for part in text)}</ul>"
 
 
-def image(data: bytes, kind: str = "image/svg+xml", alt: str = "", style: str = "") -> str:
+def image(data: bytes, alt: str, kind: str = "image/svg+xml", style: str = "") -> str:
     """HTML of a picture embedded in the page.
 
     Args:
         data: Content of the picture.
+        alt: Description for who does not see it.
         kind: Media type.
-        alt: Description.
         style: Class of the element; "drawn" for lines and text on white, whose colours are
             inverted in dark mode.
     """
     coded = base64.b64encode(data).decode()
     img = f'<img alt="{escape(alt)}"{_class(style)} src="data:{kind};base64,{coded}">'
-    return f'<div class="wide">{img}</div>' if style == "drawn" else img
+    return f'<div class="wide picture" tabindex="0">{img}</div>' if style == "drawn" else img
 
 
 def figure(content: str, caption: str) -> str:
@@ -105,7 +105,7 @@ def table(
         for r, row in enumerate(rows)
     )
     above = f"<caption>{escape(caption)}</caption>" if caption else ""
-    return f'<div class="wide"><table>{above}<tr>{top}</tr>{body}</table></div>'
+    return f'<div class="wide" tabindex="0"><table>{above}<tr>{top}</tr>{body}</table></div>'
 
 
 def _class(name: str) -> str:
@@ -119,11 +119,12 @@ PAGE = Template("""<!doctype html>
 <title>$title</title>
 <style>
   :root { color-scheme: light dark; --ink: #24292f; --paper: #fff; --quiet: #57606a;
-          --line: #e3e6ea; --blue: #3b6ea5; --tint: #f6f8fa; --good: #eef8f1; --green: #2f855a;
-          --red: #b4455a; }
+          --line: #e3e6ea; --blue: #3b6ea5; --tint: #f6f8fa; --green: #2f855a;
+          --red: #b4455a; --shade: #0003; }
   @media (prefers-color-scheme: dark) {
     :root { --ink: #dfe3e8; --paper: #15191e; --quiet: #98a2ad; --line: #30363d; --blue: #7fb0e3;
-            --tint: #1d232a; --good: #183024; --green: #6cc497; --red: #e58a9b; }
+            --tint: #1d232a; --green: #6cc497; --red: #e58a9b;
+            --shade: #fff5; }
     img { background: #fff; }
     img.drawn { filter: invert(.92) hue-rotate(180deg); }
   }
@@ -147,7 +148,14 @@ PAGE = Template("""<!doctype html>
   .cards span, .quiet { color: var(--quiet); font-size: .85rem; }
   nav { display: flex; flex-wrap: wrap; gap: .3rem 1.2rem; margin: 0 0 1.4rem;
         font-size: .9rem; }
-  .wide { overflow-x: auto; margin: 1rem 0 1.4rem; }
+  .wide { overflow-x: auto; margin: 1rem 0 1.4rem; scrollbar-width: thin;
+          background: linear-gradient(90deg, var(--paper) 30%, transparent) 0 0,
+                      linear-gradient(270deg, var(--paper) 30%, transparent) 100% 0,
+                      linear-gradient(90deg, var(--shade), transparent) 0 0,
+                      linear-gradient(270deg, var(--shade), transparent) 100% 0;
+          background-repeat: no-repeat; background-attachment: local, local, scroll, scroll;
+          background-size: 2rem 100%, 2rem 100%, .8rem 100%, .8rem 100%; }
+  .picture { background: none; }
   table { border-collapse: collapse; font-size: .82rem; white-space: nowrap;
           font-variant-numeric: tabular-nums; }
   th, td { text-align: right; padding: .26rem .7rem; border-bottom: 1px solid var(--line); }
@@ -156,7 +164,7 @@ PAGE = Template("""<!doctype html>
   .text { text-align: left; }
   td.text:last-child { white-space: normal; min-width: 16rem; }
   .best { font-weight: 700; color: var(--green); }
-  .good td { background: var(--good); }
+  .good td { background: color-mix(in srgb, var(--green) 12%, transparent); }
   .claims { width: 100%; white-space: normal; font-size: .86rem; }
   .claims td, .claims th { text-align: left; vertical-align: top; padding: .5rem .6rem; }
   .claims th[colspan] { color: var(--ink); padding-top: 1.3rem; }
@@ -164,9 +172,10 @@ PAGE = Template("""<!doctype html>
   .met { color: var(--green); font-weight: 700; white-space: nowrap; }
   .missed { color: var(--red); font-weight: 700; white-space: nowrap; }
   .reported { color: var(--quiet); white-space: nowrap; }
-  @media (max-width: 46rem) {
+  @media screen and (max-width: 46rem) {
     body { margin-top: 1.2rem; }
     img.drawn { min-width: 34rem; }
+    td.text:last-child { min-width: 12rem; }
     .claims thead { display: none; }
     .claims th[colspan] { display: block; border: 0; padding: .8rem 0 0; font-size: 1rem; }
     .claims tr { display: block; border-bottom: 1px solid var(--line); padding: .7rem 0; }
@@ -178,7 +187,16 @@ PAGE = Template("""<!doctype html>
     .claims small { font-weight: 400; }
     .claims td:empty { display: none; }
   }
-  @media print { body { max-width: none; } section { break-inside: auto; }
+  @media screen and (max-width: 36rem) {
+    caption { max-width: calc(100vw - 2.6rem); }
+    .picture::before { content: "↔ scroll sideways"; position: sticky; left: 0;
+                       color: var(--quiet); font-size: .8rem; }
+  }
+  @media print { .wide { overflow: visible; background: none; }
+                 table { font-size: .62rem; white-space: normal; }
+                 th, td { padding: .2rem .3rem; } td.text:last-child { min-width: 0; }
+                 img, tr { break-inside: avoid; }
+                 body { max-width: none; } section { break-inside: auto; }
                  figure { break-inside: avoid; } }
   pre { font-size: .8rem; overflow-x: auto; background: var(--tint); padding: 1rem; }
   summary { cursor: pointer; margin-top: 2rem; color: var(--quiet); }

@@ -26,11 +26,13 @@ from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.practice import session
 from wam_power_ros.practice.best_policy import reproduction_learnt_from
 from wam_power_ros.practice.session import SessionHeader
-from wam_power_ros.practice.session_log import Record
+from wam_power_ros.practice.session_log import KIND_NAMES, Record
 from wam_power_ros.reporting import figures, html_page
 from wam_power_ros.reporting.terminal import (
+    FOREARM,
     before_and_after,
     counted,
+    method,
     number,
     resets,
     returned,
@@ -89,7 +91,7 @@ def render(
         if published is not None:
             text += f" {published.remark}"
         drawn = figures.stiffness(profiles, published)
-        parts.append(html_page.section("Stiffness", [text], _svg(drawn)))
+        parts.append(html_page.section("Stiffness", [text], _svg(drawn, text)))
     parts += [_speeds(records), _table(task, records), _settings(header)]
     return html_page.page(f"Session of seed {header.seed}, task {task.name}", parts)
 
@@ -127,8 +129,8 @@ def _first(task: Task, records: Sequence[Record]) -> int | None:
     return next((record.number for record in records if task.achieved(record)), None)
 
 
-def _svg(drawn: Figure) -> str:
-    return html_page.image(plotting.svg(drawn), style="drawn")
+def _svg(drawn: Figure, alt: str) -> str:
+    return html_page.image(plotting.svg(drawn), alt, style="drawn")
 
 
 def _cards(task: Task, records: Sequence[Record]) -> str:
@@ -151,9 +153,9 @@ def _cards(task: Task, records: Sequence[Record]) -> str:
 def _verdict(header: SessionHeader, task: Task, records: Sequence[Record]) -> str:
     settings = header.settings
     text = [
-        f"The session has seed {header.seed}, practises the task {settings.task!r} with the "
-        f"learner {settings.learner!r} and may use "
-        f"{counted(settings.practice.budget, 'rollout')}."
+        f"Seed {header.seed}, {method(settings, task)}; at most "
+        f"{counted(settings.practice.budget, 'rollout')}, then "
+        f"{counted(settings.practice.retests, 're-test')} of the final policy."
     ]
     goal = task.goal
     if (first := _first(task, records)) is not None:
@@ -176,8 +178,8 @@ def _verdict(header: SessionHeader, task: Task, records: Sequence[Record]) -> st
     if answers := [(t[true], o[seen]) for t, o in pairs if true in t and seen in o]:
         agree = sum(bool(one) == bool(other) for one, other in answers)
         text.append(
-            f"On {goal.question}, the observation agreed with the simulator in {agree} of "
-            f"{counted(len(answers), 'rollout')}."
+            f"{goal.question[0].upper()}{goal.question[1:]}: measurements and the simulator's "
+            f"ground truth agree in {agree} of {counted(len(answers), 'rollout')}."
         )
     lines = [*before_and_after(records, task), *task.summary(records), *resets(records)]
     text += [f"{line[0].upper()}{line[1:]}." for line in lines]
@@ -189,14 +191,15 @@ def _verdict(header: SessionHeader, task: Task, records: Sequence[Record]) -> st
 def _shown(task: Task, shown: ShownRollout, why_no_film: str) -> str:
     rollout = shown.rollout
     if shown.film is not None:
-        content = html_page.image(shown.film, "image/webp")
+        alt = f"Film of the arm that executes {rollout.tool.id}: {shown.caption}"
+        content = html_page.image(shown.film, alt, "image/webp")
     else:
         content = f'<p class="quiet">No film: {escape(why_no_film)}</p>'
     text = shown.caption
     if (drawn := task.figure(rollout)) is not None:
         figure, remark = drawn
         text = f"{text} {remark}".rstrip()
-        content += _svg(figure)
+        content += _svg(figure, f"Measured path of {rollout.tool.id}. {remark}".rstrip())
     return html_page.section(f"The session's policy, {rollout.tool.id}", [text], content)
 
 
@@ -230,18 +233,22 @@ def _curve(
     drawn = figures.learning_curve(returns, kinds, marks, published)
     if published is not None:
         text = f"{text} {published.remark}"
-    return html_page.section(title, [text], _svg(drawn))
+    known = [each for each in returns if math.isfinite(each)]
+    reached = f" From {known[0]:.3f} to {known[-1]:.3f}, at most {max(known):.3f}." if known else ""
+    alt = f"{title} of {counted(len(returns), 'rollout')}.{reached}"
+    return html_page.section(title, [text], _svg(drawn, alt))
 
 
 def _terms(records: Sequence[Record]) -> str:
     values = {name: [record.terms.get(name) for record in records] for name in term_names(records)}
     drawn = figures.terms([record.number for record in records], values)
-    return html_page.section("Terms", content=_svg(drawn))
+    alt = f"Terms of the return of each rollout, stacked: {', '.join(values)}."
+    return html_page.section("Terms", content=_svg(drawn, alt))
 
 
 def _speeds(records: Sequence[Record]) -> str:
     """Speeds that the safety board of a real arm would have to allow, from the ground truth."""
-    names = {"elbow": "peak_elbow_speed", "forearm, 350 mm past the elbow": "peak_forearm_speed"}
+    names = {"elbow": "peak_elbow_speed", FOREARM: "peak_forearm_speed"}
     tests = [r.truth for r in records if r.kind == "retest" and r.truth]
     known = tests or [record.truth for record in records if record.truth]
     peaks = {
@@ -268,7 +275,7 @@ def _table(task: Task, records: Sequence[Record]) -> str:
     heads = ["#", "kind", "return", *names, "outcome", "decision"]
     rows = []
     for record in records:
-        cells = [str(record.number), record.kind, returned(record)]
+        cells = [str(record.number), KIND_NAMES[record.kind], returned(record)]
         cells += [number(record.terms.get(name)) for name in names]
         rows.append([*cells, task.outcome(record), record.note])
     good = [index for index, record in enumerate(records) if record.success]

@@ -16,12 +16,13 @@ from rich.table import Table
 from rich.text import Text
 
 from wam_power_ros.practice.best_policy import reproduction_learnt_from
-from wam_power_ros.practice.session_log import Line, Record, with_ratings
+from wam_power_ros.practice.session_log import KIND_NAMES, Line, Record, with_ratings
+from wam_power_ros.practice.settings import SessionSettings
 from wam_power_ros.tasks.task import Task
 
 ROLLOUTS_SHOWN = 14  # newest rollouts in the table
 SILENCE_MAX = 5.0  # longest time without a line in a file [s]
-SHORT_KINDS = {"reproduction": "repro", "explore": "expl", "mean": "mean", "retest": "test"}
+FOREARM = "forearm (350 mm past the elbow)"  # the point of the truth's `peak_forearm_speed`
 OUTCOME_MIN = 24  # width of the column [characters]
 BARS = "▁▂▃▄▅▆▇█"
 STYLES = {"reproduction": "cyan", "explore": "", "mean": "magenta", "retest": "green"}
@@ -55,26 +56,25 @@ def spark(values: Sequence[float], width: int = 60) -> str:
 def rollout_table(
     records: Sequence[Record], outcome: Outcome, shown: int = ROLLOUTS_SHOWN, width: int = 160
 ) -> Table:
-    """Table of the newest rollouts: return and its terms, best return so far, outcome.
+    """Table of the newest rollouts: return and its terms, best measured return, outcome.
 
     Args:
         records: Rollouts, oldest first.
         outcome: Outcome of a rollout in a few words.
         shown: Maximum number of rollouts in the table.
         width: Columns of the terminal. If it is too narrow for the outcome, terms are omitted,
-            last first, and kinds abbreviated.
+            last first.
     """
     newest, bests, best = records[-shown:], [], 0.0
     for record in records:
-        better = record.rated_return is not None and record.rated_return > best
-        best = max(best, record.rated_return or 0.0)
+        better = record.ret is not None and record.ret > best
+        best = max(best, record.ret or 0.0)  # as measured: ratings are shown beside the returns
         bests.append((best, better))
     terms = term_names(records)
     longest = max((len(outcome(record)) for record in newest), default=0)
-    room = width - 32 - min(longest, OUTCOME_MIN)  # 32 for number, kind, return and best
+    room = width - 36 - min(longest, OUTCOME_MIN)  # 36 for number, kind, return and best
     while terms and sum(max(len(term), 5) + 1 for term in terms) > room:
         terms.pop()
-    narrow = width < 100
     table = Table(box=None, pad_edge=False, header_style="bold", padding=(0, 1, 0, 0))
     table.add_column("#", justify="right", no_wrap=True)
     table.add_column("kind", no_wrap=True)
@@ -82,16 +82,22 @@ def rollout_table(
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("outcome", no_wrap=True, overflow="ellipsis")
     for record, (top, better) in zip(newest, bests[-shown:], strict=True):
-        kind = SHORT_KINDS[record.kind] if narrow else record.kind
         table.add_row(
             str(record.number),
-            Text(kind, style=STYLES.get(record.kind, "")),
+            Text(KIND_NAMES[record.kind], style=STYLES.get(record.kind, "")),
             Text(returned(record), style="bold green" if better else ""),
             *(number(record.terms.get(term)) for term in terms),
             f"{top:.3f}",
             Text(outcome(record), style="green" if record.success else ""),
         )
     return table
+
+
+def method(settings: SessionSettings, task: Task) -> str:
+    """Task, learner and the hindsight corrections that it is given, in a few words."""
+    given = f"with corrections of {' and '.join(task.corrections)}"
+    corrected = given if task.corrections else "without corrections"
+    return f"task {settings.task}, learner {settings.learner} {corrected}"
 
 
 def summary(records: Sequence[Record], task: Task) -> str:
@@ -102,7 +108,7 @@ def summary(records: Sequence[Record], task: Task) -> str:
     best, last = max(records, key=lambda record: record.ret or 0.0), returns[-5:]
     retests = [record for record in records if record.kind == "retest"]
     lines = [
-        f"{counted(len(records), 'rollout')}; return {sum(last) / len(last):.3f} over the last "
+        f"{counted(len(records), 'rollout')}; mean return {sum(last) / len(last):.3f} of the last "
         f"{len(last)}, best {best.ret:.3f} in rollout {best.number} ({task.outcome(best)})",
         *before_and_after(records, task),
         *task.summary(records),
@@ -172,8 +178,7 @@ def _peaks(truths: Sequence[Mapping[str, Any]]) -> list[str]:
     return [
         f"  peak joint speeds {' '.join(f'{v:.1f}' for v in qd)} rad/s; beyond a motor's no-load "
         f"speed in {beyond} of {len(truths)}",
-        f"  peak speeds of elbow {elbow:.2f}, point 350 mm beyond it {forearm:.2f}, "
-        f"tool {tool:.2f} m/s",
+        f"  peak speeds: elbow {elbow:.2f} m/s, {FOREARM} {forearm:.2f} m/s, tool {tool:.2f} m/s",
     ]
 
 
@@ -188,6 +193,7 @@ class Display:
         self.footer = ""
         self._outcome: Outcome = lambda record: ""
         self._log: Sequence[Line] = ()
+        self._method = ""  # of the session, once it is shown
         self._message = ""  # latest one of a node
         self._silent_since: float | None = None  # [s]
         self._progress_shown_at = 0.0  # [s]
@@ -210,17 +216,24 @@ class Display:
         if self._console.is_terminal:
             self._live.stop()
 
-    def show(self, log: Sequence[Line], rollouts_max: int, outcome: Outcome) -> None:
-        """Show the present log of a session of at most `rollouts_max` rollouts."""
+    def show(self, log: Sequence[Line], settings: SessionSettings, task: Task) -> None:
+        """Show the present log of a session."""
         new = log[len(self._log) :]
-        self._outcome, self._log = outcome, log
-        count = sum(isinstance(entry, Record) for entry in log)
-        total = max(rollouts_max, count)
+        if not self._method:
+            self._method = method(settings, task)
+            self._print(self._method[0].upper() + self._method[1:])
+        self._outcome, self._log = task.outcome, log
+        records = [entry for entry in log if isinstance(entry, Record)]
+        tests = sum(record.kind == "retest" for record in records)
+        count, total = len(records) - tests, settings.practice.budget
         text = f"{count} of at most {counted(total, 'rollout')}"
+        if tests:
+            count, total = tests, settings.practice.retests
+            text = f"re-test {count} of {total}"
         self._progress.update(self._task, completed=count, total=total, description=text)
         if not self._console.is_terminal:
             for entry in new:
-                self._print(line(entry, outcome))
+                self._print(line(entry, task.outcome))
 
     def show_message(self, text: str, is_problem: bool) -> None:
         """Show a log message of a node: a problem above the table, others below it."""
@@ -248,7 +261,7 @@ class Display:
         if not records:
             waiting = Text("waiting for the first rollout", style="italic")
             return Group(waiting, message, Text(self.footer), self._progress)
-        returns = [record.rated_return for record in records if record.rated_return is not None]
+        returns = [record.ret for record in records if record.ret is not None]
         notes = [entry.note for entry in self._log if entry.note]
         parts: list[RenderableType] = [
             rollout_table(records, self._outcome, width=self._console.width),
@@ -264,6 +277,6 @@ def line(entry: Line, outcome: Outcome) -> str:
         return f"      a person: {entry.note}"
     terms = ", ".join(f"{name} {number(value)}" for name, value in entry.terms.items())
     return (
-        f"{entry.number:4d}  {entry.kind:12s}  return {number(entry.ret)} ({terms})  "
+        f"{entry.number:4d}  {KIND_NAMES[entry.kind]:12s}  return {number(entry.ret)} ({terms})  "
         f"{outcome(entry)}" + (f"  [{entry.note}]" if entry.note else "")
     )

@@ -48,6 +48,11 @@ class Answer:
         """True if the request was done."""
         return self.code is Code.DONE
 
+    @property
+    def said(self) -> str:
+        """Sentence for a person, or the code if there is none."""
+        return self.text or self.code.value
+
     def __str__(self) -> str:
         """Text of the message.
 

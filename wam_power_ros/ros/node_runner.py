@@ -25,6 +25,7 @@ from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from wam_power_ros.durable_files import explained
 from wam_power_ros.entry import INTERRUPTED, REFUSED, SIGNALS
 from wam_power_ros.params import parameter_file
 from wam_power_ros.ros import network, security
@@ -133,12 +134,12 @@ def run(
     """Run a node until SIGINT or SIGTERM, after which it can still send.
 
     Args:
-        make_node: Makes the node; raises ValueError for an invalid configuration. If the node has a
+        make_node: Makes the node; raises ValueError for invalid parameters. If the node has a
             method `close`, it is called at the end, to finish files and send the last command.
         spin: Dispatches callbacks until the function it is given returns True.
 
     Returns:
-        Exit status: 0 after a signal, 2 when the configuration was refused.
+        Exit status: 0 after a signal, 2 when the parameters were refused.
     """
     received: list[int] = []
     for number in SIGNALS:
@@ -249,7 +250,8 @@ def run_script(make_node: Callable[[], N], work: Callable[[N], int | None]) -> i
         with participant(make_node) as node:
             return work(node) or 0
     except (ServiceError, ValueError, OSError) as error:
-        sys.stderr.write(f"{error}\n")
+        text = explained(error) if isinstance(error, OSError) else str(error)
+        sys.stderr.write(f"{text}\n")
         return REFUSED
     except (KeyboardInterrupt, ExternalShutdownException):
         return INTERRUPTED

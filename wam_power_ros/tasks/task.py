@@ -99,7 +99,7 @@ class Goal:
         achieved: Completes "Rollout 2 was the first that ...".
         first: Mark of that rollout in a figure.
         retests: Completes "re-tests ...".
-        question: Completes "On ..., the observation agreed with the simulator"; "" for none.
+        question: Completes "...: measurements and ground truth agree"; "" for none.
         observed: Key of its answer in the observation of a rollout.
         true: Key of its answer in the ground truth of a rollout.
     """
@@ -251,8 +251,13 @@ class Task(ABC):
         """
         return ()
 
+    @property
+    def corrections(self) -> Sequence[str]:
+        """Measured errors that `hindsight` corrects under these settings, for the reports."""
+        return ()
+
     def confirms(self, record: LoggedRollout) -> bool:
-        """Whether a successful rollout of the mean counts towards the stopping rule."""
+        """Whether a successful rollout of the mean policy counts towards the stopping rule."""
         return True
 
     def model(self, parametrization: Parametrization, start: np.ndarray) -> Model | None:

@@ -431,6 +431,9 @@ def _pose_fault(position: np.ndarray, quat_xyzw: np.ndarray) -> FrameFault | Non
     return None
 
 
+DAY = 86_400.0  # [s] clocks that differ by more are not the same clock
+
+
 class ClockOffset:
     """Age of frames on receipt: latency plus the offset of the motion capture's clock from ours.
 
@@ -452,6 +455,22 @@ class ClockOffset:
     def seconds(self) -> float:
         """Smallest age on receipt in absolute value, which is insensitive to jitter [s]."""
         return min((age for _, age in self._frames), key=abs, default=0) * 1e-9
+
+
+def late_stamps(offset: float, stood_still: float) -> str:
+    """Say why stamps differ from the time of receipt, and what to do.
+
+    Args:
+        offset: Age of the frames on receipt [s].
+        stood_still: How long this process has not run within the last seconds [s]; 0 if it has.
+    """
+    if stood_still:
+        cause = f"this node stood still for {stood_still:.1f} s: stopped, or a busy machine"
+    elif abs(offset) > DAY:
+        cause = "those of another clock; a stand-in in lockstep needs use_sim_time: true here"
+    else:
+        cause = "synchronise the clocks or set latency_offset"
+    return f"stamps {offset:.3f} s off: {cause}"
 
 
 def free_fall_acceleration(path: BodyPath) -> np.ndarray | None:

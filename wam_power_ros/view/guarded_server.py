@@ -3,7 +3,8 @@
 
 A browser lets any page open a websocket to this machine, but no other page may press buttons that
 move an arm. A request with a foreign host name (DNS rebinding) or from a page of another origin is
-refused with 403. Sharing through viser's public relay is switched off.
+refused with 403. Sharing through viser's public relay is switched off. A client that is no page is
+told what becomes of its messages.
 """
 
 from __future__ import annotations
@@ -11,9 +12,10 @@ from __future__ import annotations
 import http
 import io
 import ipaddress
+import logging
 import re
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout, suppress
 from typing import Any
 
@@ -26,6 +28,7 @@ from websockets.http11 import Request, Response
 from wam_power_ros.view.message_buffer import MessageBuffer
 
 PORT_MAX = 65535
+_LOG = logging.getLogger(__name__)
 
 
 def refusal(host: str | None, origin: str | None) -> str:
@@ -58,7 +61,48 @@ def open_server(address: str, port: int) -> viser.ViserServer:
         server = viser.ViserServer(host=address, port=free, label="wam_power_ros", verbose=False)
     for message in (_messages.ShareUrlRequest, _messages.ShareUrlDisconnect):
         server._websock_server._incoming_handlers.pop(message, None)
+    _answer_strangers(server)
     return server
+
+
+def _answer_strangers(server: viser.ViserServer) -> None:
+    """Tell clients that are not viser's page what becomes of their messages.
+
+    Viser drops the presses of a client that has not sent its camera, and prints a traceback for
+    each message that it cannot read, after which it drops the client.
+    """
+    websocket = server._websock_server
+
+    def unheard(client_id: Any, message: _messages.GuiUpdateMessage) -> None:  # noqa: ANN401
+        client = websocket._client_state_from_id.get(client_id)
+        if client is None or client_id in server._connected_clients:
+            return
+        text = "not done: a client must send its camera first, as the page in a browser does"
+        props = _messages.NotificationProps("wam-power", text, False, True, None, "red")
+        client.message_buffer.push(_messages.NotificationShowMessage(message.uuid, props))
+
+    def failed(_: object, context: Mapping[str, Any]) -> None:
+        cause = context.get("exception") or context.get("message")
+        _LOG.warning("message of a client ignored: %r", cause)
+
+    websocket.register_handler(_messages.GuiUpdateMessage, unheard)
+    loop = websocket._background_event_loop
+    loop.call_soon_threadsafe(loop.set_exception_handler, failed)
+    logging.getLogger("websockets.server").addFilter(_in_one_line)
+
+
+def _in_one_line(record: logging.LogRecord) -> bool:
+    """Replace the traceback of a failed connection by its error."""
+    if record.exc_info:
+        record.msg, record.args = "%s: %r", (record.getMessage(), record.exc_info[1])
+        record.exc_info = record.exc_text = None
+    return True
+
+
+def close(server: viser.ViserServer) -> None:
+    """Close a server."""
+    with redirect_stdout(io.StringIO()):  # drops viser's farewell
+        server.stop()
 
 
 def _free(family: socket.AddressFamily, address: str, port: int) -> bool:

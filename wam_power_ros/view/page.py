@@ -14,6 +14,7 @@ from viser import uplot
 
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.policy_shapes import ellipsoids
+from wam_power_ros.practice.session_log import KIND_NAMES
 from wam_power_ros.view.skeleton import Shape, Skeleton
 
 PLANNED, EXECUTED, ATTRACTOR = (37, 99, 235), (234, 88, 12), (13, 148, 136)
@@ -222,7 +223,7 @@ class Page:
         """
         points = [
             uplot.Series(
-                label=name,
+                label=KIND_NAMES[name],
                 stroke=KIND_COLOURS[name],
                 width=0,
                 points={"show": True, "size": 7, "fill": KIND_COLOURS[name]},
@@ -241,6 +242,7 @@ class Page:
                 series,
                 scales={"x": uplot.Scale(time=False), "y": uplot.Scale(range=(0.0, 1.1))},
                 axes=(uplot.Axis(label="rollout"), uplot.Axis(label="return")),
+                legend=viser.uplot.Legend(show=True, live=False),
                 height=220,
             )
             self.terms = self.server.gui.add_markdown("")

@@ -24,7 +24,8 @@ class Player:
         movement: Shown movement, None before the first.
         playing: True while it plays.
         stale: True before the first movement, and if something else was drawn over it.
-        on_choice: Called when a person chooses or plays a movement.
+        on_choice: Called when a person chooses or plays a movement; until then the newest one, the
+            first of the list, is chosen.
 
     Args:
         page: Page to draw on.
@@ -43,16 +44,22 @@ class Player:
             self._time = gui.add_slider("time [s]", 0.0, 1.0, TIME_STEP, 0.0)
             self._speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="1")
             self._button = gui.add_button("Play")
-        self.playing = False
+        self.playing = self._chosen = False
         self.on_choice: Callable[[], object] = lambda: None
         self._button.on_click(lambda _: self._toggle())
         self._choice.on_update(lambda event: self._on_movement(event.client is not None))
         self._time.on_update(lambda event: self._on_time(event.client is not None))
 
     def offer(self, names: Sequence[str]) -> None:
-        """Replace the names of the movements to choose from."""
-        if tuple(names) != tuple(self._choice.options):
-            self._choice.options = tuple(names) or (NO_MOVEMENT,)
+        """Replace the names of the movements to choose from, newest first."""
+        if tuple(names) == tuple(self._choice.options):
+            return
+        chosen = self._choice.value
+        self._choice.options = tuple(names) or (NO_MOVEMENT,)
+        if not self._chosen or chosen not in names:
+            self._choice.value, self.stale = self._choice.options[0], True
+        elif self._choice.value != chosen:
+            self._choice.value = chosen
 
     def show(self, name: str) -> None:
         """Show a movement from its beginning."""
@@ -89,18 +96,22 @@ class Player:
             t = self._time.value + elapsed * SPEEDS[self._speed.value]
             self._time.value = t if t < self.movement.duration else 0.0
 
+    def _choose(self) -> None:
+        self._chosen = True
+        self.on_choice()
+
     def _on_movement(self, by_person: bool) -> None:
         if by_person:
-            self.on_choice()
+            self._choose()
             self.show(self._choice.value)
 
     def _on_time(self, by_person: bool) -> None:
         if by_person:
-            self.on_choice()
+            self._choose()
         self._draw()
 
     def _toggle(self) -> None:
-        self.on_choice()
+        self._choose()
         self.playing = not self.playing
         self._button.label = "Pause playback" if self.playing else "Play"
 

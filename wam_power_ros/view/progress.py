@@ -10,7 +10,7 @@ from typing import get_args
 import numpy as np
 
 from wam_power_ros.practice import session
-from wam_power_ros.practice.session_log import Kind, Record
+from wam_power_ros.practice.session_log import KIND_NAMES, Kind, Record
 from wam_power_ros.reporting.terminal import number, returned, term_names
 from wam_power_ros.tasks.task import Task
 from wam_power_ros.view.page import Page, plain
@@ -20,9 +20,9 @@ NEWEST_COUNT = 4  # rollouts in the text
 
 
 def curve(records: Sequence[Record]) -> tuple[np.ndarray, ...]:
-    """Rollout numbers, returns of each kind (NaN for other rollouts), best return so far."""
+    """Rollout numbers, measured returns of each kind (NaN for other rollouts), best so far."""
     numbers = np.array([float(record.number) for record in records])
-    returns = np.array([np.nan if (r := rec.rated_return) is None else r for rec in records])
+    returns = np.array([np.nan if rec.ret is None else rec.ret for rec in records])
     kinds = np.array([record.kind for record in records])
     best = np.fmax.accumulate(returns) if len(returns) else returns
     return (numbers, *(np.where(kinds == kind, returns, np.nan) for kind in KINDS), best)
@@ -39,15 +39,20 @@ def newest(records: Sequence[Record], task: Task) -> str:
 
 
 def label(record: Record) -> str:
-    """Label of a rollout: number, kind and return."""
-    return f"{record.number} {record.kind} {returned(record)}"
+    """Label of a rollout: number, kind and return with its ratings."""
+    return f"{record.number} {KIND_NAMES[record.kind]} {returned(record)}"
+
+
+def entry(record: Record) -> str:
+    """Entry of a rollout in a list to choose from: as its label, but the same for ever."""
+    return f"{record.number} {KIND_NAMES[record.kind]} {number(record.ret)}"
 
 
 class Progress:
     """Shows a session and reads its log again whenever it has grown.
 
     Attributes:
-        bags: Label of a rollout with a bag -> path of the bag, newest first.
+        bags: Entry of a rollout with a bag -> path of the bag, newest first.
         records: Rollouts of the session.
 
     Args:
@@ -76,7 +81,7 @@ class Progress:
         self._size = size
         self.records = session.read(self._folder).records
         self.bags = {
-            label(record): self._folder / "bags" / record.bag
+            entry(record): self._folder / "bags" / record.bag
             for record in reversed(self.records)
             if record.bag
         }

@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-import copy
 import fcntl
 import threading
 import time
 from collections import deque
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -26,6 +26,7 @@ from wam_power_ros.view.progress import Progress
 from wam_power_ros.view.skeleton import Skeleton
 
 TRAIL_LENGTH = 40  # tool positions in the trail, ten a second
+STILL = 1e-4  # [rad] between two updates: less is noise of the encoders
 STATE_TIMEOUT = 1.0  # [s of wall time] after which a missing joint state is reported
 RUNNING, ENDED = "running", "not running: records only"
 REWARD, PUNISH, PAUSE, CONTINUE = "Reward", "Punish", "Pause", "Continue"
@@ -41,7 +42,7 @@ def _is_locked(path: Path) -> bool:
     try:
         with path.open() as file:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return False
     except BlockingIOError:
         return True
@@ -72,6 +73,7 @@ class SessionPage:
         self._node: View | None = None
         self._drawn = LiveState()
         self._trail: deque[np.ndarray] = deque(maxlen=TRAIL_LENGTH)
+        self._still = 0  # number of updates since the arm has moved
         self._teaching: threading.Event | None = None  # set at the end of the movement
         call, last, pause = self._call, "the last finished rollout", interface.LEARNER_PAUSE
         buttons = {
@@ -100,6 +102,7 @@ class SessionPage:
         """Update the page after an elapsed time [s]."""
         if self._progress.refresh():
             self._player.offer([*self._progress.bags])
+        self._enable_buttons()
         state = None if self._node is None else self._node.update()
         if state is not None and self._follow.value:
             self._draw(state)
@@ -113,12 +116,18 @@ class SessionPage:
         self._node, self._drawn = node, LiveState()
         self._end_teaching()
         self._enable_buttons()
+        self._follow.disabled = self._node is None
 
     def _enable_buttons(self) -> None:
-        for button in self._buttons.values():
-            button.disabled = self._node is None
-        self._buttons[END_TEACHING].disabled = True
-        self._follow.disabled = self._node is None
+        """Enable the buttons whose requests would be heard now."""
+        practises = self._node is not None and _is_locked(self._folder / ".lock")
+        learns = practises and all(r.kind != "retest" for r in self._progress.records)
+        usable = {STOP: self._node is not None, PAUSE: practises, CONTINUE: practises}
+        rated = learns and bool(self._progress.records)
+        usable |= {REWARD: rated, PUNISH: rated, TEACH: learns}
+        for label, use in usable.items():
+            if self._buttons[label].disabled == use:
+                self._buttons[label].disabled = not use
 
     def _draw(self, state: LiveState) -> None:
         drawn, node, page = self._drawn, self._node, self._page
@@ -129,8 +138,12 @@ class SessionPage:
             self._trail.clear()
             page.show_arm(Skeleton(node.urdf, node.model_joint_names))
             self._player.stale = True
-        self._trail.append(page.pose(state.q))
-        page.show_path("trail", np.array(self._trail), TRAIL)
+        rests = drawn.q is not None and np.abs(state.q - drawn.q).max() < STILL
+        self._still = self._still + 1 if rests else 0
+        shown = drawn.q if self._still > TRAIL_LENGTH else state.q
+        if shown is not drawn.q:  # a browser renders the scene at every change
+            self._trail.append(page.pose(shown))
+            page.show_path("trail", np.array(self._trail), TRAIL)
         page.place_body(state.body)
         if state.policy is not None and state.policy is not drawn.policy:
             start = page.skeleton.placements(state.policy.q_start)[0][-1]
@@ -138,14 +151,14 @@ class SessionPage:
             page.show_attractors(state.policy)
         if state.tool_path is not None and state.tool_path is not drawn.tool_path:
             page.show_path("executed", state.tool_path, EXECUTED)
-        self._drawn = copy.copy(state)
+        self._drawn = replace(state, q=shown)
 
     def _unfollow(self) -> None:
         self._follow.value = False
 
     def _lines(self) -> dict[str, str]:
         records = self._progress.records
-        returns = [r.rated_return for r in records if r.rated_return is not None]
+        returns = [record.ret for record in records if record.ret is not None]
         lines = {
             "session": f"{self._folder.name} ({ENDED if self._node is None else RUNNING})",
             "rollouts": f"{len(records)}, best return {max(returns, default=0.0):.3f}",
@@ -173,7 +186,7 @@ class SessionPage:
             self._page.notify(label, "the session is not running", good=False)
             return
         answer = node.call(name, on)
-        self._page.notify(label, answer.text or answer.code.value, good=answer.success)
+        self._page.notify(label, answer.said, good=answer.success)
 
     def _teach(self) -> None:
         if self._teaching is None and self._node is not None:

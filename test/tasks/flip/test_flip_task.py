@@ -136,6 +136,8 @@ def test_the_model_predicts_tosses_above_the_height_of_the_settings() -> None:
         (judged({"tossed": False, "resting": False}), "not tossed, dropped"),
         (judged({"tossed": True, "angle": -2.0, "flipped": False}), "115° dropped"),
         (judged({"tossed": True, "angle": 3.0, "flipped": True, "resting": True}), "172° flipped,"),
+        (judged({"tossed": True, "angle": 2.0, "flipped": True, "resting": True}), "115° turned o"),
+        (judged({"tossed": True, "angle": 3.0, "flipped": True, "resting": False}), "172° dropped"),
     ],
 )
 def test_a_table_says_how_far_the_pancake_turned_and_where_it_ended(
@@ -145,11 +147,15 @@ def test_a_table_says_how_far_the_pancake_turned_and_where_it_ended(
 
 
 def test_a_summary_counts_the_re_tests_and_the_truth_of_those_that_have_one() -> None:
-    caught, dropped = {"flipped": True, "resting": True}, {"flipped": True, "resting": False}
+    caught = {"flipped": True, "resting": True, "angle": 3.0}
+    dropped = {**caught, "resting": False}
     truth = {"caught": True, "flipped": True, "true_flip": False}
     records = [judged(caught, truth=truth), judged(dropped, truth={**truth, "caught": False})]
     records += [judged(caught, kind="trial", truth=truth), judged(None)]
     seen, true = FLIP.summary(records)
-    assert seen.startswith("re-tests of the final policy: 1 of 3 flipped and caught")
-    assert "1 of 2 flipped and caught, 0 by a true flip" in true
+    assert seen.startswith("re-tests of the final policy: 1 of 3 flipped")
+    assert true.startswith(
+        "simulator's ground truth: 0 of 2 flipped (150 to 240 degrees in the air"
+    )
+    assert true.endswith("; 1 more turned over and caught")
     assert FLIP.summary(records[2:3]) == []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of flipping a pancake, and its two presets."""
+"""Settings of flipping a pancake, and its presets."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ class FlipSettings(BaseModel):
 
     @model_validator(mode="after")
     def _check_consistency(self) -> FlipSettings:
-        for name in ("landing_gain", "turn_gain", "vigour_gain", "tempo_gain"):
+        for name in _GAINS:
             if getattr(self, name) > 0.0 and self.variant != "planar":
                 raise ValueError(
                     f"{name} {getattr(self, name)} needs a parameter that only the variant "
@@ -105,26 +105,31 @@ class FlipSettings(BaseModel):
         return self
 
 
+_FLIP: Mapping[str, Any] = {
+    "variant": "planar",
+    "noise": {"stiffness": 0.16, "attractor": 0.016, "rotation": 0.05, "catch_shift": 0.016},
+    "learner": {"name": "power", "sigma": 6, "weights": "sharpened", "decay": 0.97},
+    "ret": "landing",
+    "budget": 60,
+    "mean_every": 5,
+    "landing_gain": 0.7,
+    "turn_gain": 0.5,
+    "vigour_gain": 0.3,
+    "tempo_gain": 0.3,
+    "success_return": 0.0,
+    "success_angle": math.radians(TRUE_TURN[0]),
+    "success_angle_max": math.radians(TRUE_TURN[1]),
+    "confirm": 10,
+    "confirm_margin": math.radians(10.0),
+    "confirm_landing": 0.06,
+    "retests": 10,
+}
+_GAINS = ("landing_gain", "turn_gain", "vigour_gain", "tempo_gain")
 PRESETS: Mapping[str, Mapping[str, Any]] = {
-    "flip": {
-        "variant": "planar",
-        "noise": {"stiffness": 0.16, "attractor": 0.016, "rotation": 0.05, "catch_shift": 0.016},
-        "learner": {"name": "power", "sigma": 6, "weights": "sharpened", "decay": 0.97},
-        "ret": "landing",
-        "budget": 60,
-        "mean_every": 5,
-        "landing_gain": 0.7,
-        "turn_gain": 0.5,
-        "vigour_gain": 0.3,
-        "tempo_gain": 0.3,
-        "success_return": 0.0,
-        "success_angle": math.radians(TRUE_TURN[0]),
-        "success_angle_max": math.radians(TRUE_TURN[1]),
-        "confirm": 10,
-        "confirm_margin": math.radians(10.0),
-        "confirm_landing": 0.06,
-        "retests": 10,
-    },
+    "flip": _FLIP,
+    # For comparison: what the returns, or the corrections, reach alone.
+    "return_only": {**_FLIP, **dict.fromkeys(_GAINS, 0.0)},
+    "corrections_only": {**_FLIP, "learner": {"name": "corrections_only"}, "mean_every": 1},
     "paper": {
         "variant": "full",
         "noise": {"stiffness": 0.1, "attractor": 0.01, "rotation": 0.05, "catch_shift": 0.01},

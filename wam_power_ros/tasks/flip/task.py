@@ -15,7 +15,7 @@ from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.tasks.flip import assessment as flip_assessment
 from wam_power_ros.tasks.flip import paper
-from wam_power_ros.tasks.flip.flight import observe_flight
+from wam_power_ros.tasks.flip.flight import FLIP_ANGLES, observe_flight
 from wam_power_ros.tasks.flip.landing_correction import landing_correction
 from wam_power_ros.tasks.flip.parametrization import flip_parametrization
 from wam_power_ros.tasks.flip.planned_toss import TossModel
@@ -59,9 +59,9 @@ class Flip(Task):
     Settings: ClassVar[type[FlipSettings]] = FlipSettings
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = PRESETS
     goal = Goal(
-        achieved="flipped and caught the pancake",
+        achieved="flipped the pancake",
         first="first flip",
-        retests="flipped and caught",
+        retests="flipped",
         question="whether the pancake was caught",
         observed="resting",
         true="caught",
@@ -99,6 +99,14 @@ class Flip(Task):
         """Correct catch shift, flick, vigour and tempo; see `landing_correction`."""
         return landing_correction(assessment, parametrization, self.settings)
 
+    @property
+    def corrections(self) -> Sequence[str]:
+        """Landing error and rotation, as far as they are corrected; see `Task`."""
+        settings = self.settings
+        turned = (settings.turn_gain, settings.vigour_gain, settings.tempo_gain)
+        gains = {"landing error": settings.landing_gain, "rotation": max(turned)}
+        return [name for name, gain in gains.items() if gain > 0.0]
+
     def confirms(self, record: LoggedRollout) -> bool:
         """Whether rotation and landing meet `confirm_margin` and `confirm_landing`; see `Task`."""
         settings, flight = self.settings, record.observation
@@ -128,35 +136,39 @@ class Flip(Task):
         if not flight.get("tossed"):
             return "not tossed" if flight.get("resting") else "not tossed, dropped"
         turned = f"{abs(math.degrees(flight.get('angle', 0.0))):.0f}° "
-        return turned + (f"flipped, {caught}" if flight.get("flipped") else caught)
+        if self.achieved(record):
+            return f"{turned}flipped, {caught}"
+        over = flight.get("flipped") and flight.get("resting")
+        return turned + (f"turned over, {caught}" if over else caught)
 
     def summary(self, records: Sequence[LoggedRollout]) -> list[str]:
-        """Flips, catches, Eq. 5 and, in simulation, true flips of the re-tests; see `Task`."""
+        """Flips and Eq. 5 of the re-tests, and in simulation their true flips; see `Task`."""
         retests = [record for record in records if record.kind == "retest"]
         if not retests:
             return []
         seen = [record.observation for record in retests if record.observation]
-        caught = sum(bool(flight.get("flipped") and flight.get("resting")) for flight in seen)
+        flips = sum(self.achieved(record) for record in retests)
         flights = [flight for each in seen if (flight := flip_assessment.flight_of(each))]
         returns = [pancake_return(flight).total for flight in flights]
-        eq5 = f"; Eq. 5 {np.mean(returns):.3f}, at least {min(returns):.3f}" if returns else ""
-        lines = [
-            f"re-tests of the final policy: {caught} of {len(retests)} flipped and caught{eq5}"
-        ]
+        eq5 = f"; Eq. 5: mean {np.mean(returns):.3f}, lowest {min(returns):.3f}" if returns else ""
+        lines = [f"re-tests of the final policy: {flips} of {len(retests)} flipped{eq5}"]
         truths = [record.truth for record in retests if record.truth]
         if truths:
-            landed = sum(bool(t.get("caught") and t.get("flipped")) for t in truths)
+            over = sum(bool(t.get("caught") and t.get("flipped")) for t in truths)
             true = sum(bool(t.get("true_flip")) for t in truths)
+            others = f"; {over - true} more turned over and caught" if over > true else ""
             lines.append(
-                f"simulator's ground truth: {landed} of {len(truths)} flipped and caught, {true} "
-                "by a true flip (150 to 240 degrees in the air)"
+                f"simulator's ground truth: {true} of {len(truths)} flipped (150 to 240 degrees in "
+                f"the air, and caught){others}"
             )
         return lines
 
     def achieved(self, record: LoggedRollout) -> bool:
-        """Whether the observed pancake flipped and came to rest in the pan."""
+        """Whether the observed pancake made a true flip: caught, and turned by `FLIP_ANGLES`."""
         seen = record.observation or {}
-        return bool(not record.fault and seen.get("flipped") and seen.get("resting"))
+        turned_over = not record.fault and seen.get("flipped") and seen.get("resting")
+        low, high = FLIP_ANGLES
+        return bool(turned_over and low <= abs(seen.get("angle", 0.0)) <= high)
 
     def measured(self, retests: Sequence[LoggedRollout]) -> Mapping[str, str]:
         """Median rotation of the pancake at t_f; see `Task`."""
