@@ -139,7 +139,7 @@ def test_links_that_lose_and_jitter_are_survived(probe: Probe, processes: Proces
 @pytest.mark.parametrize(
     ("wrong", "reason"),
     [
-        ({"wam_sim:scene": "flop"}, "'flop' is not one of ball_in_cup, flip, reach"),
+        ({"wam_sim:scene": "flop"}, "'flop' is not one of ball_in_cup, flip, markers, reach"),
         ({"optitrack_sim:body": "ball"}, "is set to body 'ball'"),
         ({"wam_sim:guarded_region": [0.5, 0.0, 0.5]}, "guarded_region.3 is missing"),
     ],
