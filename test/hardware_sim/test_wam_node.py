@@ -68,8 +68,13 @@ def test_a_recorded_movement_is_replayed_by_the_arm(probe: Probe, processes: Pro
     movement = joint_messages.JointMovement(t, q)
     replay = probe.replay(joint_messages.movement_message(NAMES, movement))
     message = probe.until(lambda: replay[1:], "the end of the replay")[0].text
-    moved = max(hardware.state(i).q[3] for i in range(len(hardware.messages))) - start
-    assert moved == pytest.approx(0.2, abs=0.03)
+
+    def moved() -> float:
+        states = [hardware.state(i).q[3] - start for i in range(len(hardware.messages))]
+        return max(states, default=0.0)
+
+    probe.until(lambda: moved() > 0.17, "the states of the movement")  # behind the answer
+    assert moved() < 0.23
     assert "rms error 0.0" in message
 
 
