@@ -20,7 +20,13 @@ from benchmark import torques
 from benchmark.nodes import JOINTS
 from wam_power_ros import compiled, rotations
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.control.plausibility import Bound, Interval, TorqueCheck, VelocityCheck
+from wam_power_ros.control.plausibility import (
+    STANDSTILL_STATES,
+    Bound,
+    Interval,
+    TorqueCheck,
+    VelocityCheck,
+)
 from wam_power_ros.control.safety import LimitSprings, limit_torque, limits_of, motion_fault
 from wam_power_ros.control.state_checks import JointState
 
@@ -108,6 +114,20 @@ def test_the_check_of_torques_finds_the_same_faults_and_nearly_the_same_residual
         assert found == other
         assert np.allclose(checks[0].residual, checks[1].residual, rtol=1e-12, atol=1e-11)
         assert checks[0].since_step == checks[1].since_step
+
+
+@needs_kernel
+@pytest.mark.parametrize("count", [STANDSTILL_STATES - 1, STANDSTILL_STATES])
+def test_the_bound_of_a_standing_joint_holds_from_the_same_state_on(count: int) -> None:
+    checks = TorqueCheck(ARM), TorqueCheck(OTHER)
+    bound = Bound(np.full(7, 1e3), np.full(7, 0.1))
+    states = [JointState(k * 2_000_000, np.ones(7), np.zeros(7), 0.002, 0.002) for k in range(2)]
+    tau = ARM.gravity(np.ones(7)) + 50.0
+    for _ in range(20):
+        found = checks[0].fault(*states, [count] * 7, tau, bound, 0.002)
+        with Without():
+            assert checks[1].fault(*states, [count] * 7, tau, bound, 0.002) == found
+    assert (found is not None) == (count >= STANDSTILL_STATES)
 
 
 @needs_kernel
