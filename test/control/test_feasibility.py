@@ -10,6 +10,7 @@ import pytest
 
 from wam_power_ros.control.arm import WAM_GUARDED_POINTS, Arm
 from wam_power_ros.control.controller_settings import ControllerSettings
+from wam_power_ros.control.corrections import Corrections
 from wam_power_ros.control.feasibility import Feasibility, simulate_policy, speed_margin
 from wam_power_ros.control.safety import limits_of
 from wam_power_ros.faults import FaultKind
@@ -204,3 +205,23 @@ def test_a_driver_that_compensates_gravity_does_not_change_the_simulation(arm: A
 def test_a_policy_is_simulated_without_the_enabling_switch(arm: Arm) -> None:
     held = ControllerSettings(hold_to_run=True)
     assert simulate_policy(arm, held, lift(arm, 0.1)).fault is None
+
+
+def test_motors_that_are_known_to_be_weak_change_what_is_sent_and_not_the_motion(
+    arm: Arm,
+) -> None:
+    scales = [0.9, 1.1, 0.95, 1.05, 0.9, 1.1, 1.0]
+    weak = arm.corrected(Corrections.of(7, torque_scales=scales))
+    found = simulate_policy(weak, ControllerSettings(), lift(arm, 0.1))
+    plain = simulate_policy(arm, ControllerSettings(), lift(arm, 0.1))
+    assert found.fault is plain.fault is None
+    assert np.allclose(found.qd_peak, plain.qd_peak, rtol=1e-6)
+
+
+def test_a_measured_delay_of_the_loop_is_simulated(arm: Arm) -> None:
+    def peaks(delay: float) -> np.ndarray:
+        settings = ControllerSettings(loop_delay=delay)
+        return simulate_policy(arm, settings, lift(arm, 0.1)).qd_peak
+
+    assert not np.array_equal(peaks(0.008), peaks(0.0))
+    assert not np.array_equal(peaks(0.008), peaks(0.002))

@@ -108,7 +108,9 @@ def simulate_policy(
     rests, delay = (at_rate(count, settings.period) for count in (_REST_TICKS, TORQUE_DELAY))
     if settings.loop_delay:
         delay = round(settings.loop_delay / settings.period) + _FILTER_STATES
-    sent = deque((rest() for _ in range(rests)), maxlen=delay + 1)
+    # What the motors of this arm give for the torques that they are sent.
+    scales = 1.0 if arm.torque_scales is None else arm.torque_scales
+    acting = deque((scales * rest() for _ in range(rests)), maxlen=delay + 1)
     controller.execute()
     qd_peak, elbow_peak, tool_peak = np.zeros(arm.n), 0.0, 0.0
     lowest, highest = q, q
@@ -117,12 +119,12 @@ def simulate_policy(
         tau = controller.step(stamp_ns, q, qd)
         if controller.mode is not Mode.ROLLOUT:
             break
-        sent.append(tau)
+        acting.append(scales * tau)
         for _ in range(substeps):
             # Implicit: explicit friction would shake joints of less than 0.0015 kg m^2.
             speed = np.maximum(np.abs(qd + change), _FRICTION_SPEED)
             resistance = arm.friction / speed + arm.damping
-            change = dt * arm.resisted_dynamics(q, qd, sent[0], resistance, dt)
+            change = dt * arm.resisted_dynamics(q, qd, acting[0], resistance, dt)
             qd = qd + change
             q = q + dt * qd
         stamp_ns += period_ns
