@@ -46,7 +46,7 @@ class Samples:
         qd: Speeds [rad/s]. Shape (N, n).
         qdd: Accelerations [rad/s^2]. Shape (N, n).
         tau: Commanded torques [N m]. Shape (N, n).
-        used: Whether a joint's torque counts: near a reversal, friction is not known. Shape (N, n).
+        used: True where a joint's torque counts; near a reversal friction is not known. Shape (N, n).
     """
 
     q: np.ndarray
@@ -61,7 +61,7 @@ class Identified:
     """Result of `identify`.
 
     Attributes:
-        corrections: What was found.
+        corrections: Corrections of the arm with which its model explains the torques.
         asymmetry: Share by which Coulomb friction is larger forwards than on average. Shape (n,).
         scales_sd: Standard deviations of the torque scales. Shape (n,).
         moment_sd: Standard deviation of the payload's first moment [kg m]. Shape (3,).

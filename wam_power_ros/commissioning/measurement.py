@@ -67,7 +67,7 @@ class Commissioned:
         check_position: Error of the body at postures that were not used, largest [m].
         check_rotation: The same [rad].
         arm: Corrections of the arm.
-        before: What the URDF does not explain, in movements that were not used.
+        before: Torque that the model of the URDF leaves unexplained in movements not used.
         after: The same with the corrections.
     """
 
@@ -94,7 +94,7 @@ def analyse(
         plan: The movement.
         recorded: Recording of it.
         payload: Mass of the tool beyond the URDF's, from a scale [kg]; None if it was not weighed.
-        gravity_added: Whether the driver adds gravity, see `identification.identify`.
+        gravity_added: True if the driver adds gravity itself, see `identification.identify`.
 
     Raises:
         ValueError: The recording is of another movement, or what the cameras saw is not usable.
