@@ -46,7 +46,7 @@ class Samples:
         qd: Speeds [rad/s]. Shape (N, n).
         qdd: Accelerations [rad/s^2]. Shape (N, n).
         tau: Commanded torques [N m]. Shape (N, n).
-        used: True where a joint's torque counts; near a reversal friction is not known. Shape (N, n).
+        used: True where a joint's torque counts, which near a reversal it does not. Shape (N, n).
     """
 
     q: np.ndarray
