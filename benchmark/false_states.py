@@ -14,11 +14,12 @@ from typing import NamedTuple
 import numpy as np
 from sensor_msgs.msg import JointState
 
-from benchmark.hidden_arm import HiddenArm
+from benchmark.hidden_arm import NOMINAL, world
 from benchmark.lab import TIMEOUT, Lab
 from benchmark.nodes import JOINTS, PERIOD_NS
 from benchmark.soak import taught
 from hardware_sim.demonstrator import Demonstrator
+from hardware_sim.hidden_arm import HiddenArm
 from hardware_sim.scenes.flip import wrist_flick
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.safety import REST_SPEED
@@ -121,8 +122,8 @@ class Driver:
 
     def __init__(self, lab: Lab, hidden: HiddenArm | None = None) -> None:
         self._lab = lab
-        hidden = hidden or HiddenArm()
-        self._world, self._zeros = hidden.world(), hidden.zeros
+        hidden = hidden or NOMINAL
+        self._world, self._zeros = world(hidden), hidden.zeros
         self._arm = Arm(self._world.urdf, JOINTS)
         self._write = JointStateWriter(JOINTS)
         self.falsify: Falsifier = lambda state: state
@@ -133,7 +134,7 @@ class Driver:
         self._states = lab.driver_node.create_publisher(
             JointState, interface.JOINT_STATES, interface.STATE_OUT
         )
-        self._world.reset("lies", self.policy.q_start - self._zeros)
+        self._world.reset("lies", self.policy.q_start)
         self._world.release()
 
     def gravity(self) -> np.ndarray:
@@ -148,10 +149,10 @@ class Driver:
             torques = lab.torques
             self._world.step(torques[-1][1].tau if torques else None)
             sample = self._world.joint_state()
-            self.speeds.append(self._arm.motion(sample.q, sample.qd).tool_speed)
+            self.speeds.append(self._arm.speeds(sample.q - self._zeros, sample.qd).tool_speed)
             self.path.append(self._world.tool_pose[0])
             self._stamp_ns += PERIOD_NS
-            state = self.falsify(Reading(self._stamp_ns, sample.q + self._zeros, sample.qd))
+            state = self.falsify(Reading(self._stamp_ns, sample.q, sample.qd))
             if state is not None:
                 still = np.zeros(7)
                 self._states.publish(self._write(state.stamp_ns, state.q, state.qd, still))

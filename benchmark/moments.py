@@ -28,10 +28,11 @@ from benchmark.false_states import (
     frozen,
     stamps,
 )
-from benchmark.hidden_arm import HiddenArm
+from benchmark.hidden_arm import NOMINAL, world
 from benchmark.nodes import JOINTS
 from benchmark.soak import taught
 from hardware_sim.demonstrator import Demonstrator
+from hardware_sim.hidden_arm import HiddenArm
 from hardware_sim.scenes.flip import wrist_flick
 from hardware_sim.wam import PERIOD_NS
 from wam_power_ros.control.arm import Arm
@@ -70,13 +71,13 @@ class Loop:
         hidden: HiddenArm | None = None,
         make: Callable[[Arm], Controller] = Controller,
     ) -> None:
-        hidden = hidden or HiddenArm()
-        self._world, self._zeros = hidden.world(delay), hidden.zeros
+        hidden = hidden or NOMINAL
+        self._world, self._zeros = world(hidden, delay), hidden.zeros
         self._arm = Arm(self._world.urdf, JOINTS)
         self.controller = make(Arm(self._world.urdf, JOINTS))
         self.policy = taught()
         self.controller.load(self.policy)
-        self._world.reset("moments", self.policy.q_start - hidden.zeros)
+        self._world.reset("moments", self.policy.q_start)
         self._world.release()
         self._tau: np.ndarray | None = None
         self._stamp_ns, self._last_ns, self._silent = 10**15, 0, 0
@@ -98,9 +99,9 @@ class Loop:
             watch()
             self._world.step(self._tau)
             sample = self._world.joint_state()
-            self.speeds.append(self._arm.motion(sample.q, sample.qd).tool_speed)
+            self.speeds.append(self._arm.speeds(sample.q - self._zeros, sample.qd).tool_speed)
             self._stamp_ns += PERIOD_NS
-            state = Reading(self._stamp_ns, sample.q + self._zeros, sample.qd)
+            state = Reading(self._stamp_ns, sample.q, sample.qd)
             self._answer(self.falsify(state))
         return self.speeds
 

@@ -18,8 +18,9 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmark.false_states import REST_TICKS, SPEED_MARGIN, Falsifier, Reading
-from benchmark.hidden_arm import KNOWN, HiddenArm, draw
+from benchmark.hidden_arm import KNOWN, draw
 from benchmark.moments import PERIOD, Loop
+from hardware_sim.hidden_arm import HiddenArm
 from wam_power_ros.control.modes import ControllerError, Mode
 from wam_power_ros.control.safety import REST_SPEED
 from wam_power_ros.faults import Fault, FaultKind

@@ -20,7 +20,6 @@ from pathlib import Path
 import numpy as np
 
 from benchmark.false_states import PHASES, REST_TICKS, Driver, Falsifier, Reading
-from benchmark.hidden_arm import HiddenArm
 from benchmark.lab import ARM, Lab
 from benchmark.reactions import (
     AFTER,
@@ -33,6 +32,7 @@ from benchmark.reactions import (
     all_arms,
     row,
 )
+from hardware_sim.hidden_arm import HiddenArm
 from wam_power_ros.faults import FaultKind
 from wam_power_ros.ros import interface, scheduling
 

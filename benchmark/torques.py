@@ -27,9 +27,10 @@ import numpy as np
 
 from benchmark import reactions
 from benchmark.false_states import Falsifier
-from benchmark.hidden_arm import KNOWN, HiddenArm, draw
+from benchmark.hidden_arm import KNOWN, draw
 from benchmark.moments import ALL_FALSE_STATES, PERIOD, Loop
 from benchmark.nodes import JOINTS
+from hardware_sim.hidden_arm import HiddenArm
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.controller_settings import ControllerSettings

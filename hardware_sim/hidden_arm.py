@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -51,6 +52,21 @@ class HiddenArm:
     geometry: np.ndarray
     cameras: tuple[np.ndarray, np.ndarray]
     delay: float
+
+    @classmethod
+    def of(cls, n: int, **values: Any) -> HiddenArm:  # noqa: ANN401 - numbers of any kind
+        """An arm with n joints that differs from its model in these values alone."""
+        neutral = {
+            "payload": 0.0,
+            "centre": np.zeros(3),
+            **{name: np.ones(n) for name in ("links", "friction", "viscous", "motors")},
+            **{name: np.zeros(n) for name in ("asymmetry", "stribeck", "zeros")},
+            "tilt": np.zeros(2),
+            "geometry": np.zeros((n, 6)),
+            "cameras": (np.eye(3), np.zeros(3)),
+            "delay": 0.0,
+        }
+        return cls(**(neutral | values))
 
     def change(self, spec: mujoco.MjSpec, joints: Sequence[str], tool_frame: str) -> None:
         """Change masses, geometry, friction and gravity of a model before it is compiled."""

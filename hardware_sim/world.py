@@ -19,7 +19,7 @@ import numpy as np
 from hardware_sim import scene
 from hardware_sim.demonstrator import Demonstrator
 from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth, rotation_of
-from hardware_sim.hidden_arm import hidden_arm
+from hardware_sim.hidden_arm import HiddenArm, hidden_arm
 from hardware_sim.motors import DirectDrives, Motors
 from hardware_sim.scenes import Scene, scene_type
 from hardware_sim.sensors import Encoders, Mocap, MocapFrame, MocapSettings, quantize_geared
@@ -73,6 +73,7 @@ class World:
         settings: Settings of the world; None for the defaults.
         seed: Seed of all noise.
         mocap: Settings of the motion capture; None for the defaults.
+        hidden: How the arm differs from its model; None for what the settings say.
     """
 
     def __init__(
@@ -81,6 +82,7 @@ class World:
         settings: WorldSettings | None = None,
         seed: int = 0,
         mocap: MocapSettings | None = None,
+        hidden: HiddenArm | None = None,
     ) -> None:
         self._nominal_settings = settings = settings or WorldSettings()
         mocap = mocap or MocapSettings()
@@ -105,7 +107,8 @@ class World:
         self._mocap = Mocap(layout, mocap)
         self._velocity = np.zeros(6)
         self._carrying: tuple[MinJerk, int] | None = None  # path and its beginning [ns]
-        self.hidden = hidden_arm(seed, self.n) if settings.unknown == "lab" else None
+        drawn = hidden_arm(seed, self.n) if settings.unknown == "lab" else None
+        self.hidden = hidden or drawn
         self._zeros = np.zeros(self.n) if self.hidden is None else self.hidden.zeros
         self._build(settings.drawn(seed) if settings.unknown else settings)
 

@@ -36,6 +36,8 @@ def truth() -> Corrections:
         zeros=ZEROS,
         torque_scales=[0.96, 1.04, 0.97, 1.03, 1.02, 0.98, 1.0],
         coulomb_friction=friction * [1.6, 0.6, 1.3, 0.7, 1.5, 0.8, 1.2],
+        friction_asymmetry=[0.1, -0.08, 0.1, 0.05, -0.1, 0.08, 0.0],
+        low_speed_friction=[0.15, 0.1, 0.2, 0.15, 0.1, 0.15, 0.0],
         payload=[0.08, -0.002, 0.001, 0.012],
         base_tilt=np.deg2rad([0.6, -0.8]),
     )
@@ -69,7 +71,9 @@ def recording(
     for k in range(len(t)):
         direction = np.where(np.abs(qd[k]) > 1e-3, np.sign(qd[k]), direction)
         rigid = arm.inverse_dynamics(q[k], qd[k], qdd[k])
-        tau[k] = (rigid + arm.friction * direction + arm.damping * qd[k]) / true.torque_scales
+        rest = arm.friction * (direction + np.abs(direction) * true.friction_asymmetry)
+        rubbing = np.where(np.abs(qd[k]) > 1e-3, arm.friction_torque(qd[k]), rest)
+        tau[k] = (rigid + rubbing) / true.torque_scales
     tau += noise * rng.normal(0.0, 0.05, tau.shape)
     tau = np.roll(tau, -delay, axis=0)
     seen_t = np.arange(0.0, t[-1], FRAMES)

@@ -83,6 +83,7 @@ def test_the_file_that_is_written_corrects_the_arm_and_keeps_an_older_one(
     assert "existed: kept as" in shown
     (kept,) = folder.glob("lab.yaml.*")
     assert kept.read_text() == "# by hand\n"
+    assert "note: wam_j6 is off by -3.0 degrees: better zero the arm" in shown
     for word in ("cameras", "zeros", "friction", "motors", "payload", "not explained"):
         assert word in shown
     setup = overlay.setup([str(file)], simulated=True)

@@ -49,7 +49,22 @@ def test_torque_constants_friction_tilt_and_payload_are_found(found: Commissione
     assert np.allclose(c.base_tilt, TRUE.base_tilt, atol=np.deg2rad(0.2))
     # Along the forearm the payload cannot be told well from the scales of the wrist's motors.
     assert np.all(np.abs(c.payload[1:] - TRUE.payload[1:]) < 3.0 * found.arm.moment_sd)
+    assert np.abs(c.payload[1:] - TRUE.payload[1:]).max() < 0.009 * 0.76  # 9 mm
+    assert c.link_masses[-1] == pytest.approx(1.0, abs=1e-3)  # the tool's part is the payload
     assert found.arm.loop_delay == pytest.approx(0.004, abs=0.002)
+
+
+def test_friction_that_differs_by_direction_and_speed_is_found(found: Commissioned) -> None:
+    c, used = found.arm.corrections, slice(0, 5)
+    assert np.allclose(c.friction_asymmetry[used], TRUE.friction_asymmetry[used], atol=0.03)
+    assert np.allclose(c.low_speed_friction[used], TRUE.low_speed_friction[used], atol=0.1)
+    even = replace(c, friction_asymmetry=np.zeros(7), low_speed_friction=np.zeros(7))
+    qd = np.array([0.04, -0.04, 0.04, 0.04, -0.04, 0.04, 0.04])
+    arm, without, true = (true_arm.plain().corrected(each) for each in (c, even, TRUE))
+    errors = [
+        np.abs(a.friction_torque(qd) - true.friction_torque(qd))[used] for a in (arm, without)
+    ]
+    assert np.all(errors[0] < errors[1])
 
 
 def test_movements_that_were_not_used_are_explained_several_times_better(

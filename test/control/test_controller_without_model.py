@@ -11,6 +11,7 @@ from wam_power_ros.control import safety
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.controller_settings import ControllerSettings
+from wam_power_ros.control.corrections import Corrections
 from wam_power_ros.control.fault_hold import BrakeWithoutModel
 from wam_power_ros.control.modes import ControllerError, Mode, Refusal
 from wam_power_ros.control.state_checks import JointState
@@ -210,6 +211,23 @@ def test_the_spring_that_holds_the_braked_arm_is_bounded(offset: float) -> None:
     bound = 2.0 * MODEL.friction + 0.05 * MODEL.tau_max
     pulled = -(25.0**2) * mass @ np.full(7, offset)
     np.testing.assert_allclose(spring, np.clip(pulled, -bound, bound), atol=1e-12)
+
+
+@pytest.mark.requirement("S-112")
+def test_motors_that_were_measured_to_be_weak_carry_the_arm_without_a_model() -> None:
+    arm = BreakingArm(URDF, NAMES, corrections=Corrections.of(7, torque_scales=0.8))
+    controller, plant = Controller(arm), Plant(HOME)
+    controller.step(*plant.state())
+    controller.hold()
+    for _ in range(100):
+        plant.stamp += 2_000_000
+        controller.step(*plant.state())
+    arm.broken = ALL
+    for _ in range(100):
+        plant.stamp += 2_000_000
+        tau = controller.step(*plant.state())
+    assert controller.latched is not None
+    assert np.allclose(0.8 * tau, MODEL.gravity(HOME), atol=0.05)
 
 
 @pytest.mark.requirement("S-112")

@@ -37,6 +37,19 @@ def test_without_a_correction_every_number_stays_bit_for_bit() -> None:
         )
 
 
+def test_friction_may_be_larger_in_one_direction_and_at_low_speed() -> None:
+    uneven = arm(friction_asymmetry=[0.1] * 7, low_speed_friction=[0.2] * 7)
+    fast = np.full(7, 2.0)
+    viscous = PLAIN.damping * fast
+    forwards, backwards = uneven.friction_torque(fast), uneven.friction_torque(-fast)
+    assert np.allclose(forwards - viscous, 1.1 * PLAIN.friction)
+    assert np.allclose(backwards + viscous, -0.9 * PLAIN.friction)
+    slow = np.full(7, 0.05)  # here a third of the rise is left
+    risen = uneven.friction_torque(slow) - arm(friction_asymmetry=[0.1] * 7).friction_torque(slow)
+    assert np.allclose(risen, 0.2 * np.exp(-1.0) * np.tanh(2.5) * PLAIN.friction)
+    assert not uneven.friction_torque(np.zeros(7)).any()
+
+
 def test_an_arm_with_zeros_moves_at_reported_angles_as_the_plain_one_at_true_ones() -> None:
     zeros = np.deg2rad([1.0, -2.0, 3.0, -1.5, 2.5, 2.0, -3.0])
     corrected = arm(zeros=zeros)

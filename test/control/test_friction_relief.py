@@ -18,17 +18,18 @@ from wam_power_ros.params import overlay
 
 speeds = st.lists(st.floats(-5.0, 5.0), min_size=7, max_size=7).map(np.array)
 FRICTION = np.array([2.7, 2.5, 1.5, 1.1, 0.4, 0.4, 0.1])
+DAMPING = 0.5 * FRICTION
 
 
 @pytest.mark.requirement("S-127")
 @given(speeds)
 def test_friction_is_taken_off_moving_joints_alone_and_never_all_of_it(qd: np.ndarray) -> None:
-    relief = friction_relief(FRICTION, qd)
+    relief = friction_relief(FRICTION, DAMPING, qd)
     still = np.abs(qd) <= RELIEF_SPEED
     assert not relief[still].any()
     assert np.all(relief * qd >= 0.0)  # along the motion
-    assert np.all(np.abs(relief) <= FRICTION)
-    assert np.all(np.abs(friction_relief(FRICTION, 2.0 * qd)) >= np.abs(relief))
+    assert np.all(np.abs(relief) <= FRICTION + DAMPING * np.abs(qd))
+    assert np.all(np.abs(friction_relief(FRICTION, DAMPING, 2.0 * qd)) >= np.abs(relief))
 
 
 @pytest.mark.requirement("S-127")

@@ -30,6 +30,7 @@ from wam_power_ros.cli.launcher import (
 from wam_power_ros.cli.plan import RECORDER, SIMULATION, TRACKER, plan_of
 from wam_power_ros.commissioning import camera_frame
 from wam_power_ros.commissioning.excitation import Excitation, excitation
+from wam_power_ros.commissioning.identification import tool_centre
 from wam_power_ros.commissioning.measurement import Commissioned, Recording, analyse
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.corrections import Corrections
@@ -40,6 +41,8 @@ MOVEMENT = "movement.npz"
 HALVED = 0.5  # share of the unexplained torque that may be left: otherwise nothing is written
 EXPLAINED = 0.3  # [N m] unexplained torque that is acceptable whatever it was before
 RELIEF = 0.6  # share of the friction that is taken off: with more an arm let go in motion runs on
+ZERO_NOTED, TILT_NOTED = 2.0, 2.0  # [degrees] from which a zero or a tilt is remarked on
+MASS_NOTED, CENTRE_NOTED = 0.15, 0.03  # [kg], [m] the same of a tool
 SCENE = "markers"  # of the stand-in
 
 
@@ -73,13 +76,15 @@ def commission(
     with np.load(movement) as file:
         plan = Excitation(*(file[name] for name in ("t", "q", "rests", "sweeps")))
     recorded = _recording(bags[-1], setup)
-    given = None if tool_mass is None else tool_mass - _tool_mass(arm)
+    given = None if tool_mass is None else tool_mass - tool_centre(arm)[0].mass
     found = analyse(arm, plan, recorded, given, gravity_added)
     if gravity_added:
         print("The driver adds gravity by a model of its own, which is taken for that of the URDF:")
         print("masses, torque constants and tilt are not measured.")
     for line in report(arm, found):
         print(line)
+    for remark in remarks(arm, found):
+        print(f"note: {remark}")
     reasons = refusals(found)
     for reason in reasons:
         print(f"not usable: {reason}")
@@ -160,11 +165,6 @@ def _recording(path: Path, setup: overlay.Setup) -> Recording:
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 
 
-def _tool_mass(arm: Arm) -> float:
-    """Mass of the tool's link in the URDF [kg]: of what the last joint moves."""
-    return float(arm.model.inertias[arm.model.frames[arm.tool_frame].parentJoint].mass)
-
-
 def report(arm: Arm, found: Commissioned) -> list[str]:
     """What was found, in lines of text."""
     lines, cameras, measured = [], found.cameras, found.arm
@@ -230,6 +230,26 @@ def refusals(found: Commissioned) -> list[str]:
     return reasons
 
 
+def remarks(arm: Arm, found: Commissioned) -> list[str]:
+    """What is corrected but better mended at the arm, as sentences."""
+    c, said = found.arm.corrections, []
+    for name, zero in zip(arm.joint_names, np.rad2deg(c.zeros), strict=True):
+        if abs(zero) > ZERO_NOTED:
+            said.append(f"{name} is off by {zero:+.1f} degrees: better zero the arm")
+    tilt = float(np.rad2deg(np.hypot(*c.base_tilt)))
+    if tilt > TILT_NOTED:
+        said.append(f"the base is tilted by {tilt:.1f} degrees: better level it")
+    tool, centre = tool_centre(arm)
+    added, moment = c.payload[0], c.payload[1:]
+    moved = float(np.linalg.norm((moment - added * centre) / (tool.mass + added)))
+    if abs(added) > MASS_NOTED or moved > CENTRE_NOTED:
+        said.append(
+            f"the tool is {added:+.2f} kg and {moved * 1e3:.0f} mm from that of the URDF: is it "
+            "the right one? Better weigh it (--tool-mass) and mend the URDF"
+        )
+    return said
+
+
 def setup_text(arm: Arm, setup: overlay.Setup, found: Commissioned) -> str:
     """Set-up file with what was found."""
     c = found.arm.corrections
@@ -238,12 +258,13 @@ def setup_text(arm: Arm, setup: overlay.Setup, found: Commissioned) -> str:
         "torque_scales": _rounded(c.torque_scales, 4),
         "coulomb_friction": _rounded(c.coulomb_friction, 4),
         "viscous_friction": _rounded(c.viscous_friction, 4),
+        "friction_asymmetry": _rounded(c.friction_asymmetry, 3),
+        "low_speed_friction": _rounded(c.low_speed_friction, 3),
         "link_masses": _rounded(c.link_masses, 4),
         "payload": _rounded(c.payload, 5),
         "base_tilt": _rounded(c.base_tilt, 5),
         "loop_delay": round(found.arm.loop_delay, 4),
-        # Of the smaller of both directions
-        "teaching_friction": round(RELIEF * (1.0 - float(np.abs(found.arm.asymmetry).max())), 3),
+        "teaching_friction": RELIEF,
     }
     nodes: dict[str, Any] = {"torque_controller": controller}
     if found.cameras is not None:

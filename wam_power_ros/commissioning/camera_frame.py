@@ -92,7 +92,7 @@ def calibrate(arm: Arm, q: np.ndarray, position: np.ndarray, rotation: np.ndarra
     accepted = np.arange(len(q))
     while True:
         solution = _solve(arm, q[accepted], position[accepted], rotation[accepted])
-        sizes = np.abs(solution.fun[: 6 * len(accepted)]).reshape(-1, 6).max(axis=1)
+        sizes = _sizes(solution, accepted)
         typical = max(float(np.median(sizes)), 1.0)
         worst = int(sizes.argmax())
         if sizes[worst] <= OUTLIER * typical:
@@ -102,10 +102,16 @@ def calibrate(arm: Arm, q: np.ndarray, position: np.ndarray, rotation: np.ndarra
             text = f"only {len(accepted)} of {len(q)} postures agree with each other"
             raise ValueError(f"{text}: a marker moves on the tool, or is often hidden")
     if typical > RESIDUAL_MAX:
+        text = f"the postures disagree, the residual is {typical:.0f} times the noise: "
+        flip = np.diag([-1.0, 1.0, 1.0])
+        other = _solve(
+            arm, q[accepted], position[accepted] @ flip, flip @ rotation[accepted] @ flip
+        )
+        if _sizes(other, accepted).max() < OUTLIER * RESIDUAL_MAX:
+            raise ValueError(f"{text}the cameras' axes are mirrored (left-handed)")
         raise ValueError(
-            f"the postures disagree, the residual is {typical:.0f} times the noise: the cameras' "
-            "axes are mirrored (left-handed), the joints have another order or sign, or the body "
-            "is not fixed to the tool"
+            f"{text}the body moved in the tool (a pancake was left in the pan, its markers are "
+            "loose), or the joints have another order or sign"
         )
     return _result(arm.n, solution, len(q), accepted)
 
@@ -148,6 +154,11 @@ def _result(n: int, solution: OptimizeResult, count: int, accepted: np.ndarray) 
         rejected=tuple(sorted(set(range(count)) - set(accepted.tolist()))),
         upright=_angle_between(base.rotation[:, 2], np.array([0.0, 0.0, 1.0])),
     )
+
+
+def _sizes(solution: OptimizeResult, accepted: np.ndarray) -> np.ndarray:
+    """Largest error of each posture, as a multiple of the noise. Shape (N,)."""
+    return np.abs(solution.fun[: 6 * len(accepted)]).reshape(-1, 6).max(axis=1)
 
 
 def _solve(arm: Arm, q: np.ndarray, position: np.ndarray, rotation: np.ndarray) -> OptimizeResult:

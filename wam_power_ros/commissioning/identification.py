@@ -15,25 +15,26 @@ import pinocchio as pin
 from scipy.signal import savgol_filter
 
 from wam_power_ros.commissioning.excitation import Excitation
-from wam_power_ros.control.arm import Arm
+from wam_power_ros.control.arm import STRIBECK_SPEED, Arm
 from wam_power_ros.control.corrections import GRAVITY, Corrections
 
 WINDOW = 0.09  # [s] of the filter that differentiates positions
 SAMPLING = 0.01  # [s] from one sample that is used to the next
 SETTLED = 0.3  # [s] at the end of a rest that are averaged
 MOVING = 0.02  # [rad/s] from which a joint moves, and Coulomb friction has its full size
-STRIBECK_SPEED = 0.05  # [rad/s] at which friction at low speed has fallen by a factor of e
 ITERATIONS = 4  # of the fit, whose torque scales multiply what else is unknown
 DELAYS = 0.014  # [s] largest delay of the loop that is tried
 # Deviations that are expected before anything is measured
 LINKS, SCALES = 0.05, 0.05  # shares
 PAYLOAD, WEIGHED = 0.15, 0.002  # [kg] of the tool; on a scale
-MOMENT = 0.015  # [kg m] of the tool
+CENTRE = 0.01  # [m] of the tool's centre of mass from that of the URDF
 COULOMB, ASYMMETRY, STRIBECK, VISCOUS = 0.7, 0.15, 0.2, 0.7  # shares of the model's friction
 TILT = np.deg2rad(1.5)  # [rad]
+SHARE_MAX = 0.5  # largest asymmetry and largest share at low speed of a friction
 KNOWN = 1e-4  # factor on the deviations of what is taken as known
 TORQUE_NOISE = 0.05  # [N m]
 FRICTION_NOISE = 0.04  # share of a joint's friction that varies
+CORRELATED = 0.5  # [s] for which the torque that no model explains stays alike
 REST_NOISE = 0.08  # the same in the mean of two rests
 
 
@@ -62,7 +63,6 @@ class Identified:
 
     Attributes:
         corrections: Corrections of the arm with which its model explains the torques.
-        asymmetry: Share by which Coulomb friction is larger forwards than on average. Shape (n,).
         scales_sd: Standard deviations of the torque scales. Shape (n,).
         moment_sd: Standard deviation of the payload's first moment [kg m]. Shape (3,).
         payload_sd: Standard deviation of its mass [kg].
@@ -70,7 +70,6 @@ class Identified:
     """
 
     corrections: Corrections
-    asymmetry: np.ndarray
     scales_sd: np.ndarray
     moment_sd: np.ndarray
     payload_sd: float
@@ -113,20 +112,17 @@ def rests(t: np.ndarray, q: np.ndarray, tau: np.ndarray, planned: np.ndarray) ->
     return Samples(positions, still, still, torques, np.full(still.shape, True))
 
 
-def residual(arm: Arm, samples: Samples, asymmetry: np.ndarray | None = None) -> np.ndarray:
-    """Torque that the model of an arm, corrections included, does not explain [N m]. (N, n).
-
-    Args:
-        arm: Arm.
-        samples: Samples.
-        asymmetry: Share by which Coulomb friction is larger forwards than on average, also in the
-            mean of two rests. Shape (n,).
-    """
-    offset = 0.0 if asymmetry is None else asymmetry * arm.friction
+def residual(arm: Arm, samples: Samples) -> np.ndarray:
+    """Torque that the model of an arm, corrections included, does not explain [N m]. (N, n)."""
+    # Friction that is larger in one direction is left in the mean of two rests, too.
+    offset = arm.asymmetry * arm.friction
     scales = 1.0 if arm.torque_scales is None else arm.torque_scales
     rows = zip(samples.q, samples.qd, samples.qdd, samples.tau, strict=True)
     torques = [
-        scales * tau - arm.inverse_dynamics(q, qd, qdd) - arm.friction_torque(qd) - offset
+        scales * tau
+        - arm.inverse_dynamics(q, qd, qdd)
+        - arm.friction_torque(qd)
+        - offset * (qd == 0.0)
         for q, qd, qdd, tau in rows
     ]
     return np.where(samples.used, torques, 0.0)
@@ -161,8 +157,8 @@ def identify(
     still = rests(t, q, tau, plan.rests)
     moving = [sweep(t, q, tau, part, 0.0) for part in plan.sweeps]
     linear = [_derivatives(arm, each, zeros) for each in (still, *moving)]
-    # Neighbouring samples are not independent: the filter averages over half a window.
-    share = np.sqrt(SAMPLING / (0.5 * WINDOW))
+    # Neighbouring samples are not independent: what the model leaves out changes with the posture.
+    share = np.sqrt(SAMPLING / CORRELATED)
     noise = [TORQUE_NOISE + REST_NOISE * arm.friction]
     noise += [(TORQUE_NOISE + FRICTION_NOISE * arm.friction) / share] * len(moving)
     weight = np.concatenate(
@@ -208,11 +204,13 @@ def _fit(
     """
     n, count = arm.n, matrix.shape[2]
     friction, viscous = arm.friction, np.maximum(arm.damping, 0.1 * arm.friction)
+    tool, centre = tool_centre(arm)
     spread = np.concatenate(
         [
-            np.full(n, rigid * LINKS),
+            np.full(n - 1, rigid * LINKS),
+            [KNOWN],  # of the last link the tool is a part, whose payload is found
             [rigid * PAYLOAD if payload is None else WEIGHED],
-            np.full(3, rigid * MOMENT),
+            np.full(3, rigid * CENTRE * (tool.mass + (payload or 0.0))),
             *(COULOMB * friction, ASYMMETRY * friction, STRIBECK * friction, VISCOUS * viscous),
             np.full(2, rigid * TILT),
             np.full(n, rigid * SCALES),
@@ -233,27 +231,38 @@ def _fit(
     errors = weight * (tau - (1.0 + x[count:]) * (known + matrix @ x[:count]))
     cost = float((errors**2).sum() + ((x - expected) ** 2 / spread**2).sum())
     sd = np.sqrt(covariance.diagonal())
+    of_moment = np.hstack([centre[:, None], np.eye(3)])
+    spread_of_moment = of_moment @ covariance[n : n + 4, n : n + 4] @ of_moment.T
     parts = np.split(x, np.cumsum([n, 1, 3, n, n, n, n, 2]))
-    links, mass, moment, coulomb, asymmetry, _, damping, tilt, shares = parts
+    links, mass, moment, coulomb, asymmetry, stribeck, damping, tilt, shares = parts
     coulomb = np.maximum(friction + coulomb, 0.0)
+    per_coulomb = 1.0 / np.maximum(coulomb, 1e-9)
     found = Corrections.of(
         n,
         torque_scales=1.0 / (1.0 + shares),
         coulomb_friction=coulomb,
         viscous_friction=np.maximum(arm.damping + damping, 0.0),
+        friction_asymmetry=np.clip(asymmetry * per_coulomb, -SHARE_MAX, SHARE_MAX),
+        low_speed_friction=np.clip(stribeck * per_coulomb, -SHARE_MAX, SHARE_MAX),
         link_masses=1.0 + links,
-        payload=np.concatenate([mass, moment]),
+        payload=np.concatenate([mass, mass * centre + moment]),
         base_tilt=tilt,
     )
     result = Identified(
         corrections=found,
-        asymmetry=asymmetry / np.maximum(coulomb, 1e-9),
         scales_sd=sd[count:],
-        moment_sd=sd[n + 1 : n + 4],
+        moment_sd=np.sqrt(spread_of_moment.diagonal()),
         payload_sd=float(sd[n]),
         loop_delay=0.0,
     )
     return cost, result
+
+
+def tool_centre(arm: Arm) -> tuple[pin.Inertia, np.ndarray]:
+    """Inertia of what the last joint carries, and its centre in the frame of the tool (3,) [m]."""
+    frame = arm.model.frames[arm.tool_frame]
+    carried = arm.model.inertias[frame.parentJoint]
+    return carried, frame.placement.actInv(carried.lever)
 
 
 def _derivatives(arm: Arm, samples: Samples, zeros: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -263,6 +272,7 @@ def _derivatives(arm: Arm, samples: Samples, zeros: np.ndarray) -> tuple[np.ndar
     """
     model, n, frame = arm.model, arm.n, arm.model.frames[arm.tool_frame]
     data, placement, last = model.createData(), frame.placement, 10 * (frame.parentJoint - 1)
+    tool = tool_centre(arm)[0]
     masses = [link.toDynamicParameters() for link in list(model.inertias)[1:]]
     sideways = [_pulled(model, axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))]
     rows = []
@@ -271,7 +281,7 @@ def _derivatives(arm: Arm, samples: Samples, zeros: np.ndarray) -> tuple[np.ndar
         regressor = pin.computeJointTorqueRegressor(model, data, q, qd, qdd)  # (n, 10 n)
         links = [regressor[:, 10 * k : 10 * k + 10] @ masses[k] for k in range(n)]
         moments = regressor[:, last + 1 : last + 4]
-        mass = regressor[:, last] + moments @ placement.translation
+        mass = regressor[:, last] + moments @ tool.lever  # more of the same tool
         forwards = np.tanh(qd / MOVING)
         along = [pin.computeGeneralizedGravity(each, data, q).copy() for each in sideways]
         columns = [*links, mass, *(moments @ placement.rotation).T]

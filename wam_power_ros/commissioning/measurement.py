@@ -121,9 +121,7 @@ def analyse(
     return Commissioned(
         *(cameras, latency, *check, found),
         before=_residual(arm, plan, t, recorded, found.loop_delay),
-        after=_residual(
-            arm.corrected(found.corrections), plan, t, recorded, found.loop_delay, found.asymmetry
-        ),
+        after=_residual(arm.corrected(found.corrections), plan, t, recorded, found.loop_delay),
     )
 
 
@@ -238,7 +236,6 @@ def _residual(
     t: np.ndarray,
     recorded: Recording,
     delay: float,
-    asymmetry: np.ndarray | None = None,
 ) -> Residual:
     """Unexplained torque in the rests and sweeps that were not used."""
     q, tau = recorded.q, recorded.tau
@@ -247,6 +244,6 @@ def _residual(
     parts += [identification.sweep(t, q, tau, between, delay) for between in sweeps]
     sizes = []
     for part in parts:
-        left = identification.residual(arm, part, asymmetry)[part.used]
+        left = identification.residual(arm, part)[part.used]
         sizes.append(float(np.sqrt(np.mean(left**2))))
     return Residual(*sizes)

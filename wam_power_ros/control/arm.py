@@ -25,6 +25,7 @@ from wam_power_ros.control.urdf_joints import require_usable
 
 JOINTS_MAX = 64  # of a chain: the compiled loops have room for no more
 FRICTION_SPEED = 0.02  # [rad/s] width of the tanh that smooths Coulomb friction at standstill
+STRIBECK_SPEED = 0.05  # [rad/s] at which friction at low speed has fallen by a factor of e
 _AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED  # origin of the tool, axes of the base
 
 
@@ -137,6 +138,8 @@ class Arm:
         damping: Viscous friction of the joints [N m s/rad]. Shape (n,).
         torque_scales: True torque of each joint over the commanded one; None if all are 1.
             Shape (n,).
+        asymmetry: Share by which Coulomb friction is larger forwards than on average. Shape (n,).
+        low_speed_friction: Share of it that is added at low speed. Shape (n,).
         guarded: Names of the guarded points.
         model: Pinocchio's model of the chain.
 
@@ -188,8 +191,11 @@ class Arm:
         self._data = self.model.createData()
         self._identity = self._identified()
         self.torque_scales: np.ndarray | None = None
+        self.asymmetry = self.low_speed_friction = self._zero
         if corrections is not None:
             corrections.apply(self.model, self._tool)
+            self.asymmetry = corrections.friction_asymmetry
+            self.low_speed_friction = corrections.low_speed_friction
             if np.any(corrections.torque_scales != 1.0):
                 self.torque_scales = corrections.torque_scales
         self.q_min = self.model.lowerPositionLimit.copy()
@@ -198,7 +204,7 @@ class Arm:
         self.tau_max = self.model.effortLimit.copy()
         self.friction = self.model.friction.copy()
         self.damping = self.model.damping.copy()
-
+        self._uneven = bool(self.asymmetry.any() or self.low_speed_friction.any())
         self._data = self.model.createData()
         self.guarded = tuple(point.name for point in guarded)
         self._guarded = [
@@ -304,7 +310,11 @@ class Arm:
 
     def friction_torque(self, qd: np.ndarray) -> np.ndarray:
         """Torque that overcomes Coulomb and viscous friction at these speeds [N m]. Shape (n,)."""
-        return self.friction * np.tanh(qd / FRICTION_SPEED) + self.damping * qd
+        direction = np.tanh(qd / FRICTION_SPEED)
+        if self._uneven:
+            slow = 1.0 + self.low_speed_friction * np.exp(-((qd / STRIBECK_SPEED) ** 2))
+            direction = direction * slow + np.abs(direction) * self.asymmetry
+        return self.friction * direction + self.damping * qd
 
     def inverse_dynamics(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
         """Torque for an acceleration, by recursive Newton-Euler [N m]. Shape (n,)."""

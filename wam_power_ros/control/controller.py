@@ -536,8 +536,9 @@ class Controller:
         tau = self._brake.torque(state, dt)
         if tau is None or self._mode is Mode.INACTIVE:
             tau = before
-        elif state is not None:
-            tau = self._with_springs(tau, state.q, dt)
+        else:
+            tau = tau if state is None else self._with_springs(tau, state.q, dt)
+            tau = tau if self.arm.torque_scales is None else tau / self.arm.torque_scales
         sent = safety.limit_torque(tau, before, dt, self.limits)
         sent.setflags(write=False)
         self._output.sent, self._label = sent, self._mode_label
@@ -624,7 +625,9 @@ class Controller:
         tau = self._damped_gravity(state, safety.teaching_damping(motion.tool_speed), beyond)
         if not (share := self.settings.teaching_friction):
             return tau
-        return tau + share * safety.friction_relief(self.arm.friction, state.qd)
+        arm = self.arm
+        smaller = arm.friction * (1.0 - np.abs(arm.asymmetry))  # of both directions
+        return tau + share * safety.friction_relief(smaller, arm.damping, state.qd)
 
     def _damped_gravity(self, state: JointState, damping: float, beyond: np.ndarray) -> np.ndarray:
         """g(q) and a torque beyond the model, damped [N m]. Shape (n,)."""

@@ -25,6 +25,10 @@ class Corrections:
         torque_scales: True torque of each joint over the commanded one. Shape (n,).
         coulomb_friction: [N m]; negative where that of the URDF holds. Shape (n,).
         viscous_friction: [N m s/rad]; negative where that of the URDF holds. Shape (n,).
+        friction_asymmetry: Share by which Coulomb friction is larger forwards than on average.
+            Shape (n,).
+        low_speed_friction: Share of Coulomb friction that is added at low speed, after Stribeck.
+            Shape (n,).
         link_masses: Mass of what each joint moves before the next, over that of the URDF, and so
             its moments. Shape (n,).
         payload: Mass at the tool beyond the URDF's [kg], and its first moment in the tool's frame
@@ -37,6 +41,8 @@ class Corrections:
     torque_scales: np.ndarray
     coulomb_friction: np.ndarray
     viscous_friction: np.ndarray
+    friction_asymmetry: np.ndarray
+    low_speed_friction: np.ndarray
     link_masses: np.ndarray
     payload: np.ndarray
     base_tilt: np.ndarray

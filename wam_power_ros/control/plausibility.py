@@ -246,7 +246,9 @@ class TorqueCheck:
                 return None
         keep = math.exp(-dt / RESIDUAL_TIME_CONSTANT)
         accelerating = mass.dot(state.qd - last.qd) / dt
-        needed = accelerating + bias + arm.friction_torque(state.qd)
+        # The same in both directions, as in the compiled loop: the bounds have room for more.
+        friction = arm.friction * np.tanh(state.qd / FRICTION_SPEED) + arm.damping * state.qd
+        needed = accelerating + bias + friction
         share = 1.0 - keep
         now = self.residual, self._inertial, accelerating.tolist(), needed.tolist()
         range_sent = np.minimum.reduce(sent).tolist(), np.maximum.reduce(sent).tolist()

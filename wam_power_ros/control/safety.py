@@ -34,7 +34,7 @@ FAULT_STATES = 3  # consecutive states beyond a motion limit that are a fault, a
 OUTWARDS = 0.05  # [rad/s] from which a joint beyond a position limit moves further outwards
 REST_SPEED = 0.05  # [m/s] largest speed of an arm at rest
 REST_SPIN = 4.0 * REST_SPEED  # [rad/s] largest angular velocity of its tool
-RELIEF_SPEED = 0.03  # [rad/s] from which a joint counts as moved by a person
+RELIEF_SPEED = 0.02  # [rad/s] from which a joint counts as moved by a person
 FAULT_DAMPING = 20.0  # [1/s] decay rate of all joint motion in a fault
 # Decay rate of all joint motion while teaching, at TEACHING_SPEED. It grows with the square of the
 # speed, so that a person does not feel it at low speed and needs about 10 N at 2.5 m/s.
@@ -254,13 +254,18 @@ def damped_gravity(
     return gravity - damping * mass.dot(qd)
 
 
-def friction_relief(friction: np.ndarray, qd: np.ndarray) -> np.ndarray:
-    """Coulomb friction (n,) [N m] of joints that move at speeds (n,) [rad/s], signed; else zero.
+def friction_relief(friction: np.ndarray, damping: np.ndarray, qd: np.ndarray) -> np.ndarray:
+    """Friction of joints that move, signed [N m], shape (n,); zero of those that stand still.
 
     Joints that stand still get none, so that it never sets an arm in motion.
+
+    Args:
+        friction: Coulomb friction [N m]. Shape (n,).
+        damping: Viscous friction [N m s/rad]. Shape (n,).
+        qd: Speeds [rad/s]. Shape (n,).
     """
     moving = np.maximum(np.abs(qd) - RELIEF_SPEED, 0.0)
-    return friction * np.copysign(np.tanh(moving / RELIEF_SPEED), qd)
+    return (friction + damping * np.abs(qd)) * np.copysign(np.tanh(moving / RELIEF_SPEED), qd)
 
 
 def teaching_damping(speed: float) -> float:

@@ -39,6 +39,10 @@ Friction = Annotated[
     tuple[Annotated[float, Field(ge=-1.0, le=100.0)], ...],
     Field(min_length=1, max_length=JOINTS_MAX, description="in N m or N m s/rad; -1: the URDF's"),
 ]
+FrictionShares = Annotated[
+    tuple[Annotated[float, Field(ge=-0.5, le=0.5)], ...],
+    Field(min_length=1, max_length=JOINTS_MAX, description="of the Coulomb friction"),
+]
 Kilograms = Annotated[float, Field(ge=-5.0, le=20.0)]
 Moment = Annotated[float, Field(ge=-5.0, le=5.0)]
 Tilt = Annotated[float, Field(ge=-0.35, le=0.35)]
@@ -102,6 +106,8 @@ class TorqueControllerParams(Params, MotionSettings):
     ]
     coulomb_friction: Friction
     viscous_friction: Friction
+    friction_asymmetry: FrictionShares
+    low_speed_friction: FrictionShares
     link_masses: Annotated[
         tuple[Annotated[float, Field(ge=0.5, le=1.5)], ...],
         Field(

@@ -1,0 +1,347 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How well simulated arms that differ from their model measure themselves, and what it is worth.
+
+Each seed is another arm. Everything runs in one process; see docs/commissioning.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hardware_sim.demonstrator import Demonstrator, Target
+from hardware_sim.scenes import scene_type
+from hardware_sim.scenes.markers import Markers
+from hardware_sim.sensors import MocapSettings
+from hardware_sim.settings import WorldSettings
+from hardware_sim.world import World
+from wam_power_ros import rotations
+from wam_power_ros.cli.commission_command import refusals, remarks, setup_text
+from wam_power_ros.commissioning.excitation import Excitation, excitation
+from wam_power_ros.commissioning.measurement import Commissioned, Recording, analyse
+from wam_power_ros.control.arm import Arm
+from wam_power_ros.control.feasibility import simulate_policy
+from wam_power_ros.control.joint_references import interpolated
+from wam_power_ros.control.modes import ControllerError, Mode
+from wam_power_ros.in_process.environment import Environment
+from wam_power_ros.learning.policy import Policy, with_id
+from wam_power_ros.params import overlay
+from wam_power_ros.params.overlay import Setup
+from wam_power_ros.practice.practice import Practice
+from wam_power_ros.practice.session_log import Record
+from wam_power_ros.practice.settings import preset
+from wam_power_ros.tasks.flip.task import Flip
+
+CAMERAS = MocapSettings(rate=120.0, noise=3e-4, dropout=0.01)
+WARMER = 0.1  # share by which each joint's friction has changed when the result is checked
+HAND_SPEED, RADIUS = 0.13, 0.1  # [m/s], [m] of the circle along which a hand moves the tool
+BUDGET, RETESTS = 50, 30
+
+
+class Circle:
+    """A circle of the tool in a vertical plane, at a constant speed, from rest to rest."""
+
+    turns, ease = 2.0, 0.5  # [1], [s] in which the speed is reached
+
+    @property
+    def end(self) -> float:
+        """See `Script`."""
+        return self.turns * 2.0 * np.pi * RADIUS / HAND_SPEED + self.ease
+
+    def target(self, t: float, position: np.ndarray, rotation: np.ndarray) -> Target:
+        """See `Script`."""
+        rate = HAND_SPEED / RADIUS
+        started = min(t, self.ease)
+        angle = rate * (started**2 / (2.0 * self.ease) + max(t - self.ease, 0.0))
+        speed = HAND_SPEED * started / self.ease
+        if t >= self.end:
+            speed = 0.0
+        c, s = np.cos(angle), np.sin(angle)
+        along, up = rotation[:, 0] * [1, 1, 0], np.array([0.0, 0.0, 1.0])
+        along = along / np.linalg.norm(along)
+        place = position + RADIUS * (s * along + (1.0 - c) * up)
+        return Target(place, rotation, speed * (c * along + s * up), np.zeros(3))
+
+
+def hidden_world(seed: int, scene: str = "flip", mocap: MocapSettings | None = None) -> World:
+    """World of the arm of a seed."""
+    return World(scene_type(scene), WorldSettings(unknown="lab"), seed, mocap)
+
+
+def plain_arm(world: World) -> Arm:
+    """The arm as its URDF describes it."""
+    return Arm(world.urdf, world.settings.model_joint_names)
+
+
+def recorded(
+    environment: Environment, plan: Excitation, warmer: bool = True
+) -> tuple[Recording, str, np.ndarray]:
+    """Let the arm execute the movement.
+
+    Args:
+        environment: The arm, at rest at home.
+        plan: The movement.
+        warmer: Whether friction changes before the part of the movement that checks the result.
+
+    Returns:
+        Recording, fault or "", and highest speeds of elbow and tool [m/s].
+    """
+    world, core = environment.world, environment.controller
+    rows: list[tuple[int, np.ndarray, np.ndarray]] = []
+    poses = []
+    rng = np.random.default_rng([world.seed, 7])
+    changed = world.settings.ticks(float(plan.sweeps[1, 1]))
+    peak = np.zeros(2)
+    core.start_replay(interpolated(plan.t, plan.q, 1.0, core.settings.period))
+    while core.mode is Mode.REPLAY:
+        if warmer and len(rows) == changed:
+            world.model.dof_frictionloss[: world.n] *= 1.0 + WARMER * rng.uniform(-1, 1, world.n)
+        sample = world.joint_state()
+        tau = core.step(sample.stamp_ns, sample.q, sample.qd)
+        rows.append((sample.stamp_ns, sample.q, tau.copy()))
+        world.step(tau)
+        poses += world.mocap_frames()
+        guarded, tool = core.arm.speeds(sample.q, sample.qd)
+        peak = np.maximum(peak, [max(guarded), tool])
+    stamps, q, torques = (np.array(column) for column in zip(*rows, strict=True))
+    made = Recording(
+        t=stamps * 1e-9,
+        q=q,
+        tau=torques,
+        seen_t=np.array([pose.stamp_ns for pose in poses]) * 1e-9,
+        position=np.array([pose.position for pose in poses]),
+        rotation=rotations.matrix(np.array([pose.quat_xyzw for pose in poses])),
+    )
+    return made, "" if core.latched is None else core.latched.text, peak
+
+
+def commissioned(seed: int, warmer: bool = True) -> tuple[Setup, dict[str, Any], Commissioned]:
+    """Commission the arm of a seed; returns its set-up, figures, and what was found."""
+    world = World(Markers, WorldSettings(unknown="lab"), seed, CAMERAS)
+    environment = Environment(world)
+    environment.place("commission-quiet", world.home)
+    world.release()
+    for _ in range(200):
+        environment.tick()
+    arm, hidden = plain_arm(world), world.hidden
+    assert hidden is not None
+    plan = excitation(arm, environment.controller.limits, world.home, np.random.default_rng(0))
+    made, fault, peak = recorded(environment, plan, warmer)
+    found = analyse(arm, plan, made, payload=hidden.payload)
+    c, cameras = found.arm.corrections, found.cameras
+    assert cameras is not None
+    nominal = World(Markers, WorldSettings(), 0).model
+    pan = world.model.body("pan").id
+    mass, centre = world.model.body_mass[pan], world.model.body_ipos[pan]
+    moment = mass * centre - nominal.body_mass[pan] * nominal.body_ipos[pan]
+    figures = {
+        "seed": seed,
+        "fault": fault,
+        "seconds": round(float(plan.t[-1]), 1),
+        "peaks": peak.round(2).tolist(),
+        "check mm, degrees": [
+            round(found.check_position * 1e3, 2),
+            round(float(np.rad2deg(found.check_rotation)), 3),
+        ],
+        "zeros": float(np.rad2deg(np.abs(c.zeros - hidden.zeros)[1:-1].max()).round(3)),
+        "latency ms": round(abs(found.latency) * 1e3, 2),
+        "delay periods": round((found.arm.loop_delay - hidden.delay) / 0.002),
+        "before": [round(x, 3) for x in (found.before.rest, found.before.slow, found.before.fast)],
+        "after": [round(x, 3) for x in (found.after.rest, found.after.slow, found.after.fast)],
+        "scales %": float(100 * np.abs(c.torque_scales - hidden.motors)[1:6].max().round(4)),
+        "friction %": float(
+            100 * np.abs(c.coulomb_friction / (arm.friction * hidden.friction) - 1)[:6].max()
+        ),
+        "centre mm": ((c.payload[1:] - moment) / mass * 1e3).round(1).tolist(),
+        "centre sd mm": (found.arm.moment_sd / mass * 1e3).round(1).tolist(),
+        "refused": refusals(found),
+        "remarks": remarks(arm, found),
+    }
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "arm.yaml"
+        file.write_text(setup_text(arm, overlay.setup(), found))
+        return overlay.setup([str(file)], simulated=True), figures, found
+
+
+def hands_off(environment: Environment) -> float | str:
+    """Largest travel of the tool within 3 s of gravity compensation, of 4 postures [mm]."""
+    world, rng, worst = environment.world, np.random.default_rng(5), 0.0
+    for number in range(4):
+        turned = np.deg2rad(20.0) * rng.uniform(-1.0, 1.0, world.n)
+        environment.place(f"off-{number}-quiet", world.home + (turned if number else 0.0))
+        world.release()
+        for _ in range(300):
+            environment.tick()
+        try:
+            environment.controller.set_gravity_compensation(True)
+        except ControllerError:
+            return "refused"
+        start = world.tool_pose[0]
+        for _ in range(1500):
+            environment.tick()
+        worst = max(worst, float(np.linalg.norm(world.tool_pose[0] - start)))
+    return round(worst * 1e3, 2)
+
+
+def hand_force(environment: Environment) -> list[float]:
+    """Mean and 95th percentile of the force of a hand that moves the tool in a circle [N]."""
+    world = environment.world
+    environment.place("hand-quiet", world.home)
+    world.release()
+    for _ in range(200):
+        environment.tick()
+    environment.controller.set_gravity_compensation(True)
+    world.attach(Demonstrator(Circle(), *world.tool_pose))
+    forces, begun_ns = [], world.time_ns
+    while world.pulled:
+        environment.tick()
+        t = (world.time_ns - begun_ns) * 1e-9
+        if Circle.ease < t < Circle().end - 0.1:
+            forces.append(np.linalg.norm(world.data.xfrc_applied[world._tool, :3]))
+    return [round(float(f), 2) for f in (np.mean(forces), np.percentile(forces, 95))]
+
+
+def run_on(environment: Environment) -> float:
+    """Distance that the tool moves on after a hand has let it go at `HAND_SPEED` [mm]."""
+
+    class Push(Circle):
+        turns, ease = 0.25, 0.3
+
+    world = environment.world
+    environment.place("push-quiet", world.home)
+    world.release()
+    for _ in range(200):
+        environment.tick()
+    environment.controller.set_gravity_compensation(True)
+    script = Push()
+    world.attach(Demonstrator(script, *world.tool_pose))
+    for _ in range(world.settings.ticks(script.end - 0.05)):
+        environment.tick()
+    world.attach(None)
+    start = world.tool_pose[0]
+    for _ in range(1500):
+        environment.tick()
+    return round(float(np.linalg.norm(world.tool_pose[0] - start)) * 1e3, 1)
+
+
+def taught(environment: Environment, seed: int) -> Policy:
+    """Policy of a novice's demonstration on this arm."""
+    script = environment.world.scene.script(np.random.default_rng([seed, 1]))
+    stamps, q = environment.demonstrate(script, "demonstration-0")
+    demonstration = Flip.demonstration_of(environment.arm, stamps, q)
+    return Flip.policy_of([demonstration], "demonstration-1")
+
+
+def peaks(environment: Environment, policy: Policy) -> list[float]:
+    """Real over predicted highest speed of elbow (forearm included) and tool in a rollout."""
+    told = simulate_policy(environment.arm, environment.controller.settings, policy)
+    world, core, truth = environment.world, environment.controller, np.zeros(2)
+    environment.place("peaks-quiet", policy.q_start)
+    core = environment.controller
+    core.load(policy)
+    core.move_to_start()
+    while not core.ready:
+        environment.tick()
+    core.execute()
+    world.release()
+    arm = plain_arm(world)
+    while core.mode is Mode.ROLLOUT:
+        guarded, tool = arm.speeds(world._q, world._qd)
+        truth = np.maximum(truth, [max(guarded), tool])
+        environment.tick()
+    return [
+        round(float(a / b) - 1.0, 4)
+        for a, b in zip((told.elbow_peak, told.tool_peak), truth, strict=True)
+    ]
+
+
+def session(seed: int, setup: Setup | None, policy: Policy | None = None) -> dict[str, Any]:
+    """Learn the flip on the arm of a seed, from a demonstration or from a policy."""
+    environment = Environment(hidden_world(seed), setup=setup or overlay.setup())
+    own = taught(environment, seed) if policy is None else policy
+    practice = Practice(
+        preset("flip", "", budget=BUDGET, retests=RETESTS), {}, [own], seed, environment
+    )
+    rows = list(environment.practise(practice))
+    learning = [row for row in rows if row.kind != "retest"]
+
+    def true(row: Record) -> bool:
+        outcome = row.truth or {}
+        return bool(outcome.get("flipped") and outcome.get("caught"))
+
+    retests = [row for row in rows if row.kind == "retest"]
+    return {
+        "rollouts": len(learning),
+        "confirmed": len(retests) > 0 and len(learning) < BUDGET,
+        "true": f"{sum(map(true, retests))}/{len(retests)}",
+        "first": true(rows[0]),
+    }
+
+
+def rehearsed(seed: int) -> Policy:
+    """Policy that was learnt in a simulation of the arm as its URDF describes it."""
+    environment = Environment(World(scene_type("flip"), WorldSettings(), seed))
+    own = taught(environment, seed)
+    settings = preset("flip", "", budget=BUDGET, retests=0)
+    practice = Practice(settings, {}, [own], seed, environment)
+    for _ in environment.practise(practice):
+        pass
+    return with_id(practice.policy, "demonstration-1")
+
+
+def rows(seed: int, parts: list[str]) -> Iterator[dict[str, Any]]:
+    """Figures of one arm."""
+    setup, figures, _ = commissioned(seed)
+    if "measure" in parts:
+        yield figures
+    before = Environment(hidden_world(seed))
+    after = Environment(hidden_world(seed), setup=setup)
+    if "teach" in parts:
+        strong = setup.changed({"torque_controller": {"teaching_friction": 0.8}})
+        most = Environment(hidden_world(seed), setup=strong)
+        for name, each in (("plain", before), ("commissioned", after), ("80 %", most)):
+            off = hands_off(each)
+            force = hand_force(each) if off != "refused" else []
+            yield {
+                "seed": seed,
+                "set-up": name,
+                "hands off mm": off,
+                "hand N": force,
+                "runs on mm": run_on(each) if force else None,
+            }
+    if "peaks" in parts:
+        for name, each in (("plain", before), ("commissioned", after)):
+            yield {"seed": seed, "set-up": name, "peaks": peaks(each, taught(each, seed))}
+    if "learn" in parts:
+        for name, given, policy in (
+            ("plain", None, None),
+            ("commissioned", setup, None),
+            ("carried over", setup, rehearsed(seed)),
+        ):
+            yield {"seed": seed, "set-up": name, **session(seed, given, policy)}
+
+
+def main() -> None:
+    """Print one line of JSON for each result."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("first", type=int, help="first seed")
+    parser.add_argument("count", type=int, help="number of arms")
+    every = ["measure", "teach", "peaks", "learn"]
+    parser.add_argument("--parts", nargs="+", choices=every, default=every)
+    given = parser.parse_args()
+    for seed in range(given.first, given.first + given.count):
+        begun = time.monotonic()
+        for row in rows(seed, given.parts):
+            print(json.dumps(row), flush=True)
+        print(f"# {time.monotonic() - begun:.0f} s", flush=True)
+
+
+if __name__ == "__main__":
+    main()
