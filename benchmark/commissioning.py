@@ -134,7 +134,7 @@ def commissioned(seed: int, warmer: bool = True) -> tuple[Setup, dict[str, Any],
     assert hidden is not None
     plan = excitation(arm, environment.controller.limits, world.home, np.random.default_rng(0))
     made, fault, peak = recorded(environment, plan, warmer)
-    found = analyse(arm, plan, made, payload=hidden.payload)
+    found = analyse(arm, plan, made, payload=hidden.payload, flat=True)
     c, cameras = found.arm.corrections, found.cameras
     assert cameras is not None
     nominal = World(Markers, WorldSettings(), 0).model
@@ -151,6 +151,7 @@ def commissioned(seed: int, warmer: bool = True) -> tuple[Setup, dict[str, Any],
             round(float(np.rad2deg(found.check_rotation)), 3),
         ],
         "zeros": float(np.rad2deg(np.abs(c.zeros - hidden.zeros)[1:-1].max()).round(3)),
+        "last zero": float(np.rad2deg(np.abs(c.zeros - hidden.zeros)[-1]).round(3)),
         "latency ms": round(abs(found.latency) * 1e3, 2),
         "delay periods": round((found.arm.loop_delay - hidden.delay) / 0.002),
         "before": [round(x, 3) for x in (found.before.rest, found.before.slow, found.before.fast)],
@@ -293,7 +294,9 @@ def rehearsed(seed: int) -> Policy:
     practice = Practice(settings, {}, [own], seed, environment)
     for _ in environment.practise(practice):
         pass
-    return with_id(practice.policy, "demonstration-1")
+    best = practice.best
+    assert best is not None
+    return with_id(best.policy, "demonstration-1")
 
 
 def rows(seed: int, parts: list[str]) -> Iterator[dict[str, Any]]:

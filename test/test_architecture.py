@@ -95,7 +95,7 @@ BUDGET = {
     "ground": 1330,  # the modules of wam_power_ros/ itself
     "learning": 2420,
     "control": 4430,
-    "commissioning": 1030,
+    "commissioning": 1040,
     "tracking": 620,
     "tasks": 3420,
     "practice": 2130,
@@ -109,7 +109,7 @@ BUDGET = {
     "view": 1430,
     "reporting": 990,
     "in_process": 410,
-    "cli": 3370,
+    "cli": 3380,
     "hardware_sim": 3360,
     "launch": 260,
     "examples": 380,

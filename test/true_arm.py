@@ -90,8 +90,8 @@ def recording(
     )
 
 
-def _seen(arm: Arm, q: np.ndarray) -> Pose:
+def _seen(arm: Arm, q: np.ndarray, mounted: Pose = MOUNTED) -> Pose:
     """Pose of the body in the cameras' frame."""
     position, axes = arm.tool_pose(q)
-    position, axes = position + axes @ MOUNTED.position, axes @ MOUNTED.rotation
+    position, axes = position + axes @ mounted.position, axes @ mounted.rotation
     return Pose(CAMERAS.rotation @ position + CAMERAS.position, CAMERAS.rotation @ axes)

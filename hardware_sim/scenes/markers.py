@@ -12,8 +12,8 @@ from hardware_sim.scenes.flip import HOME
 from hardware_sim.settings import WorldSettings
 from wam_power_ros import rotations
 
-# Where a person happens to have put the markers on the tool, which nobody is told.
-MOUNTED = np.array([0.02, -0.01, 0.01]), rotations.exp(np.array([0.05, 0.1, 0.3]))
+# Where a person happens to have put the markers on the tool, flat but anyhow turned.
+MOUNTED = np.array([0.02, -0.01, 0.01]), rotations.exp(np.array([0.0, 0.0, 0.3]))
 
 
 class Markers:

@@ -38,6 +38,17 @@ def test_zeros_are_exact_without_noise() -> None:
     assert found.rejected == ()
 
 
+def test_the_last_zero_is_seen_of_a_body_that_lies_flat() -> None:
+    q, zeros = postures(), true_arm.ZEROS + np.deg2rad([0, 0, 0, 0, 0, 0, 2.0])
+    flat = Pose(true_arm.MOUNTED.position, rotations.exp(np.array([0.0, 0.0, 0.3])))
+    poses = [true_arm._seen(ARM, each - zeros, flat) for each in q]
+    seen_at = np.array([p.position for p in poses]), np.array([p.rotation for p in poses])
+    assert calibrate(ARM, q, *seen_at).zeros[-1] == 0.0
+    found = calibrate(ARM, q, *seen_at, flat=True)
+    assert np.allclose(found.zeros, zeros, atol=np.deg2rad(0.05))
+    assert 0.0 < found.zeros_sd[-1] < np.deg2rad(1.0)
+
+
 @pytest.mark.parametrize("wrong", [[4], [0, 11]])
 def test_a_body_that_was_seen_elsewhere_is_rejected_by_number(wrong: list[int]) -> None:
     q = postures()

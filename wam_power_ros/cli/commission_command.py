@@ -47,12 +47,17 @@ SCENE = "markers"  # of the stand-in
 
 
 def commission(
-    tool_mass: float | None, output: Path | None, folder: Path | None, devices: Devices
+    tool_mass: float | None,
+    flat: bool,
+    output: Path | None,
+    folder: Path | None,
+    devices: Devices,
 ) -> int:
     """Move the arm, analyse the recording, print what was found and write a set-up file.
 
     Args:
         tool_mass: Mass of the tool from a scale [kg]; None if it was not weighed.
+        flat: Whether the tracked body lies flat in the tool.
         output: Set-up file to write; None for arm.yaml in the folder.
         folder: Folder of the recording; one that has a recording is only analysed again.
         devices: Choice of set-ups.
@@ -77,7 +82,7 @@ def commission(
         plan = Excitation(*(file[name] for name in ("t", "q", "rests", "sweeps")))
     recorded = _recording(bags[-1], setup)
     given = None if tool_mass is None else tool_mass - tool_centre(arm)[0].mass
-    found = analyse(arm, plan, recorded, given, gravity_added)
+    found = analyse(arm, plan, recorded, given, gravity_added, flat)
     if gravity_added:
         print("The driver adds gravity by a model of its own, which is taken for that of the URDF:")
         print("masses, torque constants and tilt are not measured.")
@@ -187,7 +192,8 @@ def report(arm: Arm, found: Commissioned) -> list[str]:
         shown = ", ".join(
             f"{name} {degrees(zero):+.2f} +-{degrees(sd):.2f}" for name, zero, sd in zeros if sd
         )
-        lines.append(f"zeros      {shown} degrees; the first and the last cannot be seen")
+        hidden = "the first" if cameras.zeros_sd[-1] else "the first and the last"
+        lines.append(f"zeros      {shown} degrees; {hidden} cannot be seen")
     c = measured.corrections
     lines += [
         f"friction   {_joined(c.coulomb_friction, '.2f')} N m, "
@@ -307,6 +313,12 @@ def add_to(
     )
     parser.add_argument(
         "--tool-mass", type=float, help="of what the last joint carries [kg], weighed"
+    )
+    parser.add_argument(
+        "--flat",
+        action="store_true",
+        help="the tracked body lies flat in the tool, its z axis along the tool's: then the zero "
+        "of the last joint is found, too",
     )
     parser.add_argument("--output", type=Path, help="set-up file (default: arm.yaml in the folder)")
     parser.add_argument(

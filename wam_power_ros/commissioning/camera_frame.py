@@ -5,7 +5,8 @@ The body at posture i is seen at C_i = Y F(q_i - z) X: Y is the pose of the base
 frame, F the forward kinematics, X the pose of the body in the tool, z the zeros of the joints. All
 are found together: an arm whose zeros are a degree off believes its tool centimetres away from
 where the cameras see it, whatever the frame. The zero of the first joint cannot be told from the
-yaw of the base, nor that of the last joint from the roll of the body; both count as 0.
+yaw of the base: it counts as 0. That of the last joint cannot be told from the roll of the body
+either, unless the body is known to lie flat in the tool.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from wam_power_ros.control.arm import Arm
 
 POSITION_NOISE = 5e-4  # [m] of a pose averaged at rest, per axis
 ROTATION_NOISE = np.deg2rad(0.2)  # [rad] per axis
+FLATNESS = np.deg2rad(0.3)  # [rad] between the normals of tool and of a body that lies flat in it
 ZERO_SPREAD = np.deg2rad(2.0)  # [rad] expected of a zero before anything is measured
 OUTLIER = 5.0  # multiple of the residual of all postures from which one is rejected
 POSTURES_MIN = 10  # accepted postures without which nothing is said
@@ -49,8 +51,8 @@ class CameraFrame:
     Attributes:
         world_to_base: Pose of the cameras' frame in the frame of the base.
         body_in_tool: Pose of the body in the frame of the tool.
-        zeros: Reported minus true position of each joint, 0 for the first and last [rad].
-            Shape (n,).
+        zeros: Reported minus true position of each joint, 0 for the first [rad]; 0 for the last,
+            too, unless the body lies flat. Shape (n,).
         zeros_sd: Standard deviation of each, from the residual [rad]. Shape (n,).
         position_rms: Root mean square of the residual, of accepted postures [m].
         rotation_rms: The same [rad].
@@ -68,7 +70,9 @@ class CameraFrame:
     upright: float
 
 
-def calibrate(arm: Arm, q: np.ndarray, position: np.ndarray, rotation: np.ndarray) -> CameraFrame:
+def calibrate(
+    arm: Arm, q: np.ndarray, position: np.ndarray, rotation: np.ndarray, flat: bool = False
+) -> CameraFrame:
     """Find the cameras' frame, the pose of the body on the tool, and the zeros.
 
     Args:
@@ -76,6 +80,7 @@ def calibrate(arm: Arm, q: np.ndarray, position: np.ndarray, rotation: np.ndarra
         q: Reported positions of the joints at rest [rad]. Shape (N, n).
         position: Position of the body in the cameras' frame [m]. Shape (N, 3).
         rotation: Its orientation. Shape (N, 3, 3).
+        flat: Whether the body lies flat in the tool: their z axes are parallel.
 
     Raises:
         ValueError: The postures are too few or too much alike, or most of them do not agree: the
@@ -91,7 +96,7 @@ def calibrate(arm: Arm, q: np.ndarray, position: np.ndarray, rotation: np.ndarra
         raise ValueError(f"{text}, at least {least:.0f} are needed")
     accepted = np.arange(len(q))
     while True:
-        solution = _solve(arm, q[accepted], position[accepted], rotation[accepted])
+        solution = _solve(arm, q[accepted], position[accepted], rotation[accepted], flat)
         sizes = _sizes(solution, accepted)
         typical = max(float(np.median(sizes)), 1.0)
         worst = int(sizes.argmax())
@@ -104,9 +109,8 @@ def calibrate(arm: Arm, q: np.ndarray, position: np.ndarray, rotation: np.ndarra
     if typical > RESIDUAL_MAX:
         text = f"the postures disagree, the residual is {typical:.0f} times the noise: "
         flip = np.diag([-1.0, 1.0, 1.0])
-        other = _solve(
-            arm, q[accepted], position[accepted] @ flip, flip @ rotation[accepted] @ flip
-        )
+        seen = position[accepted] @ flip, flip @ rotation[accepted] @ flip
+        other = _solve(arm, q[accepted], *seen, flat=False)
         if _sizes(other, accepted).max() < OUTLIER * RESIDUAL_MAX:
             raise ValueError(f"{text}the cameras' axes are mirrored (left-handed)")
         raise ValueError(
@@ -143,7 +147,7 @@ def _result(n: int, solution: OptimizeResult, count: int, accepted: np.ndarray) 
     covariance = np.linalg.inv(jacobian.T @ jacobian)
     deviations = scale * np.sqrt(covariance.diagonal())[12:]
     zeros_sd = np.zeros(n)
-    zeros_sd[1:-1] = deviations
+    zeros_sd[1 : 1 + len(deviations)] = deviations
     return CameraFrame(
         world_to_base=base.inverse(),
         body_in_tool=body,
@@ -161,7 +165,9 @@ def _sizes(solution: OptimizeResult, accepted: np.ndarray) -> np.ndarray:
     return np.abs(solution.fun[: 6 * len(accepted)]).reshape(-1, 6).max(axis=1)
 
 
-def _solve(arm: Arm, q: np.ndarray, position: np.ndarray, rotation: np.ndarray) -> OptimizeResult:
+def _solve(
+    arm: Arm, q: np.ndarray, position: np.ndarray, rotation: np.ndarray, flat: bool
+) -> OptimizeResult:
     """Least squares on Y, X and the zeros, from the closed-form solution without zeros."""
     base, body = closed_form([Pose(*arm.tool_pose(each)) for each in q], position, rotation)
 
@@ -174,9 +180,12 @@ def _solve(arm: Arm, q: np.ndarray, position: np.ndarray, rotation: np.ndarray) 
             axes = turned.rotation @ axes @ mounted.rotation
             rows.append((expected - seen) / POSITION_NOISE)
             rows.append(rotations.log(axes.T @ turn) / ROTATION_NOISE)
+        if flat:
+            rows.append(mounted.rotation[:2, 2] / FLATNESS)
         return np.concatenate([*rows, x[12:] / ZERO_SPREAD])
 
-    start = least_squares(residuals, np.zeros(12 + arm.n - 2), x_scale="jac").x
+    unknown = 12 + arm.n - 1 - (not flat)
+    start = least_squares(residuals, np.zeros(unknown), x_scale="jac").x
     found = least_squares(residuals, start, loss="huber", x_scale="jac")
     found.fun = residuals(found.x)
     found.x = np.concatenate([_numbers(*_parts(arm.n, found.x, base, body)[:2]), found.x[12:]])
@@ -187,7 +196,8 @@ def _parts(
     n: int, x: np.ndarray, base: Pose | None = None, body: Pose | None = None
 ) -> tuple[Pose, Pose, np.ndarray]:
     """Poses and zeros (n,) of the numbers of a solution, relative to start poses if given."""
-    zeros = np.concatenate([[0.0], x[12:], [0.0]])
+    zeros = np.zeros(n)
+    zeros[1 : len(x) - 11] = x[12:]
     poses = []
     for numbers, start in ((x[:6], base), (x[6:12], body)):
         turn = rotations.exp(numbers[3:])

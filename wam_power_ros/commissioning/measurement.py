@@ -86,6 +86,7 @@ def analyse(
     recorded: Recording,
     payload: float | None = None,
     gravity_added: bool = False,
+    flat: bool = False,
 ) -> Commissioned:
     """Find what differs from the URDF, and check it on postures and sweeps that were not used.
 
@@ -95,6 +96,7 @@ def analyse(
         recorded: Recording of it.
         payload: Mass of the tool beyond the URDF's, from a scale [kg]; None if it was not weighed.
         gravity_added: True if the driver adds gravity itself, see `identification.identify`.
+        flat: Whether the body lies flat in the tool, see `camera_frame.calibrate`.
 
     Raises:
         ValueError: The recording is of another movement, or what the cameras saw is not usable.
@@ -107,7 +109,7 @@ def analyse(
     used, last = plan.rests[: -2 * HELD_OUT], plan.rests[-2 * HELD_OUT :]
     if len(seen_t):
         q, poses = _at_rest(t, recorded, seen_t, used)
-        cameras = camera_frame.calibrate(arm, q, *poses)
+        cameras = camera_frame.calibrate(arm, q, *poses, flat)
         zeros = cameras.zeros
         check = _error(arm, cameras, *_at_rest(t, recorded, seen_t, last))
         latency = _latency(arm, cameras, t, recorded, seen_t, plan.sweeps[FITTED_SWEEPS - 1])
