@@ -34,6 +34,14 @@ def test_the_catch_shift_moves_the_last_three_attractors_outward() -> None:
     np.testing.assert_array_equal(after.rotation_attractors, before.rotation_attractors)
 
 
+def test_the_side_shift_moves_the_last_three_attractors_aside() -> None:
+    before, after = moved("side_shift", 5.0)  # 0.1 m
+    shift = after.attractors - before.attractors
+    np.testing.assert_allclose(shift[:, 1], [0, 0, 0, 0, 0, 0.05, 0.1, 0.1], atol=1e-12)
+    assert not shift[:, [0, 2]].any()
+    np.testing.assert_array_equal(after.rotation_attractors, before.rotation_attractors)
+
+
 def test_the_flick_enlarges_the_demonstrated_turn() -> None:
     before, after = moved("flick", 5.0)  # 0.15
     old, new = before.rotation_attractors, after.rotation_attractors
@@ -101,7 +109,7 @@ def test_only_the_planar_variant_has_a_tempo_and_parameters_of_its_own() -> None
         same = [q.policy(np.ones(q.size), "a")[0] for q in (p, plain)]
         assert to_json(same[0]) == to_json(same[1])
     p = flip_parametrization(policy, "planar", NOISE)
-    own = ["vigour", "flick", "catch_shift", "tempo"]
+    own = ["side_shift", "vigour", "flick", "catch_shift", "tempo"]
     assert list(p.groups) == ["stiffness", "attractors", "rotation", *own]
     assert p.size == 6 * policy.basis.count + len(own)
     unchanged = p.policy(np.zeros(p.size), policy.id)[0]

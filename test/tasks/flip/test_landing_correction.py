@@ -18,14 +18,13 @@ GAINS = ("landing_gain", "turn_gain", "vigour_gain", "tempo_gain")
 
 
 def shifts(
-    angle: float, error: float = 0.0, tossed: bool = True, seen: bool = True
+    angle: float, error: float = 0.0, tossed: bool = True, seen: bool = True, aside: float = 0.0
 ) -> dict[str, float]:
     """Corrections in the units of their parameters; one shift for each parameter."""
-    flight = {"tossed": tossed, "seen": seen, "angle": angle, "landing_error": [error, 9.0, 9.0]}
+    flight = {"tossed": tossed, "seen": seen, "angle": angle, "landing_error": [error, aside, 9.0]}
     found = landing_correction(Assessment(0.5, observation=flight), PLANAR, SETTINGS)
-    names = {
-        PLANAR.groups[name].start: name for name in ("catch_shift", "flick", "vigour", "tempo")
-    }
+    groups = ("catch_shift", "side_shift", "flick", "vigour", "tempo")
+    names = {PLANAR.groups[name].start: name for name in groups}
     corrected = {}
     for shift in found:
         (at,) = np.flatnonzero(shift)
@@ -38,6 +37,8 @@ def shifts(
 def test_the_catch_goes_to_where_the_pancake_came_down_up_to_a_limit(sign: float) -> None:
     assert shifts(math.pi, sign * 0.1) == pytest.approx({"catch_shift": sign * 0.7 * 0.1})
     assert shifts(math.pi, sign * 0.9) == pytest.approx({"catch_shift": sign * 0.25})
+    aside = shifts(math.pi, aside=sign * 0.1)
+    assert aside == pytest.approx({"side_shift": sign * 0.7 * 0.1})
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])

@@ -16,9 +16,9 @@ from wam_power_ros.tasks.task import Assessment
 def landing_correction(
     assessment: Assessment, parametrization: Parametrization, settings: FlipSettings
 ) -> list[np.ndarray]:
-    """Correct catch shift, flick, vigour and tempo by the errors of landing and rotation.
+    """Correct catch and side shift, flick, vigour and tempo by the errors of landing and rotation.
 
-    The catch shift is moved to where the pancake came down, the others to where it would have made
+    The shifts are moved to where the pancake came down, the others to where it would have made
     half a turn. A pancake that was not tossed has not turned, so it lacks the whole half turn.
 
     Returns:
@@ -28,10 +28,11 @@ def landing_correction(
     if flight is None or (flight["tossed"] and not flight["seen"]):
         return []
     missing = math.pi - float(flight["angle"])  # rotation missing to half a turn [rad]
-    error = float(flight["landing_error"][0])  # landing error along x [m]
+    error, aside = (float(each) for each in flight["landing_error"][:2])  # along x, y [m]
     shifts = []
     for group, gain, wanted, limit in (
         ("catch_shift", settings.landing_gain, error, settings.landing_limit),
+        ("side_shift", settings.landing_gain, aside, settings.landing_limit),
         ("flick", settings.turn_gain, missing / TURN_OF_FLICK, settings.turn_limit),
         ("vigour", settings.vigour_gain, missing / TURN_OF_VIGOUR, settings.vigour_limit),
         ("tempo", settings.tempo_gain, missing / TURN_OF_TEMPO, settings.tempo_limit),
