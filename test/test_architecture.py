@@ -97,7 +97,7 @@ BUDGET = {
     "control": 4400,
     "commissioning": 1010,
     "tracking": 620,
-    "tasks": 3420,
+    "tasks": 3430,
     "practice": 2130,
     "conformance": 1120,
     "bags": 2660,
@@ -110,10 +110,10 @@ BUDGET = {
     "reporting": 990,
     "in_process": 410,
     "cli": 3350,
-    "hardware_sim": 3340,
+    "hardware_sim": 3360,
     "launch": 260,
     "examples": 380,
-    "reproduction": 3350,
+    "reproduction": 3520,
     "benchmark": 4950,
 }
 PURE = (

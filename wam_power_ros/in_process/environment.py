@@ -142,7 +142,7 @@ class Environment:
         self._move_to_start(policy)
         self._tick_for(_STILL)
         controller.execute()
-        world.release()
+        world.release(policy.id if placed else "")
         while controller.mode is Mode.ROLLOUT:
             self.tick()
         truth, start_ns = self._truth, controller.rollout_stamp_ns
