@@ -76,8 +76,8 @@ _COMMON: Mapping[str, Any] = {
 _CUP: Mapping[str, Any] = {**_COMMON, "variant": "swing", "gain": 0.5}
 PRESETS: Mapping[str, Mapping[str, Any]] = {
     "cup": _CUP,
-    # For comparison: what the return, or the corrections, reach alone. Without these the exploration
-    # must be as wide as demonstrations differ.
+    # For comparison: what the return, or the corrections, reach alone. Without corrections the
+    # exploration must be as wide as demonstrations differ.
     "return_only": {**_CUP, "gain": 0.0, "noise": {**_COMMON["noise"], "vigour": 0.03}},
     "corrections_only": {**_CUP, "learner": {"name": "corrections_only"}, "mean_every": 1},
     # What Kober and Peters learnt with: the return alone, and attractors alone.
