@@ -198,6 +198,7 @@ def test_nothing_is_corrected_without_a_gain_or_an_observation() -> None:
     parametrization = task().parametrization(POLICY)
     seen = Assessment(0.5, {}, Swing(0.1, 2.0, (0.1, 0.0), False).to_json())
     assert list(task(gain=0.0).hindsight(seen, parametrization)) == []
+    assert (task(gain=0.0).corrections, task().corrections) == ([], ["miss"])
     assert list(task().hindsight(Assessment(None), parametrization)) == []
     kober = preset("ball_in_cup", "kober").task_settings
     plain = BallInCup(kober, {})

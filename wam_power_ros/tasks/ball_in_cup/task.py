@@ -150,6 +150,11 @@ class BallInCup(Task):
             shifts.append(shift / parametrization.scale)
         return shifts
 
+    @property
+    def corrections(self) -> Sequence[str]:
+        """The miss, if it is corrected; see `Task`."""
+        return ["miss"] if self.settings.gain else []
+
     def outcome(self, record: LoggedRollout) -> str:
         """Distance from the cup and end of the ball, as tracked; see `Task`."""
         if record.fault:
