@@ -187,6 +187,15 @@ def test_the_ground_truth_of_an_earlier_rollout_of_the_same_trial_is_not_taken_h
     assert client.execute(POLICY, WHOLE, lambda state: "").truth == now.values
 
 
+def test_a_ground_truth_that_is_lost_with_a_simulation_ends_no_session(
+    connect: Connect, cell: Cell, capfd: pytest.CaptureFixture[str]
+) -> None:
+    cell.node.create_publisher(String, interface.body_topic("", "truth"), interface.LATCHED)
+    executed = connect(rollout_timeout=0.5).execute(POLICY, WHOLE, lambda state: "")
+    assert executed.truth is None and executed.rollout.tool.id == POLICY.id
+    assert "trial-0002 has no ground truth" in capfd.readouterr().err
+
+
 @pytest.mark.parametrize("kind", [FaultKind.TOOL_SPEED, FaultKind.STATES_LOST])
 def test_the_fault_of_a_rollout_that_was_cut_short_keeps_its_kind(
     client: Rollouts, cell: Cell, kind: FaultKind

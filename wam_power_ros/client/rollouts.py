@@ -67,7 +67,8 @@ class RolloutSettings:
         record_rollouts: Whether to record each rollout.
         service_timeout: Time for a service to appear and to succeed [s of wall time].
         rollout_timeout: Time for the end of a rollout and for its paths [s of wall time].
-        patience: Time for the arm to reach its start, and for the body [s of wall time].
+        patience: Time for the arm to reach its start, for a movement that puts the body back, and for
+            a reset of the scene [s of wall time].
     """
 
     scene_reset: bool
@@ -412,10 +413,13 @@ class Rollouts:
             body = BodyPath(policy.id, *path[1:])
         bag = self._end_bag() if self._settings.record_rollouts else ""
         if self._node.count_publishers(self._truth_topic):
-            truth = awaited(
-                self._truth,
-                lambda it: it.values.get("id") == policy.id and it.end_ns >= end.start_ns,
-                "ground truth",
-            ).values
+            try:
+                truth = awaited(
+                    self._truth,
+                    lambda it: it.values.get("id") == policy.id and it.end_ns >= end.start_ns,
+                    "ground truth",
+                ).values
+            except RolloutError as error:  # of a simulation that was restarted meanwhile
+                self._log.warning(f"{policy.id} has no ground truth: {error}")
         fault = end.fault if tool.t[-1] < duration - MISSING_MAX else None
         return Executed(Rollout(tool, body, fault, end.stopped_in), bag, truth)

@@ -84,7 +84,9 @@ class LearnerParams(Params):
     record_rollouts: bool
     service_timeout: Timeout  # [s of wall time]
     rollout_timeout: Timeout  # [s of wall time]
-    patience: Timeout  # for the arm to reach its start, and for the body [s of wall time]
+    patience: (
+        Timeout  # for the arm to reach its start, and for a reset of the body [s of wall time]
+    )
     rating: float = Field(gt=0.0, le=RATING_MAX)  # size of a reward or a punishment [return]
     unusable_max: int = Field(
         ge=1, le=1000, description="rollouts in a row; after fewer, a person must check the arm"
