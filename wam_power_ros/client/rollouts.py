@@ -67,8 +67,8 @@ class RolloutSettings:
         record_rollouts: Whether to record each rollout.
         service_timeout: Time for a service to appear and to succeed [s of wall time].
         rollout_timeout: Time for the end of a rollout and for its paths [s of wall time].
-        patience: Time for the arm to reach its start, for a movement that puts the body back, and for
-            a reset of the scene [s of wall time].
+        patience: Time for the arm to reach its start, for a movement that puts the body back, and
+            for a reset of the scene [s of wall time].
     """
 
     scene_reset: bool
@@ -268,14 +268,15 @@ class Rollouts:
         self._resetting = resetting
         while True:
             self.until(
-                lambda: resetting.done or resetting.move is not None or self._reports.fault,
-                lambda: self._awaited(resetting),
+                lambda: self._resetting.done or self._resetting.move or self._reports.fault,
+                self._awaited,
                 math.inf,
             )
+            resetting = self._resetting
             if self._reports.fault is not None:  # the arm may have left the start
                 by = resetting.by
                 by_person |= self._reach_start(policy)
-                self._resetting = resetting = replace(resetting, by=by, move=None)
+                self._resetting = replace(resetting, by=by, move=None)
                 continue
             if (move := resetting.move) is None:
                 break
@@ -286,9 +287,9 @@ class Rollouts:
         seconds = (self._node.get_clock().now() - begun).nanoseconds * 1e-9
         return {"by": "person" if by_person else resetting.by, "seconds": round(seconds, 3)}
 
-    def _awaited(self, resetting: Resetting) -> str:
+    def _awaited(self) -> str:
         """What is waited for before a rollout may begin."""
-        silent = time.monotonic() - self._seen
+        resetting, silent = self._resetting, time.monotonic() - self._seen
         if silent > SILENCE:
             return f"the {self._body} to be seen: no state of it for {silent:.0f} s"
         what = "come to rest" if resetting.waits else "be ready, which a person puts back"
