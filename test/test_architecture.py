@@ -103,7 +103,7 @@ BUDGET = {
     "bags": 2660,
     "params": 1130,
     "ros": 2710,
-    "client": 1330,
+    "client": 1360,
     "nodes": 3090,
     "console": 990,
     "view": 1430,

@@ -219,7 +219,9 @@ def test_a_fall_along_another_axis_is_reported_unless_a_string_may_hold_the_body
         x, y, z = place - PAN
         stamp_ns = second + index * PERIOD
         clock.publish(Clock(clock=time_message(stamp_ns)))
-        frames.publish(pose_messages.pose_message(stamp_ns, "world", PAN + [x, z, -y], quat))
+        frames.publish(
+            pose_messages.pose_message(stamp_ns, "world", PAN + np.array([x, z, -y]), quat)
+        )
         probe.spin(0.005)
     bench.path()
     bench.diagnostics.clear()
