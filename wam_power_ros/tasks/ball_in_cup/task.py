@@ -125,6 +125,11 @@ class BallInCup(Task):
         success = swing.caught and swing.distance <= self.settings.success_distance
         return Assessment(ret, {"distance": ret}, swing.to_json(), success, why)
 
+    @property
+    def corrections(self) -> Sequence[str]:
+        """The miss, if it is corrected; see `Task`."""
+        return ["miss"] if self.settings.gain else []
+
     def hindsight(
         self, assessment: Assessment, parametrization: Parametrization
     ) -> Sequence[np.ndarray]:
@@ -149,11 +154,6 @@ class BallInCup(Task):
             shift[index] = np.clip(settings.gain * change, -limit, limit)
             shifts.append(shift / parametrization.scale)
         return shifts
-
-    @property
-    def corrections(self) -> Sequence[str]:
-        """The miss, if it is corrected; see `Task`."""
-        return ["miss"] if self.settings.gain else []
 
     def outcome(self, record: LoggedRollout) -> str:
         """Distance from the cup and end of the ball, as tracked; see `Task`."""
