@@ -334,7 +334,7 @@ def test_time_ends_learning_at_the_next_rollout_also_after_a_resumption() -> Non
         practice = practice_of(CANDIDATES, practice.settings, 0, [parse_line(x) for x in lines])
     kinds = [parse_line(line).kind for line in lines]
     assert kinds.index("retest") == 5 and len(kinds) == 7  # after 125 s
-    assert practice.stopped == "2 minutes used"
+    assert practice.stopped == "budget of 2 min used"
 
 
 def test_the_best_policy_was_run_without_noise_and_is_not_a_lucky_one() -> None:

@@ -519,7 +519,7 @@ class Practice:
             if self.used >= settings.budget:
                 self._stop(answer, f"budget of {settings.budget} rollouts used")
             elif 0 < minutes <= self.seconds / 60.0:
-                self._stop(answer, f"{minutes} minutes used")
+                self._stop(answer, f"budget of {minutes} min used")
             elif len(self._records) >= limit:
                 self._stop(answer, f"{limit} rollouts, of which only {self.used} were usable")
         return "; ".join(part for part in (note, self.stopped) if part)
