@@ -60,6 +60,7 @@ class SceneServices:
         self._awaited = False  # a demonstration whose scene is to be put back
         self._wait_ticks, self._ticks_left = world.settings.ticks(WAIT_TIME), 0
         self._resetting: Iterator[None] | None = None
+        self._prepared = ""  # id of the rollout that the world was reset for
         self._put_back_to: tuple[str, np.ndarray] | None = None  # after the arm was carried there
         body = world.scene.body
         self._truths = node.create_publisher(
@@ -87,8 +88,11 @@ class SceneServices:
         world = self._world
         if world.frozen and self._resetting is None and label not in ("hold", "inactive"):
             world.release()
-        if label.startswith(ROLLOUT) and label != ROLLOUT + world.rollout_id:  # not reset for it
-            world.release()
+        if label.startswith(ROLLOUT):
+            rollout_id = label.removeprefix(ROLLOUT)
+            if rollout_id != self._prepared:
+                world.release(rollout_id)
+            self._prepared = ""
         if previous.startswith(ROLLOUT):
             truth = world.truth() | {"id": previous.removeprefix(ROLLOUT)}
             self._truths.publish(ground_truth_message(GroundTruth(stamp_ns, truth)))
@@ -177,7 +181,7 @@ class SceneServices:
             self._world.reset(rollout_id, q)
         else:
             self._resetting = self._world.resetting(rollout_id, q)
-        self._ticks_left = self._wait_ticks
+        self._prepared, self._ticks_left = rollout_id, self._wait_ticks
 
     def _begin_demonstration(self, _: Request) -> Answer | None:
         self._ticks_left = self._wait_ticks

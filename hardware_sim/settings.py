@@ -72,6 +72,8 @@ class WorldSettings(BaseModel):
         guarded_region: Centre and radius of the controller's guarded region, a sphere in the base
             frame [m], which a scene may show; radius 0 for none.
         goal: Where a demonstrated reach ends [m].
+        spread: Scale of the differences between demonstrations of one movement: 0 for the intended
+            one, see the scene.
         pitch_rate: Intended pitch rate of a demonstrated toss at the release [rad/s].
         level: True if a demonstrated toss begins with the tool level, the body in its middle.
 
@@ -108,6 +110,7 @@ class WorldSettings(BaseModel):
     body_size: Scale = 1.0
     guarded_region: tuple[Length, Length, Length, Radius] = (0.0, 0.0, 0.0, 0.0)
     goal: tuple[Length, Length, Length] = REACH_GOAL
+    spread: Spread = 1.0
     pitch_rate: Scale = Field(PITCH_RATE, description="in rad/s: 10 is faster than any wrist")
     level: bool = False
 

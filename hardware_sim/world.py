@@ -185,21 +185,10 @@ class World:
     def _resetting(self, rollout_id: str, q_start: np.ndarray) -> Iterator[None]:
         if self._nominal_settings.unknown == "rollout":
             self._build(self._nominal_settings.drawn(self.seed, rollout_id))
-        key = [self.seed, zlib.crc32(rollout_id.encode())]
-        rng = np.random.default_rng(key)
-        self._mocap_rng = np.random.default_rng([*key, 1])
-        self.rollout_id = rollout_id
+        key = [self.seed, zlib.crc32(rollout_id.encode()), 1]
+        self._mocap_rng = np.random.default_rng(key)
         settings, model, data, n = self.settings, self.model, self.data, self.n
-        noise = 0.0 if rollout_id.endswith(QUIET) else 1.0
-        offset = noise * settings.body_offset_sd * rng.standard_normal(2)
-        wind = noise * settings.wind_sd * rng.standard_normal(3)
-        scale = 1.0 + noise * settings.torque_scale_sd * rng.standard_normal(n)
-        scale *= settings.torque_constants or 1.0
-        if self.hidden is not None:
-            scale *= self.hidden.motors
-        friction = 1.0 + noise * settings.friction_sd * rng.standard_normal(n)
-        self._torque_scale: list[float] = scale.tolist()
-        model.dof_frictionloss[:n] = self._friction * np.maximum(friction, 0.0)
+        offset, wind = self._vary(rollout_id)
         model.opt.wind[:] = 0.0
 
         mujoco.mj_resetData(model, data)
@@ -226,6 +215,23 @@ class World:
         self.idle = False
         self.frozen = True
         self._restart_log()
+
+    def _vary(self, rollout_id: str) -> tuple[np.ndarray, np.ndarray]:
+        """Draw the variation of the arm in a rollout; offset (2,) [m] and wind (3,) [m/s] in it."""
+        self.rollout_id = rollout_id
+        settings, n = self.settings, self.n
+        rng = np.random.default_rng([self.seed, zlib.crc32(rollout_id.encode())])
+        noise = 0.0 if rollout_id.endswith(QUIET) else 1.0
+        offset = noise * settings.body_offset_sd * rng.standard_normal(2)
+        wind = noise * settings.wind_sd * rng.standard_normal(3)
+        scale = 1.0 + noise * settings.torque_scale_sd * rng.standard_normal(n)
+        scale *= settings.torque_constants or 1.0
+        if self.hidden is not None:
+            scale *= self.hidden.motors
+        friction = 1.0 + noise * settings.friction_sd * rng.standard_normal(n)
+        self._torque_scale: list[float] = scale.tolist()
+        self.model.dof_frictionloss[:n] = self._friction * np.maximum(friction, 0.0)
+        return offset, wind
 
     def _settle(self, q_start: np.ndarray) -> Iterator[None]:
         """Let the bodies come to rest while the arm is held still."""
@@ -262,8 +268,15 @@ class World:
         if t >= path.duration + CARRY_REST:
             self._carrying = None
 
-    def release(self) -> None:
-        """Continue the physics from the frozen state."""
+    def release(self, rollout_id: str = "") -> None:
+        """Continue the physics from the frozen state.
+
+        Args:
+            rollout_id: Id of a rollout that begins now, with arm and bodies as they are: its wind
+                and its variation of the arm are drawn as by `reset`. "": as the world was reset.
+        """
+        if rollout_id:
+            _, self.model.opt.wind[:] = self._vary(rollout_id)
         self.frozen = False
         self._mocap.restart(self.time_ns, self._mocap_rng)
         self._restart_log()

@@ -42,6 +42,7 @@ OPTIONS = {  # launch argument, and option of the command -> description
     "learner": "learning algorithm; '': the preset's",
     "preset": "settings of the task; '': its first",
     "trials": "budget of rollouts; '': the preset's",
+    "minutes": "budget of time; '': none",
     "seed": "seed of a new session and of the simulation; '': the session's, or 0",
 }
 SWITCHES = {

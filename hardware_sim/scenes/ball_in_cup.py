@@ -95,7 +95,7 @@ class BallInCup:
 
     def script(self, rng: np.random.Generator) -> SwingScript:
         """Draw a random swing."""
-        return swing(rng)
+        return swing(rng, self._settings.spread)
 
     def truth(self, log: RolloutLog, now: Snapshot) -> Truth:
         """Outcome of a swing.
@@ -180,7 +180,8 @@ def swing(rng: np.random.Generator, spread: float = 1.0) -> SwingScript:
 
     Args:
         rng: Random generator.
-        spread: Scale of the differences between swings: 0 for the intended one, 1 for a person's.
+        spread: Scale of the differences between swings: 0 for the intended one, 1 for a practised
+            person's.
     """
     size = 1.0 + spread * 0.015 * float(rng.standard_normal())
     knot = KNOT * (1.0 + spread * 0.01 * float(rng.standard_normal()))

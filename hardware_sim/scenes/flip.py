@@ -82,13 +82,13 @@ class Flip:
     def script(self, rng: np.random.Generator) -> TossScript:
         """Draw a random toss."""
         settings = self._settings
-        return wrist_flick(rng, pitch_rate=settings.pitch_rate, level=settings.level)
+        return wrist_flick(rng, settings.spread, settings.pitch_rate, settings.level)
 
     def truth(self, log: RolloutLog, now: Snapshot) -> Truth:
         """Outcome of a toss.
 
         * caught: The pancake now lies flat on the pan's floor (centre under 12 mm, |cos| over .98).
-        * flipped: It lies on its other side.
+        * flipped: It lies on the other side than at the release.
         * tossed: It rose above `DELTA_H` and fell below it again.
         * t_f: Time at which it fell below [s since the release]; None if not tossed.
         * angle_deg: Unwrapped rotation from rest until then about the axis of the throw [degrees].
@@ -103,7 +103,7 @@ class Flip:
             t_f = (landing + 1) * log.period
             error = (log.body[landing, :2] - log.tool[landing, :2]).tolist()
             angle = math.degrees(_turned(log, landing))
-        caught, flipped = _caught_flipped(now)
+        caught, flipped = _caught_flipped(now, log.start)
         start = log.start.position[2]
         return {
             "caught": caught,
@@ -149,13 +149,18 @@ def add_pan(tool: mujoco.MjsBody, friction: float) -> None:
         )
 
 
-def _caught_flipped(now: Snapshot) -> tuple[bool, bool]:
-    """Whether the pancake lies flat in the pan, and whether on its other side."""
+def _caught_flipped(now: Snapshot, start: Snapshot) -> tuple[bool, bool]:
+    """Whether the pancake lies flat in the pan, and whether on its other side than at the start."""
     pan = now.rotation
     x, y, z = (pan.T @ (now.body[:3] - now.position)).tolist()
-    cosine = float(rotation_of(now.body)[:, 2] @ pan[:, 2])
+    cosine = _upright(now)
     flat = abs(z) < 0.012 and abs(cosine) > 0.98 and math.hypot(x, y) < PAN_RADIUS
-    return flat, cosine < 0.0
+    return flat, cosine * _upright(start) < 0.0
+
+
+def _upright(snapshot: Snapshot) -> float:
+    """Cosine between the normals of pancake and pan: 1 as placed, -1 upside down."""
+    return float(rotation_of(snapshot.body)[:, 2] @ snapshot.rotation[:, 2])
 
 
 def _turned(log: RolloutLog, end: int) -> float:

@@ -29,7 +29,7 @@ class Reach:
     home_sd = 0.008
 
     def __init__(self, settings: WorldSettings) -> None:
-        self._region = settings.region
+        self._region, self._spread = settings.region, settings.spread
         self._goal = np.array(settings.goal)
 
     def build(self, spec: mujoco.MjSpec, tool: mujoco.MjsBody) -> None:
@@ -52,7 +52,7 @@ class Reach:
 
     def script(self, rng: np.random.Generator) -> ReachScript:
         """Draw a random reach."""
-        return reach(rng, self._goal)
+        return reach(rng, self._goal, self._spread)
 
     def truth(self, log: RolloutLog, now: Snapshot) -> Truth:
         """Outcome of a reach.

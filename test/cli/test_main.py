@@ -71,6 +71,7 @@ def test_seed_and_settings_of_a_session_cannot_be_changed(
     for words, own in (
         ("--seed 6", "seed 5; omit seed"),
         ("--trials 9", "trials 60; omit trials"),
+        ("--minutes 9", "minutes 0; omit minutes"),
         ("--task reach", "task flip; omit task"),
         ("--learner cma_es", "learner power; omit learner"),
         ("--preset paper", "other settings than preset paper; omit preset"),
@@ -80,8 +81,8 @@ def test_seed_and_settings_of_a_session_cannot_be_changed(
 
 def test_the_command_that_began_a_session_resumes_it(tmp_path: Path) -> None:
     bags = [tmp_path / "a", tmp_path / "b"]
-    asked = SessionOptions("flip", "cma_es", "paper", trials=20, seed=5, bags=bags)
-    settings = preset("flip", "paper", {"name": "cma_es"}, budget=20)
+    asked = SessionOptions("flip", "cma_es", "paper", trials=20, minutes=30, seed=5, bags=bags)
+    settings = preset("flip", "paper", {"name": "cma_es"}, budget=20, minutes=30)
     Session.begin(
         tmp_path / "s", settings, 5, [demonstrated_policy()], demonstrations=[str(bags[1])]
     ).close()  # the first bag was of no use

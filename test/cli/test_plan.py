@@ -106,7 +106,7 @@ def test_a_session_has_its_bags_in_its_folder_and_the_given_settings(
     printed: Printed, tmp_path: Path
 ) -> None:
     folder = tmp_path / "s"
-    given = {"seed": 7, "trials": 20, "learner": "cma_es", "preset": "paper"}
+    given = {"seed": 7, "trials": 20, "minutes": 90, "learner": "cma_es", "preset": "paper"}
     words = [word for name, value in given.items() for word in (f"--{name}", value)]
     plan = printed("sim", "--session", folder, "--bags", BAGS[0], BAGS[1], *words)
     nodes = parameters(plan, tmp_path)

@@ -187,6 +187,15 @@ def test_the_ground_truth_of_an_earlier_rollout_of_the_same_trial_is_not_taken_h
     assert client.execute(POLICY, WHOLE, lambda state: "").truth == now.values
 
 
+def test_a_ground_truth_that_is_lost_with_a_simulation_ends_no_session(
+    connect: Connect, cell: Cell, capfd: pytest.CaptureFixture[str]
+) -> None:
+    cell.node.create_publisher(String, interface.body_topic("", "truth"), interface.LATCHED)
+    executed = connect(rollout_timeout=0.5).execute(POLICY, WHOLE, lambda state: "")
+    assert executed.truth is None and executed.rollout.tool.id == POLICY.id
+    assert "trial-0002 has no ground truth" in capfd.readouterr().err
+
+
 @pytest.mark.parametrize("kind", [FaultKind.TOOL_SPEED, FaultKind.STATES_LOST])
 def test_the_fault_of_a_rollout_that_was_cut_short_keeps_its_kind(
     client: Rollouts, cell: Cell, kind: FaultKind
@@ -267,10 +276,15 @@ def test_a_fault_that_comes_again_and_again_ends_it_by_name(client: Rollouts, ce
 
 
 @pytest.mark.parametrize("scene_reset", [True, False])
-def test_a_body_thrown_off_by_a_lost_request_is_put_back_again_where_a_simulation_can(
-    scene_reset: bool, connect: Connect, cell: Cell, monkeypatch: pytest.MonkeyPatch
+def test_a_body_thrown_off_is_put_back_again_by_the_simulation_or_without_limit_by_a_person(
+    scene_reset: bool,
+    connect: Connect,
+    cell: Cell,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(rollouts, "READY_TIMEOUT", 0.5)
+    monkeypatch.setattr(link, "LOG_AFTER", 0.5)
     put_back = "reset"
     cell.answers[put_back] = []
     begin = {put_back: cell.take}
@@ -284,27 +298,21 @@ def test_a_body_thrown_off_by_a_lost_request_is_put_back_again_where_a_simulatio
     topic = interface.body_topic("pancake", "state")
     states, sent = cell.node.create_publisher(Odometry, topic, interface.STATE_OUT), []
 
-    def publish() -> None:  # on the floor until the second reset of the scene
+    def publish() -> None:  # on the floor until the second reset of the scene, or for 2 s
         sent.append(start_ns + len(sent))
-        height = 0.0 if cell.requests.count(put_back) < 2 else 1.0
+        height = float(cell.requests.count(put_back) > 1 or (not scene_reset and len(sent) > 100))
         zero, position = np.zeros(3), np.array([0.0, 0.0, height])
         state = pose_messages.StateReading(sent[-1], "wam_base", position, level, zero, zero, 1e-6)
         states.publish(pose_messages.odometry_message(state, "pancake"))
 
     cell.node.create_timer(0.02, publish)
-    patience = 20.0 if scene_reset else 1.0
+    patience = 20.0 if scene_reset else 0.5
     client = connect("pancake", scene_reset=scene_reset, patience=patience)
-    execute = lambda: client.execute(  # noqa: E731
-        POLICY, WHOLE, lambda state: "" if state.position[2] > 0.5 else "on the floor"
-    )
-    if scene_reset:
-        execute()
-        begun = [MOVE, put_back]
-        assert cell.requests == [*begun, *begun, EXECUTE]
-    else:  # a person places it
-        with pytest.raises(RolloutError, match="which a person puts back: on the floor"):
-            execute()
-        assert cell.requests == [MOVE]
+    client.execute(POLICY, WHOLE, lambda state: "" if state.position[2] > 0.5 else "on the floor")
+    begun = [MOVE, put_back]
+    assert cell.requests == ([*begun, *begun, EXECUTE] if scene_reset else [MOVE, EXECUTE])
+    said = "waiting for the pancake to be ready, which a person puts back: on the floor"
+    assert (said in capfd.readouterr().err) == (not scene_reset)
 
 
 LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
@@ -363,6 +371,42 @@ def test_the_arm_puts_the_body_back_once_the_switch_is_held_and_who_did_is_known
     assert cell.requests == [MOVE, "replay", "replay", MOVE, EXECUTE]
     assert executed.reset is not None and executed.reset["by"] == "arm"
     assert 0.0 <= executed.reset["seconds"] < 60.0
+
+
+def test_a_fault_while_the_body_is_waited_for_takes_the_arm_to_its_start_again(
+    connect: Connect, cell: Cell, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(link, "LOG_AFTER", 0.2)
+    ball = Ball(cell)
+    cell.answers[MOVE] = [Answer(Code.DONE), Answer(Code.FAULT, "no state for 21 ms")]
+    told: list[str] = []  # modes, as published
+
+    def diagnose() -> None:  # a fault, after 1 s reset by a person, who puts the ball back as well
+        faulty = len(told) < 10 or cell.requests.count(MOVE) < 2
+        told.append("fault" if faulty else "hold")
+        cell.diagnose(told[-1], "error" if faulty else "ok", "no state for 21 ms", "states_lost")
+        ball.moves = int(not faulty or len(told) > 80)  # at last, so that the test ends
+
+    cell.node.create_timer(0.1, diagnose)
+    client = connect("ball", joint_names=["j1"], reset_faults=False, patience=0.1)
+    executed = client.execute(
+        POLICY, WHOLE, lambda state: "" if state.position[2] > 0.5 else "on the floor"
+    )
+    assert cell.requests == [MOVE, MOVE, MOVE, EXECUTE]
+    assert executed.reset is not None and executed.reset["by"] == "person"
+    assert "waiting for a person to reset the controller" in capfd.readouterr().err
+
+
+def test_a_body_that_is_not_seen_is_waited_for_without_limit_and_nobody_is_needed(
+    connect: Connect, cell: Cell, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(link, "LOG_AFTER", 0.5)
+    monkeypatch.setattr(rollouts, "SILENCE", 0.2)
+    appears = cell.node.create_timer(2.0, lambda: (appears.cancel(), Ball(cell, states=-1)))
+    client = connect("ball", joint_names=["j1"], patience=0.5)
+    executed = client.execute(POLICY, WHOLE, lambda state: "")
+    assert executed.reset is not None and executed.reset["by"] == "none"
+    assert "waiting for the ball to be seen: no state of it" in capfd.readouterr().err
 
 
 def test_the_arm_leaves_a_body_alone_that_comes_to_rest_where_a_simulation_has_put_it(

@@ -292,6 +292,19 @@ def test_every_rollout_has_random_wind_offset_and_friction_and_a_quiet_one_none(
     np.testing.assert_allclose(quiet[5:], [2.7, 2.5, 1.5, 1.1, 0.4, 0.4, 0.1])
 
 
+def test_a_rollout_without_a_reset_has_the_noise_of_one_with_a_reset(world: World) -> None:
+    def drawn() -> list[float]:
+        return [*world.model.opt.wind, *world.model.dof_frictionloss[:7], *world._torque_scale]
+
+    begin(world, "trial-0002")
+    other = drawn()
+    begin(world)
+    run(world, holding_torque(world), 5)
+    place = world.data.qpos.tolist()
+    world.release("trial-0002")
+    assert drawn() == other and world.data.qpos.tolist() == place
+
+
 def test_a_trace_keeps_100_poses_a_second(calm: World) -> None:
     calm.trace = []
     gravity = begin(calm)

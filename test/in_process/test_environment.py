@@ -56,6 +56,7 @@ def test_a_caught_pancake_needs_nobody_before_the_next_toss_and_a_dropped_one_a_
             assert known["by"] == by and known["seconds"] < 10.0
         _, truth = environment.run(with_id(policy, f"toss-{number}"), placed=True)
         assert truth["tossed"] and truth["caught"] is caught
+        assert truth["id"] == f"toss-{number}"
 
 
 def test_a_policy_that_is_too_fast_is_infeasible_and_ends_in_that_fault(toss: Policy) -> None:

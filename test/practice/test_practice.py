@@ -325,6 +325,18 @@ def test_the_budget_ends_learning_and_the_answer_is_retested_unlearnt(name: str)
         )
 
 
+def test_time_ends_learning_at_the_next_rollout_also_after_a_resumption() -> None:
+    practice = started("flip", minutes=2, retests=2)
+    lines: list[str] = []
+    while (trial := practice.next_trial()) is not None:
+        record = practice.learn_assessed(trial, bad(), clock={"took": 25.0})
+        lines.append(record.to_json())
+        practice = practice_of(CANDIDATES, practice.settings, 0, [parse_line(x) for x in lines])
+    kinds = [parse_line(line).kind for line in lines]
+    assert kinds.index("retest") == 5 and len(kinds) == 7  # after 125 s
+    assert practice.stopped == "budget of 2 min used"
+
+
 def test_the_best_policy_was_run_without_noise_and_is_not_a_lucky_one() -> None:
     practice = started("flip", confirm=8, return_noise=0.2)
     run(practice, lambda trial: bad(0.4), rollouts=2)

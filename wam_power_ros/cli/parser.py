@@ -117,6 +117,8 @@ def session_options(parser: argparse.ArgumentParser) -> None:
     preset_option(parser)
     trials = "at most so many rollouts, before the re-tests (default: the preset's)"
     parser.add_argument("--trials", type=positive, help=trials)
+    minutes = "at most so long, before the re-tests (default: no limit)"
+    parser.add_argument("--minutes", type=positive, help=minutes)
     bags = "learn from these demonstrations, record none"
     parser.add_argument("--bags", type=Path, nargs="+", default=(), help=bags)
     origin = "begin with the policy of this session, such as one in simulation; record none"

@@ -29,6 +29,7 @@ class SessionOptions:
         learner: Name of the learning algorithm.
         preset: Name of the settings of the task.
         trials: Budget of rollouts.
+        minutes: Budget of time.
         seed: Seed of exploration and simulation.
         demonstrations: Number of demonstrations to record.
         bags: Demonstrations to learn from instead.
@@ -39,6 +40,7 @@ class SessionOptions:
     learner: str = ""
     preset: str = ""
     trials: int | None = None
+    minutes: int | None = None
     seed: int | None = None
     demonstrations: int = 0
     bags: Sequence[Path] = ()
@@ -129,6 +131,7 @@ def learner_parameters(folder: Path, asked: SessionOptions, seed: int, task: str
         "learner": asked.learner,
         "preset": asked.preset,
         "trials": asked.trials or 0,
+        "minutes": asked.minutes or 0,
         "demonstrations": [str(bag.resolve()) for bag in asked.bags] or [""],
         "policy": "" if asked.origin is None else str(asked.origin / POLICY),
     }
@@ -156,16 +159,18 @@ def _differences(asked: SessionOptions, header: SessionHeader) -> Iterator[str]:
     from wam_power_ros.practice.settings import preset
 
     own = header.settings
-    budget = own.practice.budget
+    budget, minutes = own.practice.budget, own.practice.minutes
     for name, given, begun in (
         ("seed", asked.seed, header.seed),
         ("task", asked.task, own.task),
         ("learner", asked.learner or None, own.learner),
         ("trials", asked.trials, budget),
+        ("minutes", asked.minutes, minutes),
     ):
         if given not in (None, begun):
             yield f"{name} {begun}; omit {name}"
-    if asked.preset and preset(own.task, asked.preset, {"name": own.learner}, budget=budget) != own:
+    budgets = {"budget": budget, "minutes": minutes}
+    if asked.preset and preset(own.task, asked.preset, {"name": own.learner}, **budgets) != own:
         yield f"other settings than preset {asked.preset}; omit preset"
     used = set(header.demonstrations)  # without those that were of no use
     if asked.bags and not used <= {str(bag.resolve()) for bag in asked.bags}:

@@ -41,6 +41,7 @@ ANSWER_TIMEOUT = 10.0  # after which the answer of a service counts as lost [s o
 READY_TIMEOUT = 10.0  # after which the scene is reset again [s of wall time]
 BUSY_PERIOD = 0.02  # [s of wall time] to the next request to an arm that comes to rest
 SWITCH_LOG_PERIOD = 5.0  # between two lines about the enabling switch [s]
+SILENCE = 2.0  # without a state of the body, after which it counts as not seen [s of wall time]
 NOT_BEGUN_CODES = (Code.UNKNOWN, Code.FAULT, Code.NOT_ACTIVE, Code.NOT_AT_START, Code.STOPPED)
 NO_ANSWER = Answer(Code.UNKNOWN, "no answer")
 INACTIVE_MODES = ("", "unconfigured", Mode.INACTIVE.value)  # the first before any is known
@@ -66,7 +67,8 @@ class RolloutSettings:
         record_rollouts: Whether to record each rollout.
         service_timeout: Time for a service to appear and to succeed [s of wall time].
         rollout_timeout: Time for the end of a rollout and for its paths [s of wall time].
-        patience: Time for the arm to reach its start, and for the body [s of wall time].
+        patience: Time for the arm to reach its start, for a movement that puts the body back, and
+            for a reset of the scene [s of wall time].
     """
 
     scene_reset: bool
@@ -112,6 +114,7 @@ class Rollouts:
         self._link, self._node, self._log = link, link.node, link.node.get_logger()
         self._settings, self._body, self._reports = settings, body, ControllerReports(link)
         self._resetting = Resetting(lambda state: "no rollout is prepared", lambda state: "wait")
+        self._seen = time.monotonic()  # when the last state of the body came
         self._joint_names = joint_names
         self.controller = Requests(link, interface.CONTROLLER_REQUEST, interface.CONTROLLER_ANSWER)
         self._scene = Requests(link, interface.SCENE_REQUEST, interface.SCENE_ANSWER)
@@ -131,7 +134,7 @@ class Rollouts:
             self._replays = Requests(link, *replay, JointTrajectory)
 
     def _on_state(self, message: Odometry) -> None:
-        state = pose_messages.odometry(message)
+        state, self._seen = pose_messages.odometry(message), time.monotonic()
         self._resetting.add(state, state.stamp_ns)
 
     def execute(
@@ -248,6 +251,8 @@ class Rollouts:
     def _prepare(self, policy: Policy, resetting: Resetting) -> dict[str, Any] | None:
         """Move the arm to the start of the policy, and see to it that the body is ready there.
 
+        Waits without limit for a body that a person puts back, or that is not seen.
+
         Returns:
             Who put the body back, in which time; None if the scene was reset, or without a body.
         """
@@ -263,15 +268,16 @@ class Rollouts:
         self._resetting = resetting
         while True:
             self.until(
-                lambda: resetting.done or resetting.move is not None,
-                lambda: (
-                    f"the {self._body} to come to rest: {resetting.missing}"
-                    if resetting.waits
-                    else f"the {self._body} to be ready, which a person puts back: "
-                    f"{resetting.missing}"
-                ),
-                self._settings.patience,
+                lambda: self._resetting.done or self._resetting.move or self._reports.fault,
+                self._awaited,
+                math.inf,
             )
+            resetting = self._resetting
+            if self._reports.fault is not None:  # the arm may have left the start
+                by = resetting.by
+                by_person |= self._reach_start(policy)
+                self._resetting = replace(resetting, by=by, move=None)
+                continue
             if (move := resetting.move) is None:
                 break
             self._log.info(f"the arm puts the {self._body} back: {resetting.missing}")
@@ -280,6 +286,14 @@ class Rollouts:
             resetting.move = None
         seconds = (self._node.get_clock().now() - begun).nanoseconds * 1e-9
         return {"by": "person" if by_person else resetting.by, "seconds": round(seconds, 3)}
+
+    def _awaited(self) -> str:
+        """What is waited for before a rollout may begin."""
+        resetting, silent = self._resetting, time.monotonic() - self._seen
+        if silent > SILENCE:
+            return f"the {self._body} to be seen: no state of it for {silent:.0f} s"
+        what = "come to rest" if resetting.waits else "be ready, which a person puts back"
+        return f"the {self._body} to {what}: {resetting.missing}"
 
     def _do(self, move: Move) -> None:
         """Execute a movement that puts the body back; a refusal is logged, and a person asked."""
@@ -325,7 +339,7 @@ class Rollouts:
     def _reach_start(self, policy: Policy) -> bool:
         """Move the arm to the start of the policy, after a reset of a fault if needed.
 
-        Waits without limit for a person to activate the controller.
+        Waits without limit for a person to activate the controller, or to reset its fault.
 
         Returns:
             Whether a person was needed.
@@ -335,22 +349,35 @@ class Rollouts:
         while True:
             answer = self._ask(self.controller, "move_to_start", policy, self._settings.patience)
             if answer.success:
+                self._reports.fault = None
                 return by_person
-            if answer.code is Code.NOT_ACTIVE:
+            resets = self._settings.reset_faults
+            if answer.code is Code.NOT_ACTIVE or (answer.code is Code.FAULT and not resets):
                 by_person = True
-                self._await_activation()
+                if answer.code is Code.NOT_ACTIVE:
+                    self._await_activation()
+                else:
+                    self._await_reset(answer)
                 end = time.monotonic() + self._settings.patience
                 continue
             if time.monotonic() > end or answer.code is Code.REFUSED:
                 raise RolloutError(
                     f"the arm cannot move to the start of {policy.id}: {answer.said}"
                 )
-            if answer.code is Code.FAULT and self._settings.reset_faults:
+            if answer.code is Code.FAULT:
                 self._call(interface.RESET)
             else:
-                by_person |= answer.code is Code.FAULT
                 self._log.warning(f"the arm cannot move to its start yet: {answer.said}", once=True)
             self._link.sleep(BUSY_PERIOD if answer.code is Code.BUSY else RETRY_PERIOD)
+
+    def _await_reset(self, refused: Answer) -> None:
+        """Wait until the diagnostics say that the controller has no fault."""
+        count = self._reports.count  # the last one may be out of date
+        self.until(
+            lambda: self._reports.count > count + 1 and self._reports.fault is None,
+            f"a person to reset the controller: {refused.said}",
+            math.inf,
+        )
 
     def _await_activation(self) -> None:
         """Wait until the diagnostics say that the controller is active."""
@@ -387,10 +414,13 @@ class Rollouts:
             body = BodyPath(policy.id, *path[1:])
         bag = self._end_bag() if self._settings.record_rollouts else ""
         if self._node.count_publishers(self._truth_topic):
-            truth = awaited(
-                self._truth,
-                lambda it: it.values.get("id") == policy.id and it.end_ns >= end.start_ns,
-                "ground truth",
-            ).values
+            try:
+                truth = awaited(
+                    self._truth,
+                    lambda it: it.values.get("id") == policy.id and it.end_ns >= end.start_ns,
+                    "ground truth",
+                ).values
+            except RolloutError as error:  # of a simulation that was restarted meanwhile
+                self._log.warning(f"{policy.id} has no ground truth: {error}")
         fault = end.fault if tool.t[-1] < duration - MISSING_MAX else None
         return Executed(Rollout(tool, body, fault, end.stopped_in), bag, truth)

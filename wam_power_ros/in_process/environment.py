@@ -142,7 +142,7 @@ class Environment:
         self._move_to_start(policy)
         self._tick_for(_STILL)
         controller.execute()
-        world.release()
+        world.release(policy.id if placed else "")
         while controller.mode is Mode.ROLLOUT:
             self.tick()
         truth, start_ns = self._truth, controller.rollout_stamp_ns
@@ -207,15 +207,18 @@ class Environment:
     def practise(self, practice: Practice, scene_reset: bool = True) -> Iterator[Record]:
         """Execute the trials of a session one after another, learn from each, yield its record.
 
+        The clock of a record is the simulation's.
+
         Args:
             practice: The session.
             scene_reset: Whether the world is reset before each rollout; otherwise see `put_back`.
         """
         while (trial := practice.next_trial()) is not None:
-            clock = {}
+            clock, begun_ns = {}, self.world.time_ns
             if not scene_reset:
-                clock = {"reset": self.put_back(practice.task, trial.policy)}
+                clock["reset"] = self.put_back(practice.task, trial.policy)
             rollout, truth = self.run(trial.policy, placed=not scene_reset)
+            clock["took"] = (self.world.time_ns - begun_ns) * 1e-9
             yield practice.learn(trial, rollout, truth=truth, clock=clock)
 
     def place(self, rollout_id: str, q_start: np.ndarray) -> None:

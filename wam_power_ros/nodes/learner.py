@@ -76,6 +76,7 @@ class LearnerParams(Params):
     preset: str  # of the task; empty: its first
     learner: str  # empty: the preset's
     trials: int = Field(ge=0, le=100_000, description="a year of practice")  # 0: the preset's
+    minutes: int = Field(ge=0, le=1_000_000, description="two years")  # 0: the preset's
     changes: str  # to settings of the preset, a JSON object by name
     seed: int = Field(ge=0, le=2**63 - 1, description="an integer of ROS")
     scene_reset: bool  # a service of the stand-in puts the scene back; otherwise a person does
@@ -83,7 +84,9 @@ class LearnerParams(Params):
     record_rollouts: bool
     service_timeout: Timeout  # [s of wall time]
     rollout_timeout: Timeout  # [s of wall time]
-    patience: Timeout  # for the arm to reach its start, and for the body [s of wall time]
+    patience: (
+        Timeout  # for the arm to reach its start, and for a reset of the body [s of wall time]
+    )
     rating: float = Field(gt=0.0, le=RATING_MAX)  # size of a reward or a punishment [return]
     unusable_max: int = Field(
         ge=1, le=1000, description="rollouts in a row; after fewer, a person must check the arm"
@@ -228,15 +231,16 @@ class Learner(Node):
             trial = practice.next_trial()
         if trial is None:
             return False
-        begun = time.time()
+        begun, begun_monotonic = time.time(), time.monotonic()
         executed = self._execute(trial, practice.task)
+        took = time.monotonic() - begun_monotonic
         with self._lock:
             record = practice.learn(
                 trial,
                 executed.rollout,
                 bag=executed.bag,
                 truth=executed.truth,
-                clock={"begun": begun, "took": time.time() - begun, **_reset(executed)},
+                clock={"begun": begun, "took": took, **_reset(executed)},
             )
             session.append(record)  # on disk before the next trial
             self._save_best(session, practice)
@@ -273,6 +277,8 @@ class Learner(Node):
             raise ValueError(f"changes {params.changes!r} must be a JSON object")
         if params.trials:
             changes["budget"] = params.trials
+        if params.minutes:
+            changes["minutes"] = params.minutes
         if params.learner:
             changes["learner"] = {"name": params.learner, **changes.get("learner", {})}
         return preset(params.task, params.preset, **changes)

@@ -191,7 +191,7 @@ class PancakeTracker(Node):
         rollout, self._pending = self._pending, None
         name = f"rollout-{rollout.start_ns}"
         path = self._tracker.path(name, rollout.start_ns, rollout.end_ns)
-        down = free_fall_acceleration(path)
+        down = None if self._params.tethered else free_fall_acceleration(path)
         if down is not None and down[2] > -0.87 * math.hypot(*down):  # 30 degrees
             self._log_error(
                 f"the {self._params.body} falls with {down.round(1)} m/s^2 in the base frame, not "

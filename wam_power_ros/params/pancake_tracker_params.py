@@ -19,6 +19,7 @@ class PancakeTrackerParams(Params, TrackerSettings):
     file = "pancake_tracker.yaml"
 
     body: str  # name of the tracked body
+    tethered: bool  # by a string, say: its falls do not tell whether the base frame is right
     base_frame: str
     pose_topic: str
     markers_topic: str

@@ -101,6 +101,7 @@ class Practice:
         task: Task that is practised.
         choice: Current demonstration and the reason for its choice, empty before the choice.
         used: Number of rollouts used of the budget.
+        seconds: Time that they and all others took [s].
         stopped: Reason why learning stopped, empty while learning; re-tests may be outstanding.
     """
 
@@ -133,6 +134,7 @@ class Practice:
         self.task = settings.make_task(context)
         self.choice = ""
         self.used = 0
+        self.seconds = 0.0
         self.stopped = ""
         self._arm = arm
         self._rng = np.random.Generator(np.random.PCG64(seed))
@@ -252,7 +254,7 @@ class Practice:
             fault: Text of the fault that ended it, empty without.
             bag: Name of the rollout's bag.
             truth: Ground truth of the simulator, logged only.
-            clock: Wall-clock figures, logged only.
+            clock: Wall-clock figures, logged only; `took` counts towards `minutes` of the settings.
 
         Raises:
             ValueError: This is not the trial that is due, or the return is negative or not finite.
@@ -499,6 +501,7 @@ class Practice:
     def _advance(self, record: Record) -> str:
         """Process the newest record; returns the decision, for its note."""
         settings, self._retried = self.settings.practice, None
+        self.seconds += record.clock.get("took", 0.0)
         if record.ret is None and record.attempt < settings.attempts:
             self._retried = record
             return f"not learnt from ({record.why}), tried again"
@@ -512,9 +515,11 @@ class Practice:
             note = self._advance_practice(record)
         if self._improvement is not None and not self.stopped:
             answer = self._improvement.answer
-            limit = 3 * settings.budget
+            limit, minutes = 3 * settings.budget, settings.minutes
             if self.used >= settings.budget:
                 self._stop(answer, f"budget of {settings.budget} rollouts used")
+            elif 0 < minutes <= self.seconds / 60.0:
+                self._stop(answer, f"budget of {minutes} min used")
             elif len(self._records) >= limit:
                 self._stop(answer, f"{limit} rollouts, of which only {self.used} were usable")
         return "; ".join(part for part in (note, self.stopped) if part)

@@ -21,6 +21,8 @@ class PracticeSettings(BaseModel):
 
     Attributes:
         budget: Number of usable rollouts, including reproductions and excluding re-tests.
+        minutes: Time of all rollouts, with what is done and waited for between them, after which
+            learning ends [min]; 0: no limit. With a limit, the course depends on the clock.
         mean_every: Every n-th trial of the practice runs the mean; 0 runs it only to confirm a
             success.
         confirm: Number of successes of one mean in a row that stop the session; 0 disables the
@@ -33,6 +35,7 @@ class PracticeSettings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     budget: int = Field(ge=1, le=100_000)  # a year of practice
+    minutes: int = Field(default=0, ge=0, le=1_000_000)
     mean_every: int = Field(ge=0, le=100_000)
     confirm: int = Field(ge=0, le=1000)
     retests: int = Field(ge=0, le=100_000)

@@ -110,6 +110,12 @@ def test_a_pancake_thrown_over_is_caught_on_its_other_side(calm: World) -> None:
     run(calm, holding_torque(calm), 300)
     truth = calm.truth()
     assert (truth["caught"], truth["flipped"], truth["true_flip"]) == (True, True, True)
+    # and from there, without a reset, back again
+    calm.release("trial-0002")
+    calm.data.qpos[9] += 0.15
+    calm.data.qvel[7:13] = [0.0, 0.0, 1.7, 0.0, 15.0, 0.0]
+    run(calm, holding_torque(calm), 300)
+    assert calm.truth()["true_flip"] and calm.truth()["id"] == "trial-0002"
 
 
 @pytest.mark.parametrize(

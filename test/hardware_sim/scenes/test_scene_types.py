@@ -132,3 +132,15 @@ def test_a_tracked_body_must_be_on_a_free_joint() -> None:
     for wrong in (Fixed, Hinged):
         with pytest.raises(ValueError, match="must be on a free joint"):
             World(wrong)
+
+
+@pytest.mark.parametrize("name", ["flip", "reach", "ball_in_cup"])
+def test_demonstrations_without_a_spread_are_all_the_intended_one(name: str) -> None:
+    def targets(spread: float, seed: int) -> list[list[float]]:
+        scene = scene_type(name)(WorldSettings(spread=spread))
+        script = scene.script(np.random.default_rng(seed))
+        times = np.linspace(0.0, 2.0, 7)
+        return [script.target(t, np.zeros(3), np.eye(3)).position.tolist() for t in times]
+
+    assert targets(0.0, 1) == targets(0.0, 2)
+    assert targets(1.0, 1) != targets(1.0, 2)

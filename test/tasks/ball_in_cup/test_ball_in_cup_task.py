@@ -44,8 +44,8 @@ def task(**changes: float) -> BallInCup:
     return BallInCup(SETTINGS.model_copy(update=changes), {})
 
 
-def rollout(miss: float, caught: bool, rises: bool = True, fault: Fault | None = None) -> Rollout:
-    """A cup that stays and a ball that falls at 1.5 s, `miss` beside its middle."""
+def rollout(miss: float, caught: bool, lower: float = 0.0, fault: Fault | None = None) -> Rollout:
+    """A cup that stays and a ball that falls at 1.5 s, `miss` beside its middle, or stays low."""
     end = POLICY.basis.duration + SETTINGS.settle_time
     t = np.arange(0.0, end, 0.002)
     cup = EndEffectorPath(
@@ -53,7 +53,7 @@ def rollout(miss: float, caught: bool, rises: bool = True, fault: Fault | None =
     )
     frames = t[::16]
     since = frames - 1.5
-    height = PLANE - 1.8 * since - 0.5 * GRAVITY * since**2 - (0.0 if rises else 0.5)
+    height = PLANE - 1.8 * since - 0.5 * GRAVITY * since**2 - lower
     position = CUP + np.stack([miss + 0.0 * since, 0.0 * since, height], axis=1)
     position[since > 0.0] = CUP + (INSIDE if caught else HANGING)
     ball = BodyPath(POLICY.id, frames, position, np.tile([0.0, 0.0, 0.0, 1.0], (len(frames), 1)))
@@ -78,9 +78,14 @@ def test_a_success_comes_down_onto_the_cup_and_ends_in_it(
     assert sum(assessment.terms.values()) == assessment.ret
 
 
-def test_a_ball_that_stays_low_is_worth_nothing_and_one_that_is_not_seen_is_not_judged() -> None:
-    low = task().assess(POLICY, rollout(0.0, False, rises=False))
-    assert low.ret == 0.0 and low.observation is not None and "rise" in low.why
+def test_a_ball_that_stays_low_is_worth_less_the_lower_it_stays() -> None:
+    low, lower = (task().assess(POLICY, rollout(0.0, False, by)) for by in (0.2, 0.3))
+    beside = task().assess(POLICY, rollout(0.39, False))
+    assert beside.ret > low.ret > lower.ret > 0.0 and not low.success
+    assert low.observation is not None and "rise" in low.why and not beside.why
+
+
+def test_a_ball_that_is_not_seen_is_not_judged() -> None:
     whole = rollout(0.0, True)
     for unseen in (Rollout(whole.tool, None), Rollout(whole.tool, _cut(whole.body))):
         assessment = task().assess(POLICY, unseen)
@@ -180,8 +185,10 @@ def test_a_fall_beside_the_cup_is_corrected_by_what_would_have_moved_it_back() -
 def test_a_ball_that_stayed_low_is_swung_with_more_vigour_and_no_correction_exceeds_its_limit() -> (
     None
 ):
-    low = corrected(Swing(-0.02, None, None, False), gain=1.0)
-    assert low == pytest.approx({"vigour": 0.02 / APEX_OF_VIGOUR, "sideways": 0.0})
+    low, lower = (corrected(Swing(a, None, None, False), gain=0.1) for a in (-0.02, -0.12))
+    assert low["vigour"] > corrected(Swing(0.0, 2.0, (0.39, 0.0), False), gain=0.1)["vigour"]
+    assert lower["vigour"] - low["vigour"] == pytest.approx(0.1 * 0.1 / APEX_OF_VIGOUR)
+    assert low["sideways"] == 0.0
     far = corrected(Swing(0.3, 2.0, (-0.39, 0.5), False))
     assert far["vigour"] == pytest.approx(-SETTINGS.vigour_limit)
     assert abs(far["sideways"]) == pytest.approx(SETTINGS.sideways_limit)
@@ -191,6 +198,7 @@ def test_nothing_is_corrected_without_a_gain_or_an_observation() -> None:
     parametrization = task().parametrization(POLICY)
     seen = Assessment(0.5, {}, Swing(0.1, 2.0, (0.1, 0.0), False).to_json())
     assert list(task(gain=0.0).hindsight(seen, parametrization)) == []
+    assert (task(gain=0.0).corrections, task().corrections) == ([], ["miss"])
     assert list(task().hindsight(Assessment(None), parametrization)) == []
     kober = preset("ball_in_cup", "kober").task_settings
     plain = BallInCup(kober, {})

@@ -66,19 +66,20 @@ class CupSettings(BaseModel):
 
 _COMMON: Mapping[str, Any] = {
     "noise": {"stiffness": 0.1, "attractor": 0.003, "rotation": 0.03},
+    "sharpness": 100.0,
     "learner": {"name": "power", "sigma": 6, "weights": "sharpened", "decay": 0.97},
     "budget": 75,
     "mean_every": 3,
     "confirm": 8,
     "retests": 10,
 }
+_CUP: Mapping[str, Any] = {**_COMMON, "variant": "swing", "gain": 0.5}
 PRESETS: Mapping[str, Mapping[str, Any]] = {
-    "cup": {
-        **_COMMON,
-        "variant": "swing",
-        "sharpness": 100.0,
-        "gain": 0.5,
-    },
+    "cup": _CUP,
+    # For comparison: what the return, or the corrections, reach alone. Without corrections the
+    # exploration must be as wide as demonstrations differ.
+    "return_only": {**_CUP, "gain": 0.0, "noise": {**_COMMON["noise"], "vigour": 0.03}},
+    "corrections_only": {**_CUP, "learner": {"name": "corrections_only"}, "mean_every": 1},
     # What Kober and Peters learnt with: the return alone, and attractors alone.
-    "kober": {**_COMMON, "variant": "attractors", "sharpness": 100.0},
+    "kober": {**_COMMON, "variant": "attractors"},
 }

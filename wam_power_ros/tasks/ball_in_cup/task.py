@@ -52,9 +52,10 @@ class BallInCup(Task):
     """The task `ball_in_cup`; see `tasks.task.Task`.
 
     The return is that of [Kober2011]: exp(-alpha d^2), with the horizontal distance d of ball and
-    cup when the ball comes down through the plane of the rim; 0 if it never does. It is flat
-    where the string stays taut, and a ball may fall beside the cup and be snapped into it, so a
-    success needs both: a small d, and the ball in the cup at the end.
+    cup when the ball comes down through the plane of the rim. A ball that never does counts as one
+    a string's length beside, and worse the lower it stays: with a return of 0 for all of them, as
+    in [Kober2011], a demonstration that is too weak teaches nothing. A ball may fall beside the cup
+    and be snapped into it, so a success needs both: a small d, and the ball in the cup at the end.
     """
 
     name: ClassVar[str] = "ball_in_cup"
@@ -116,11 +117,18 @@ class BallInCup(Task):
         swing = None if rollout.body is None else observe_swing(rollout.tool, rollout.body)
         if swing is None:
             return Assessment(None, why="the ball was not seen when it came down or at the end")
-        ret, why = 0.0, "the ball did not rise above the rim"
-        if swing.t_c is not None:
-            ret, why = math.exp(-self.settings.sharpness * swing.distance**2), ""
+        distance, why = swing.distance, ""
+        if swing.t_c is None:
+            distance = math.hypot(STRING, swing.apex)
+            why = "the ball did not rise above the rim"
+        ret = math.exp(-self.settings.sharpness * distance**2)
         success = swing.caught and swing.distance <= self.settings.success_distance
         return Assessment(ret, {"distance": ret}, swing.to_json(), success, why)
+
+    @property
+    def corrections(self) -> Sequence[str]:
+        """The miss, if it is corrected; see `Task`."""
+        return ["miss"] if self.settings.gain else []
 
     def hindsight(
         self, assessment: Assessment, parametrization: Parametrization
@@ -130,8 +138,9 @@ class BallInCup(Task):
         if assessment.observation is None or not settings.gain:
             return ()
         swing = swing_of(assessment.observation)
-        if swing.miss is None:
-            wanted = {"vigour": (-swing.apex / APEX_OF_VIGOUR, settings.vigour_limit)}
+        if swing.miss is None:  # as if a string's length short, see `assess`
+            vigour = -STRING / MISS_OF_VIGOUR - swing.apex / APEX_OF_VIGOUR
+            wanted = {"vigour": (vigour, settings.vigour_limit)}
         else:
             x, y = swing.miss
             wanted = {

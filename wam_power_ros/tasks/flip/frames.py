@@ -19,7 +19,7 @@ POSITION_NOISE = 0.0005
 TILT_NOISE = 0.0035  # standard deviation of the tracked normal about an axis [rad]
 REST_WINDOW = 0.2  # time at the end of the path in which the end state is determined [s]
 _RIM_HEIGHT = 0.03  # height above the floor up to which an edge may still slide on the pan [m]
-_REST_HEIGHT_MAX = 0.015  # largest height of the centre above the pan's floor at rest [m]
+REST_HEIGHT_MAX = 0.015  # largest height of the centre above the pan's floor at rest [m]
 _REST_COSINE_MIN = 0.97  # smallest |n . n_pan| at rest [1]
 _SAME_ANGLE_MAX = 0.1  # largest angle between body-frame normals of frames at rest [rad]
 
@@ -65,7 +65,7 @@ class Frames:
             return False, False
         cosine = float(np.median(self.cosine[last]))
         resting = (
-            abs(float(np.median(self.height[last]))) < _REST_HEIGHT_MAX
+            abs(float(np.median(self.height[last]))) < REST_HEIGHT_MAX
             and float(np.median(self.offset[last])) < PAN_RADIUS
             and abs(cosine) > _REST_COSINE_MIN
         )
@@ -83,7 +83,7 @@ def frames_from_pan(pan: EndEffectorPath, pancake: BodyPath) -> Frames:
     offset = np.linalg.norm(relative - height[:, None] * normal_of_pan, axis=1)
     # In the first frames the pancake lies flat in the pan: they give the body-frame normal.
     body = np.matmul(np.swapaxes(matrix, 1, 2), normal_of_pan[:, :, None])[:, :, 0]  # (M, 3)
-    flat = (np.abs(height) < _REST_HEIGHT_MAX) & (offset < PAN_RADIUS)
+    flat = (np.abs(height) < REST_HEIGHT_MAX) & (offset < PAN_RADIUS)
     resting = _first_resting(flat, body)
     normal = np.zeros((len(t), 3))
     if len(resting):

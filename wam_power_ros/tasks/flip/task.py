@@ -16,6 +16,7 @@ from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.tasks.flip import assessment as flip_assessment
 from wam_power_ros.tasks.flip import paper
 from wam_power_ros.tasks.flip.flight import FLIP_ANGLES, observe_flight
+from wam_power_ros.tasks.flip.frames import REST_HEIGHT_MAX
 from wam_power_ros.tasks.flip.landing_correction import landing_correction
 from wam_power_ros.tasks.flip.parametrization import flip_parametrization
 from wam_power_ros.tasks.flip.planned_toss import TossModel
@@ -35,7 +36,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _OFFSET_MAX = 0.10  # largest distance of the pancake from the pan's centre before a rollout [m]
-_HEIGHT_RANGE = (-0.01, 0.03)  # height of its centre above the pan's floor before a rollout [m]
+_HEIGHT_RANGE = (-0.01, REST_HEIGHT_MAX)  # of its centre above the pan's floor, the same [m]
+_FLAT_OFFSET_MAX = 0.06  # largest distance of a pancake that lies on the floor, not on the rim [m]
 _MISPLACED_MAX = (
     0.15  # height up to which a body at rest is one in the pan that is seen wrongly [m]
 )
@@ -81,6 +83,8 @@ class Flip(Task):
         above, speed = math.hypot(x, y) < _OFFSET_MAX, float(np.linalg.norm(body.velocity))
         if above and low < height < high:
             return "" if speed < _REST_SPEED_MAX else f"the pancake moves at {speed:.2f} m/s"
+        if above and height > 0.0 and math.hypot(x, y) > _FLAT_OFFSET_MAX:
+            return f"the pancake lies on the rim of the pan, {height * 1e3:.0f} mm above its floor"
         if above and abs(height) < _MISPLACED_MAX and speed < _REST_SPEED_MAX:
             return (
                 f"the pancake is seen at rest {height * 1e3:+.0f} mm from the pan's floor, where "
