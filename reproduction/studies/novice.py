@@ -20,12 +20,10 @@ import numpy as np
 from reproduction import jobs as job_cache
 from reproduction.jobs import Job
 from reproduction.studies.flip_sessions import NOVICE, session
-from wam_power_ros.practice.settings import preset
 
 BUDGET = 60  # rollouts
 RETESTS = 30  # of the final policy
 SOLVED = 27  # or more true flips among the re-tests of a solved session
-CONFIRM = preset("flip", "flip").practice.confirm  # successes in a row that end a session
 HELD_OUT = range(7001, 7031)  # seeds not used for tuning
 
 
@@ -105,7 +103,7 @@ def line(sessions: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     true = np.array([_true_flips(s["retests"]) for s in sessions])
     elsewhere = np.array([_true_flips(s["carried"].get("elsewhere")) for s in sessions])
     ended = [s for s in sessions if s["ended_by"] == "confirmation"]
-    before = [s["used"] - CONFIRM for s in ended]
+    before = [s["used"] - s["confirmed"] for s in ended]
     return {
         "sessions": len(sessions),
         "reproduced": sum(bool(s["trials"][0]["true_flip"]) for s in sessions),

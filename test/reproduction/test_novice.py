@@ -51,6 +51,7 @@ def a_session(
         "carried": {"elsewhere": carried} if carried else {},
         "used": used,
         "ended_by": ended_by,
+        "confirmed": 10 if ended_by == "confirmation" else 0,
         "trials": [{"true_flip": first}],
         "retests": [{"true_flip": k < true} for k in range(30)],
     }

@@ -69,7 +69,7 @@ _COMMON: Mapping[str, Any] = {
     "learner": {"name": "power", "sigma": 6, "weights": "sharpened", "decay": 0.97},
     "budget": 75,
     "mean_every": 3,
-    "confirm": 8,
+    "confirm": 29,  # a success rate of 0.9
     "retests": 10,
 }
 PRESETS: Mapping[str, Mapping[str, Any]] = {

@@ -39,6 +39,7 @@ _HEIGHT_RANGE = (-0.01, 0.03)  # height of its centre above the pan's floor befo
 _MISPLACED_MAX = (
     0.15  # height up to which a body at rest is one in the pan that is seen wrongly [m]
 )
+RIM_HEIGHT = 0.035  # top of the pan's rim above its floor [m]
 _REST_SPEED_MAX = 0.05  # largest speed at rest [m/s]
 
 
@@ -107,17 +108,21 @@ class Flip(Task):
         gains = {"landing error": settings.landing_gain, "rotation": max(turned)}
         return [name for name, gain in gains.items() if gain > 0.0]
 
-    def confirms(self, record: LoggedRollout) -> bool:
-        """Whether rotation and landing meet `confirm_margin` and `confirm_landing`; see `Task`."""
+    def margins(self, record: LoggedRollout) -> Sequence[float]:
+        """Rotation inside its window [rad], and climb below the top of the rim [m]; see `Task`.
+
+        A pancake that climbs the rim after its fall is nearly thrown out, or stays there. Where no
+        rotation is required, successes are counted alone.
+        """
         settings, flight = self.settings, record.observation
-        if settings.success_angle == 0.0:
-            return True
-        if flight is None:
-            return False
-        miss = math.hypot(*flight["landing_error"][:2])  # horizontal part
-        angle_min = settings.success_angle + settings.confirm_margin
-        angle_max = settings.success_angle_max - settings.confirm_margin
-        return angle_min <= abs(flight["angle"]) <= angle_max and miss <= settings.confirm_landing
+        if settings.success_angle == 0.0 or not flight or "climb" not in flight:
+            return ()
+        angle = abs(flight["angle"])
+        return (
+            angle - settings.success_angle,
+            settings.success_angle_max - angle,
+            RIM_HEIGHT - flight["climb"],
+        )
 
     def model(self, parametrization: Parametrization, start: np.ndarray) -> Model | None:
         """Return of the planned toss, corrected by the returns of rollouts; see `Task`."""
