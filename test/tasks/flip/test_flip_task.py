@@ -57,22 +57,24 @@ def judged(observation: dict[str, Any] | None, **fields: object) -> SimpleNamesp
 
 
 @pytest.mark.parametrize(
-    ("degrees", "climb", "inside"),
+    ("degrees", "error", "climb", "outside"),
     [
-        (151.0, 0.003, (True, True, True)),
-        (-151.0, 0.034, (True, True, True)),
-        (149.0, 0.003, (False, True, True)),
-        (-149.0, 0.0, (False, True, True)),
-        (239.0, 0.0, (True, True, True)),
-        (-241.0, 0.0, (True, False, True)),
-        (180.0, 0.036, (True, True, False)),
+        (151.0, [0.13, 0.0, 0.5], 0.003, None),
+        (-151.0, [0.0, -0.13, 0.5], 0.024, None),
+        (149.0, [0.0, 0.0, 0.1], 0.003, 0),
+        (-149.0, [0.0, 0.0, 0.1], 0.0, 0),
+        (239.0, [0.09, 0.09, 0.1], 0.0, None),
+        (-241.0, [0.0, 0.0, 0.1], 0.0, 1),
+        (180.0, [0.1, 0.1, 0.1], 0.0, 2),
+        (180.0, [0.0, 0.0, 0.1], 0.026, 3),
     ],
 )
-def test_the_margins_of_a_flip_are_inside_its_window_of_rotation_and_below_the_rim(
-    degrees: float, climb: float, inside: tuple[bool, ...]
+def test_the_margins_of_a_flip_are_of_its_rotation_its_landing_and_its_climb(
+    degrees: float, error: list[float], climb: float, outside: int | None
 ) -> None:
-    flight = {"angle": np.deg2rad(degrees), "climb": climb}
-    assert tuple(margin > 0.0 for margin in FLIP.margins(judged(flight))) == inside
+    flight = {"angle": np.deg2rad(degrees), "landing_error": error, "climb": climb}
+    margins = FLIP.margins(judged(flight))
+    assert [margin > 0.0 for margin in margins] == [k != outside for k in range(4)]
 
 
 def test_one_window_of_rotation_holds_for_success_and_ground_truth() -> None:
@@ -86,11 +88,13 @@ def test_one_window_of_rotation_holds_for_success_and_ground_truth() -> None:
 def test_a_session_from_before_the_window_has_no_largest_rotation() -> None:
     known = preset("flip").task_settings.model_dump(exclude={"success_angle_max"})
     before = Flip(FlipSettings.model_validate(known), {})
-    assert min(before.margins(judged({"angle": 4.6, "climb": 0.0}))) > 0.0
+    assert (
+        min(before.margins(judged({"angle": 4.6, "landing_error": [0.0] * 3, "climb": 0.0}))) > 0.0
+    )
 
 
 def test_margins_are_unknown_where_nothing_was_seen_or_the_flip_does_not_matter() -> None:
-    flight = {"angle": np.pi, "climb": 0.0}
+    flight = {"angle": np.pi, "landing_error": [0.0] * 3, "climb": 0.0}
     assert FLIP.margins(judged(None)) == ()
     assert FLIP.margins(judged({"angle": np.pi})) == ()  # of a session before climbs were seen
     assert Flip(preset("flip", "paper").task_settings, {}).margins(judged(flight)) == ()

@@ -16,6 +16,7 @@ from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.tasks.flip import assessment as flip_assessment
 from wam_power_ros.tasks.flip import paper
 from wam_power_ros.tasks.flip.flight import FLIP_ANGLES, observe_flight
+from wam_power_ros.tasks.flip.frames import PAN_RADIUS
 from wam_power_ros.tasks.flip.landing_correction import landing_correction
 from wam_power_ros.tasks.flip.parametrization import flip_parametrization
 from wam_power_ros.tasks.flip.planned_toss import TossModel
@@ -39,7 +40,7 @@ _HEIGHT_RANGE = (-0.01, 0.03)  # height of its centre above the pan's floor befo
 _MISPLACED_MAX = (
     0.15  # height up to which a body at rest is one in the pan that is seen wrongly [m]
 )
-RIM_HEIGHT = 0.035  # top of the pan's rim above its floor [m]
+CLIMB_MAX = 0.025  # height of its centre above the pan's floor from which it may stay there [m]
 _REST_SPEED_MAX = 0.05  # largest speed at rest [m/s]
 
 
@@ -109,7 +110,7 @@ class Flip(Task):
         return [name for name, gain in gains.items() if gain > 0.0]
 
     def margins(self, record: LoggedRollout) -> Sequence[float]:
-        """Rotation inside its window [rad], and climb below the top of the rim [m]; see `Task`.
+        """Rotation inside its window [rad], landing inside the pan and climb [m]; see `Task`.
 
         A pancake that climbs the rim after its fall is nearly thrown out, or stays there. Where no
         rotation is required, successes are counted alone.
@@ -121,7 +122,8 @@ class Flip(Task):
         return (
             angle - settings.success_angle,
             settings.success_angle_max - angle,
-            RIM_HEIGHT - flight["climb"],
+            PAN_RADIUS - math.hypot(*flight["landing_error"][:2]),
+            CLIMB_MAX - flight["climb"],
         )
 
     def model(self, parametrization: Parametrization, start: np.ndarray) -> Model | None:
