@@ -113,7 +113,7 @@ BUDGET = {
     "hardware_sim": 3340,
     "launch": 260,
     "examples": 380,
-    "reproduction": 3340,
+    "reproduction": 3510,
     "benchmark": 4950,
 }
 PURE = (
