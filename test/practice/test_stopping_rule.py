@@ -55,7 +55,10 @@ def test_exactly_the_required_number_of_successes_in_a_row_completes_it() -> Non
     stopping = rule(confirm=3)
     for count in (1, 2, 3):
         assert not stopping.complete
-        assert stopping.add(rollout(True)) == f"{count} successes in a row"
+        assert (
+            stopping.add(rollout(True))
+            == f"{count} {'success' if count == 1 else 'successes'} in a row"
+        )
         assert stopping.z.tolist() == [0.0, 1.0]
     assert stopping.complete == "3 successes in a row: p > 0.37 with 95% confidence"
 
@@ -63,7 +66,7 @@ def test_exactly_the_required_number_of_successes_in_a_row_completes_it() -> Non
 def test_a_success_of_another_mean_begins_a_new_row() -> None:
     stopping = rule(confirm=2)
     stopping.add(rollout(True, z=0.1))
-    assert stopping.add(rollout(True, z=0.2)) == "1 successes in a row"
+    assert stopping.add(rollout(True, z=0.2)) == "1 success in a row"
     assert not stopping.complete and stopping.z.tolist() == [0.2, 1.0]
     stopping.add(rollout(True, z=0.2))
     assert stopping.complete
@@ -76,7 +79,7 @@ def test_a_failure_ends_the_row() -> None:
     stopping.add(rollout(True))
     assert stopping.add(rollout(False)) == "ended after 2 successes in a row"
     assert (stopping.z, stopping.count) == (None, 0)
-    assert stopping.add(rollout(True)) == "1 successes in a row"
+    assert stopping.add(rollout(True)) == "1 success in a row"
 
 
 def test_explorations_neither_count_nor_end_a_row_and_call_for_the_mean_if_it_is_not_regular() -> (

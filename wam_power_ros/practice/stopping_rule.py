@@ -111,7 +111,7 @@ class StoppingRule:
     def _judge(self) -> str:
         """Confirm the mean, end its row or go on; returns a remark for the log."""
         count, enough = self.count, self._settings.confirm
-        said = f"{count} successes in a row"
+        said = f"{count} {'success' if count == 1 else 'successes'} in a row"
         if count >= enough:
             self.complete = f"{said}: {_shown(count)}"
             return said
