@@ -148,11 +148,9 @@ def test_the_method_states_the_numbers_of_the_presets(name: str) -> None:
             f"divided by {TURN_OF_VIGOUR:.0f} rad, {settings.vigour_limit} at most",
             f"tempo by {settings.tempo_gain} of it divided by {TURN_OF_TEMPO:.0f} rad",
             f"{settings.tempo_limit} at most",
-            f"landed at most {100 * settings.confirm_landing:.0f} cm from the pan's centre",
             f"exp((R_k − R_max)/({power.sharpness} ",
             f"at least {math.degrees(settings.success_angle):.0f} degrees",
-            f"{math.degrees(settings.success_angle + settings.confirm_margin):.0f} degrees (ending",
-            f"{course.budget} rollouts",
+            f"or {course.confirm} times in a row, or after {course.budget} rollouts",
         ],
     }
     assert [words for words in stated[name] if words not in text] == []

@@ -119,29 +119,26 @@ def jobs(
     ]
 
 
-def line(name: str, sessions: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def line(sessions: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Statistics of the sessions of a row.
 
     Returns:
         "sessions": their number; "near": those whose reproduction came down within NEAR;
-        "solved": those with at least SOLVED re-tests in the cup; "confirmed": those that a streak
-        of successes ended; "to_streak": median and quartiles of the number of rollouts before that
-        streak, where a session without one counts with its budget.
+        "solved": those with at least SOLVED re-tests in the cup; "confirmed": those that the
+        stopping rule ended; "rollouts": median and quartiles of the number of rollouts,
+        confirmation included, where a session without one counts with its budget.
     """
-    row = ROWS[name]
-    practice = preset(TASK, row.preset, {"name": row.learner} if row.learner else None).practice
     caught = [
         sum(trial["caught"] for trial in each["trials"] if trial["kind"] == "retest")
         for each in sessions
     ]
     first = [each["trials"][0]["distance"] for each in sessions]
-    before = [each["used"] - practice.confirm * each["confirmed"] for each in sessions]
     return {
         "sessions": len(sessions),
         "near": sum(distance is not None and distance < NEAR for distance in first),
         "solved": sum(count >= SOLVED for count in caught),
         "confirmed": sum(each["confirmed"] for each in sessions),
-        "to_streak": np.quantile(before, (0.5, 0.25, 0.75)).tolist(),
+        "rollouts": np.quantile([each["used"] for each in sessions], (0.5, 0.25, 0.75)).tolist(),
     }
 
 
@@ -157,7 +154,7 @@ def main() -> None:
     wanted = jobs(HELD_OUT[: args.seeds], args.only, args.spread)
     results = job_cache.run(wanted, args.folder, workers=args.workers)
     for name in args.only:
-        found = line(name, list(results[name].values()))
+        found = line(list(results[name].values()))
         sys.stdout.write(f"{name} (learns from {ROWS[name].told}): {found}\n")
 
 

@@ -27,7 +27,7 @@ from wam_power_ros.learning.dmp import activations, fit
 from wam_power_ros.learning.policy import Policy, with_id
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session_log import Record
-from wam_power_ros.practice.settings import SessionSettings, preset
+from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.flip.flight import observe_flight
 from wam_power_ros.tasks.flip.returns import pancake_return
 from wam_power_ros.tasks.flip.settings import FLIP_FIT
@@ -151,7 +151,8 @@ def session(
     curve = [record.ret for record in trials if record.demonstration == chosen]
     result = {
         "stopped": practice.stopped,
-        "ended_by": "confirmation" if _confirmed(practice, settings) else "budget",
+        "ended_by": "confirmation" if practice.confirmed else "budget",
+        "confirmed": practice.confirmed,
         "choice": practice.choice,
         "used": practice.used,
         "trials": [_kept(record) for record in trials],
@@ -181,17 +182,6 @@ def session(
         paths = _figure_paths(environment, seed, pitch_rate, demonstrated, answer)
         result["figure_paths"] = paths
     return result
-
-
-def _confirmed(practice: Practice, settings: SessionSettings) -> bool:
-    """Whether a session stopped because a mean succeeded often enough in a row."""
-    wanted = settings.practice.confirm
-    usable = [r for r in practice.records if r.kind != "retest" and r.ret is not None]
-    last = usable[-wanted:] if wanted else []
-    return len(last) == wanted > 0 and all(
-        r.kind == "mean" and r.z == last[0].z and r.success and practice.task.confirms(r)
-        for r in last
-    )
 
 
 def _kept(record: Record) -> dict[str, Any]:

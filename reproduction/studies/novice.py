@@ -20,12 +20,10 @@ import numpy as np
 from reproduction import jobs as job_cache
 from reproduction.jobs import Job
 from reproduction.studies.flip_sessions import NOVICE, session
-from wam_power_ros.practice.settings import preset
 
 BUDGET = 60  # rollouts
 RETESTS = 30  # of the final policy
 SOLVED = 27  # or more true flips among the re-tests of a solved session
-CONFIRM = preset("flip", "flip").practice.confirm  # successes in a row that end a session
 HELD_OUT = range(7001, 7031)  # seeds not used for tuning
 
 
@@ -98,19 +96,21 @@ def line(sessions: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     Returns:
         "sessions": their number; "reproduced": those whose first reproduction was a true flip;
         "solved": those with at least SOLVED true flips in the re-tests; "confirmed": those that a
-        streak of successes ended; "to_streak": median number of rollouts before that streak;
-        "true": mean and lowest decile of the share of true flips in the re-tests; "elsewhere":
-        the same for the runs in other worlds, None without such runs.
+        streak of successes ended; "wrong": those of them that are not solved; "to_streak": median
+        number of rollouts before that streak; "true": mean and lowest decile of the share of true
+        flips in the re-tests; "elsewhere": the same for the runs in other worlds, None without
+        such runs.
     """
     true = np.array([_true_flips(s["retests"]) for s in sessions])
     elsewhere = np.array([_true_flips(s["carried"].get("elsewhere")) for s in sessions])
     ended = [s for s in sessions if s["ended_by"] == "confirmation"]
-    before = [s["used"] - CONFIRM for s in ended]
+    before = [s["used"] - s["confirmed"] for s in ended]
     return {
         "sessions": len(sessions),
         "reproduced": sum(bool(s["trials"][0]["true_flip"]) for s in sessions),
         "solved": int(np.sum(true >= SOLVED / RETESTS)),
         "confirmed": len(ended),
+        "wrong": sum(_true_flips(s["retests"]) < SOLVED / RETESTS for s in ended),
         "to_streak": float(np.median(before)) if before else None,
         "true": _mean_and_decile(true),
         "elsewhere": _mean_and_decile(elsewhere) if any(s["carried"] for s in sessions) else None,

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import argparse
 import re
 import sys
 from collections.abc import Callable
@@ -25,6 +26,7 @@ from wam_power_ros.cli.launcher import (
     pasteable,
     program_command,
 )
+from wam_power_ros.cli.parser import goal_value
 from wam_power_ros.cli.session_options import (
     SessionOptions,
     learner_parameters,
@@ -130,6 +132,8 @@ def test_a_session_without_a_file_is_resumed_with_all_its_options() -> None:
     options = asked(*words, "--bags", "a b", "c")
     assert asked(*options.words) == options
     assert (options.trials, options.bags) == (9, [Path("a b"), Path("c")])
+    other = asked("--from", "s", "--goal", "y=0.3", "z=-1e-1")
+    assert other.goal == [("y", 0.3), ("z", -0.1)] and asked(*other.words).goal == other.goal
 
 
 @pytest.mark.parametrize(
@@ -282,6 +286,11 @@ def test_a_session_from_another_one_is_refused_where_that_does_not_fit(
     assert "is one of flip, not of reach" in refusal(*given, "--task", "reach")
     bag = read(origin).header.demonstrations[0]
     assert "brings its own demonstrations: omit --bags" in refusal(*given, "--bags", bag)
+    assert "task flip has no goal that can be changed" in refusal(*given, "--goal", "y=0.3")
+    assert "--goal needs the session to predict from" in refusal("learn", "--goal", "y=0.3")
+    for wrong in ("y", "y=", "=1", "y=nan", "y=near"):
+        with pytest.raises(argparse.ArgumentTypeError, match="is not NAME=NUMBER"):
+            goal_value(wrong)
     (origin / "policy.json").unlink()
     assert "has learnt no policy yet" in refusal(*given)
 

@@ -12,13 +12,18 @@ from pathlib import Path
 
 import pytest
 from conftest import ROOT
-from toss_task import demonstrated_policy
+from toss_task import ANY_ARM, demonstrated_policy
 
+from hardware_sim.wam import JOINTS
+from wam_power_ros.bags.reader import read_demonstration
 from wam_power_ros.control.arm import Arm
+from wam_power_ros.learning.demonstration import from_joint_samples
 from wam_power_ros.learning.policy import to_json
 from wam_power_ros.params.resources import share
 from wam_power_ros.practice.session import Session, read
 from wam_power_ros.practice.settings import preset
+from wam_power_ros.tasks.reach.task import Reach
+from wam_power_ros.tasks.task import Assessment
 
 COBOT = Arm(
     share("urdf/cobot7.urdf").read_text(),
@@ -44,15 +49,11 @@ def test_a_learner_goes_on_with_no_session_of_another_arm(tmp_path: Path, domain
     Session.open(folder).close()  # nothing was written, no lock is held
 
 
-def test_a_session_begins_with_a_policy_that_was_learnt_elsewhere(
-    tmp_path: Path, domain_id: int
-) -> None:
-    policy = demonstrated_policy()
-    (tmp_path / "policy.json").write_text(to_json(policy))
-    bag, folder = min((ROOT / "bags").glob("demo_*")), tmp_path / "session"
+def begun_session(folder: Path, **params: object) -> Session:
+    """Session that a learner began, which waits for an arm and is stopped there."""
     command = [sys.executable, "-m", "wam_power_ros.cli", "run", "learner", "--ros-args"]
     command += ["--params-file", str(ROOT / "config/learner.yaml"), "-p", f"session:={folder}"]
-    command += ["-p", f"policy:={tmp_path / 'policy.json'}", "-p", f"demonstrations:=['{bag}']"]
+    command += [word for name, value in params.items() for word in ("-p", f"{name}:={value}")]
     learner = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
     end = time.monotonic() + 120.0
     while not Session.exists(folder) and learner.poll() is None and time.monotonic() < end:
@@ -60,8 +61,45 @@ def test_a_session_begins_with_a_policy_that_was_learnt_elsewhere(
     learner.send_signal(signal.SIGINT)
     said = learner.communicate(timeout=60)[0].decode()
     assert Session.exists(folder), said
-    begun = read(folder)
+    return read(folder)
+
+
+def test_a_session_begins_with_a_policy_that_was_learnt_elsewhere(
+    tmp_path: Path, domain_id: int
+) -> None:
+    policy = demonstrated_policy()
+    (tmp_path / "policy.json").write_text(to_json(policy))
+    bag, folder = min((ROOT / "bags").glob("demo_*")), tmp_path / "session"
+    begun = begun_session(folder, policy=tmp_path / "policy.json", demonstrations=f"['{bag}']")
     assert begun.header.candidates == ["carried-over"]
     assert begun.header.demonstrations == [str(bag)]
     (carried,) = begun.policies
     assert carried.attractors.tolist() == policy.attractors.tolist()
+
+
+def test_a_session_begins_with_the_policy_predicted_for_another_goal(
+    tmp_path: Path, domain_id: int
+) -> None:
+    bags = sorted((ROOT / "bags").glob("reach_*"))
+    arm = Arm(share("urdf/wam7.urdf").read_text(), JOINTS)
+    taught = [from_joint_samples(arm, *read_demonstration(bag, JOINTS)) for bag in bags]
+    policy = Reach.policy_of(taught, "demonstration-1")
+    context = Reach.context_of(taught, None)
+    seen = {"touched": False, "end": context["demonstrated"][-1]}
+    with Session.begin(tmp_path / "origin", preset("reach"), 0, [policy], context=context) as known:
+        practice = known.practice(ANY_ARM)
+        reproduced = Assessment(0.7, observation=seen, success=True)
+        known.append(practice.learn_assessed(practice.next_trial(), reproduced))
+        known.save_policy(policy)
+    begun = begun_session(
+        tmp_path / "session",
+        task="reach",
+        policy=tmp_path / "origin" / "policy.json",
+        goal='"{\\"y\\": 0.3}"',
+        demonstrations=[str(bag) for bag in bags],
+    )
+    assert begun.task.goal_values == {**known.task.goal_values, "y": pytest.approx(0.3)}
+    (carried,) = begun.policies
+    moved = carried.attractors - policy.attractors
+    assert not moved[:-1].any()
+    assert moved[-1].tolist() == pytest.approx([0.0, 0.3 - known.task.goal_values["y"], 0.0])

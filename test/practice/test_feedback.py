@@ -162,11 +162,11 @@ def test_a_person_has_a_say_in_which_demonstration_is_learnt_from() -> None:
 
 
 def test_a_punished_rollout_confirms_nothing_and_is_no_evidence_of_success() -> None:
-    practice = started(confirm=4, success_angle=0.1, confirm_margin=0.0)
+    practice = started(confirm=4)
     run(practice, 6, worth(0.5))
     run(practice, 2, worth(0.9, success=True))
     assert [record.kind for record in practice.records[-2:]] == ["mean", "mean"]
-    assert practice.next_trial().purpose == "confirms the mean policy, 3 of 4"
+    assert practice.next_trial().purpose == "confirms the mean policy, 3 of at most 4"
     practice.rate(-0.1)
     run(practice, 1, worth(0.9, success=True))
     assert practice.next_trial().kind == "explore"
@@ -241,12 +241,12 @@ def test_a_demonstration_given_before_the_choice_is_one_of_the_series() -> None:
 
 
 def test_a_demonstration_given_while_a_mean_is_confirmed_does_not_end_that() -> None:
-    practice = started(confirm=4, success_angle=0.1, confirm_margin=0.0)
+    practice = started(confirm=4)
     run(practice, 6, worth(0.5))
     run(practice, 2, worth(0.9, success=True))
     practice.add_demonstration(LATER)
     run(practice, 1, worth(0.2))
-    assert practice.next_trial().purpose == "confirms the mean policy, 3 of 4"
+    assert practice.next_trial().purpose == "confirms the mean policy, 3 of at most 4"
     practice.add_demonstration(demonstrated_policy("flick-10", seed=10))
     run(practice, 2, worth(0.95, success=True))
     assert practice.choice.startswith("learns from flick-10")

@@ -274,28 +274,45 @@ def test_a_mean_that_succeeds_is_run_again_unchanged_until_it_fails_or_is_confir
     streak = run(practice, lambda trial: good(), rollouts=3)
     assert [record.kind for record in streak] == ["mean"] * 3
     assert len({tuple(record.z) for record in streak}) == 1
-    assert streak[-1].note == "3 of 4 successes in a row"
+    assert streak[-1].note == "3 successes in a row"
     (failed,) = run(practice, lambda trial: bad(), rollouts=1)
     assert failed.z == streak[0].z and failed.note == "ended after 3 successes in a row"
     assert practice.next_trial().kind == "explore"
 
     run(practice, lambda trial: bad() if trial.kind == "explore" else good())
-    assert practice.stopped == "the mean policy succeeded 4 times in a row"
+    assert "confirmed: 4 successes in a row: p > 0.47 with 95% confidence" in practice.stopped
+    assert practice.confirmed == 4
     *_, confirmed, again, last = practice.records
     assert (confirmed.kind, again.kind, last.kind) == ("mean", "retest", "retest")
     assert confirmed.z == again.z == last.z
     assert practice.used == len(practice.records) - 2
 
 
-def test_a_mean_that_barely_succeeds_does_not_stop_the_session() -> None:
-    practice = started("flip", confirm=1)
+def test_a_mean_that_barely_succeeds_does_not_stop_the_session_and_a_clear_one_soon_does() -> None:
+    def with_angle(degrees: float) -> Assessment:
+        sure = good(angle=math.radians(degrees))
+        return replace(sure, observation={**sure.observation, "climb": 0.004})
+
+    practice = started("flip")
     run(practice, lambda trial: bad(), rollouts=6)
-    run(practice, lambda trial: good(angle=math.radians(155.0)), rollouts=1)
+    run(practice, lambda trial: with_angle(150.0 + 3.0 * (trial.number % 2)), rollouts=4)
     assert not practice.stopped and practice.next_trial().kind == "explore"
+    assert "too small margins" in practice.records[-1].note
     while practice.next_trial().kind == "explore":
-        run(practice, lambda trial: good(), rollouts=1)
-    run(practice, lambda trial: good(angle=math.radians(165.0)), rollouts=1)
-    assert practice.stopped == "the mean policy succeeded 1 times in a row"
+        run(practice, lambda trial: bad(), rollouts=1)
+    run(practice, lambda trial: with_angle(180.0 + trial.number % 4), rollouts=4)
+    assert "margins" in practice.stopped and practice.confirmed == 4
+    again = practice_of(CANDIDATES, practice.settings, 0, practice.log)
+    assert again.stopped == practice.stopped and image(again) == image(practice)
+
+
+def test_a_reproduction_that_succeeded_calls_for_the_mean_at_once() -> None:
+    practice = started("flip")
+    run(practice, lambda trial: good(), rollouts=2)
+    assert practice.next_trial().kind == "mean"
+    other = started("flip")
+    run(other, lambda trial: bad(), rollouts=2)
+    assert other.next_trial().kind == "explore"
 
 
 def test_a_success_while_exploring_calls_for_the_mean_in_the_papers_session() -> None:
@@ -306,7 +323,7 @@ def test_a_success_while_exploring_calls_for_the_mean_in_the_papers_session() ->
     run(practice, lambda trial: bad(), rollouts=1)
     assert practice.next_trial().kind == "explore"
     run(practice, lambda trial: good(), rollouts=3)
-    assert practice.stopped == "the mean policy succeeded 2 times in a row"
+    assert practice.confirmed == 2
 
 
 @presets

@@ -28,13 +28,12 @@ def a_session(caught: int, used: int, confirmed: bool, first: float | None = 0.2
 
 def test_the_statistics_of_a_row_count_sessions_and_not_rollouts() -> None:
     found = ball_in_cup.line(
-        "cup",
         [
             a_session(30, 18, True, first=0.04),
             a_session(27, 28, True),
             a_session(26, 38, True, first=None),
             a_session(0, 75, False),
-        ],
+        ]
     )
     assert (found["sessions"], found["near"], found["solved"]) == (4, 1, 2)
-    assert found["confirmed"] == 3 and found["to_streak"] == [25.0, 17.5, 41.25]
+    assert found["confirmed"] == 3 and found["rollouts"] == [33.0, 25.5, 47.25]

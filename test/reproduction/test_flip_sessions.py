@@ -84,7 +84,7 @@ def held(seed: int, landed: bool = True, angle: float = 175.0) -> dict[str, Any]
     curve = (0.6 + 0.01 * np.arange(50) + 0.01 * rng.standard_normal(50)).tolist()
     retests = [rollout("retest", 1.0, landed, angle)] * 10
     return {
-        "stopped": "the mean policy succeeded 8 times in a row",
+        "stopped": "the mean policy is confirmed: 8 successes in a row",
         "ended_by": "confirmation",
         "choice": "",
         "used": 20,

@@ -51,6 +51,7 @@ def a_session(
         "carried": {"elsewhere": carried} if carried else {},
         "used": used,
         "ended_by": ended_by,
+        "confirmed": 10 if ended_by == "confirmation" else 0,
         "trials": [{"true_flip": first}],
         "retests": [{"true_flip": k < true} for k in range(30)],
     }
@@ -66,6 +67,7 @@ def test_the_statistics_of_a_row_count_sessions_and_not_rollouts() -> None:
     found = novice.line(sessions)
     assert (found["sessions"], found["reproduced"], found["solved"]) == (4, 1, 2)
     assert found["confirmed"] == 3 and found["to_streak"] == 20.0  # ten confirm
+    assert found["wrong"] == 1
     assert found["true"][0] == 0.675 and 0.0 <= found["true"][1] < 0.3
     assert novice.line([a_session(0, "budget", 60)])["to_streak"] is None
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import math
 from collections.abc import Callable, Iterable, Sequence
 from importlib import metadata
 from pathlib import Path
@@ -97,6 +98,18 @@ def preset_option(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--preset", metavar="NAME", default="", help=text)
 
 
+def goal_value(text: str) -> tuple[str, float]:
+    """Name and value of `NAME=VALUE`."""
+    name, _, value = text.partition("=")
+    try:
+        number = float(value)
+    except ValueError:
+        number = math.nan
+    if not name or not math.isfinite(number):
+        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=NUMBER")
+    return name, number
+
+
 def task_option(parser: argparse.ArgumentParser) -> None:
     """Add the option `--task`."""
     text = f"one of {_known('tasks')} (default: {DEFAULT_TASK})"
@@ -123,6 +136,8 @@ def session_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--bags", type=Path, nargs="+", default=(), help=bags)
     origin = "begin with the policy of this session, such as one in simulation; record none"
     parser.add_argument("--from", type=Path, dest="origin", metavar="SESSION", help=origin)
+    goal = "with --from: another goal (reach: y=0.3); begin with the policy predicted for it"
+    parser.add_argument("--goal", type=goal_value, nargs="+", default=(), metavar="N=V", help=goal)
 
 
 def _known(group: str) -> str:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -34,6 +35,7 @@ class SessionOptions:
         demonstrations: Number of demonstrations to record.
         bags: Demonstrations to learn from instead.
         origin: Folder of a session whose policy is where this one begins.
+        goal: New values of the goal of that session, by name.
     """
 
     task: str | None = None
@@ -45,15 +47,17 @@ class SessionOptions:
     demonstrations: int = 0
     bags: Sequence[Path] = ()
     origin: Path | None = None
+    goal: Sequence[tuple[str, float]] = ()
 
     @property
     def words(self) -> list[str]:
         """Command-line words that ask the same."""
         given = {name: value for name, value in vars(self).items() if value not in (None, "")}
-        bags, origin = given.pop("bags"), given.pop("origin", None)
+        bags, origin, goal = given.pop("bags"), given.pop("origin", None), given.pop("goal")
         if origin is not None:  # has the demonstrations, too
             given, bags = {"from": origin, **given}, ()
         words = [word for name, value in given.items() for word in (f"--{name}", str(value))]
+        words += ["--goal", *(f"{name}={value}" for name, value in goal)] if goal else []
         return [*words, "--bags", *map(str, bags)] if bags else words
 
 
@@ -102,14 +106,17 @@ def with_origin(asked: SessionOptions, devices: Devices) -> SessionOptions:
 
     Raises:
         UsageError: It has no policy yet, is of another task, or bags are named as well.
-        ValueError: Its policy is one of another arm.
+        ValueError: Its policy is one of another arm, or its task has no such goal.
     """
     if asked.origin is None:
+        if asked.goal:
+            raise UsageError("--goal needs the session to predict from: add --from SESSION")
         return asked
     from wam_power_ros.practice import session
 
     folder = existing_session(asked.origin)
-    header, policy = session.read(folder).header, folder / POLICY
+    known = session.read(folder)
+    header, policy = known.header, folder / POLICY
     task = header.settings.task
     if not policy.is_file():
         raise UsageError(f"the session in {folder} has learnt no policy yet")
@@ -117,6 +124,8 @@ def with_origin(asked: SessionOptions, devices: Devices) -> SessionOptions:
         raise UsageError(f"the policy in {folder} is one of {task}, not of {asked.task}")
     if asked.bags:
         raise UsageError("--from brings its own demonstrations: omit --bags")
+    if asked.goal:
+        known.task.with_goal(known.context, dict(asked.goal))  # refuses what is none
     if (arm := devices.parameters(task).arm()) is not None:
         session.read_policy(policy, arm.identity())
     return replace(asked, task=task, bags=[*map(Path, header.demonstrations)], origin=folder)
@@ -134,6 +143,7 @@ def learner_parameters(folder: Path, asked: SessionOptions, seed: int, task: str
         "minutes": asked.minutes or 0,
         "demonstrations": [str(bag.resolve()) for bag in asked.bags] or [""],
         "policy": "" if asked.origin is None else str(asked.origin / POLICY),
+        "goal": json.dumps(dict(asked.goal)) if asked.goal else "",
     }
 
 

@@ -33,13 +33,14 @@ from wam_power_ros.arm_identity import refusal, remark
 from wam_power_ros.client.link import Link
 from wam_power_ros.client.rollouts import Executed, Rollouts, RolloutSettings
 from wam_power_ros.durable_files import explained
-from wam_power_ros.learning.policy import with_id
+from wam_power_ros.learning.policy import Policy, with_id
 from wam_power_ros.nodes.demonstrations import Demonstrations
 from wam_power_ros.nodes.markers import Markers
 from wam_power_ros.nodes.simulated_arm import SimulatedArm
 from wam_power_ros.params.node_params import Names, Params, Timeout
 from wam_power_ros.params.torque_controller_params import require_same_joints
 from wam_power_ros.practice import plugins
+from wam_power_ros.practice.new_goal import policy_for
 from wam_power_ros.practice.practice import RATING_MAX, Practice
 from wam_power_ros.practice.session import Session, read, read_policy
 from wam_power_ros.practice.session_log import KIND_NAMES, Event, Record, Trial
@@ -72,6 +73,7 @@ class LearnerParams(Params):
     session: str  # folder
     demonstrations: tuple[str, ...] = Field(max_length=1000)  # bags; not needed to resume
     policy: str  # file of a learnt policy to begin with, instead of their fit; empty: none
+    goal: str  # other values of the goal of the session of that policy, a JSON object; empty: none
     task: str
     preset: str  # of the task; empty: its first
     learner: str  # empty: the preset's
@@ -296,6 +298,8 @@ class Learner(Node):
             context = self._kind.context_of(demonstrations, self._arm.region)
             if params.policy:
                 carried = read_policy(FilePath(params.policy), self._arm.identity)
+                if params.goal:
+                    context, carried = self._for_goal(FilePath(params.policy).parent)
                 candidates = [with_id(replace(carried, arm=self._arm.identity), "carried-over")]
             session = Session.begin(
                 folder, settings, params.seed, candidates, context=context, demonstrations=bags
@@ -303,6 +307,21 @@ class Learner(Node):
         practice = session.practice(self._arm)
         self.get_logger().info(f"session {folder}: {len(session.records)} rollouts on record")
         return session, practice
+
+    def _for_goal(self, origin: FilePath) -> tuple[dict[str, Any], Policy]:
+        """Context with the goal of the parameters, and the policy predicted for it from a session.
+
+        Raises:
+            ValueError: The goal is not one of its task, or nothing can be predicted.
+        """
+        goal = plain_json.parse(self.params.goal, "goal")
+        known = read(origin)
+        context = known.task.with_goal(known.context, goal)
+        policy, remark = policy_for(
+            known.task, known.policies, known.records, goal, self._arm, "carried-over"
+        )
+        self.get_logger().info(f"goal {self.params.goal}: {remark}")
+        return context, policy
 
     def _check_arm(self, session: Session) -> None:
         """Refuse a session with policies of another arm, including demonstrations added later."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Improvement of one demonstration by a learner, feasible sampling and a stopping rule.
+"""Improvement of one demonstration by a learner, with feasible sampling.
 
 Coordinates are infeasible when the simulation of their policy on the rigid-body model ends in a
 fault. Infeasible samples are rejected; after 20 rejections, the last is shrunk to feasible
@@ -19,8 +19,9 @@ from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.practice.past import Past
 from wam_power_ros.practice.session_log import Kind, Record
-from wam_power_ros.practice.settings import PracticeSettings, SessionSettings
-from wam_power_ros.tasks.task import LoggedRollout, Task
+from wam_power_ros.practice.settings import SessionSettings
+from wam_power_ros.practice.stopping_rule import StoppingRule
+from wam_power_ros.tasks.task import Task
 
 REJECTIONS_MAX = 20
 HALVINGS_MAX = 5  # of the distance from coordinates that ran without a fault to infeasible ones
@@ -115,57 +116,6 @@ def shrink(
     return nearer[halvings], halvings
 
 
-class StoppingRule:
-    """Counts the successes in a row of one mean.
-
-    Attributes:
-        z: Coordinates of the mean being confirmed, None when there is none. Shape (size,).
-        count: Number of its successes in a row.
-        mean_is_due: Whether the mean is run next because an exploration succeeded.
-
-    Args:
-        settings: Settings; `confirm` is the required number of successes, 0 disables the rule.
-        confirms: Returns whether a success counts, see `Task.confirms`.
-    """
-
-    def __init__(
-        self, settings: PracticeSettings, confirms: Callable[[LoggedRollout], bool]
-    ) -> None:
-        self._settings = settings
-        self._confirms = confirms
-        self.z: np.ndarray | None = None
-        self.count = 0
-        self.mean_is_due = False
-
-    @property
-    def complete(self) -> bool:
-        """Whether the required number of successes is reached."""
-        return 0 < self._settings.confirm == self.count
-
-    def add(self, record: Record) -> str:
-        """Count a rollout of the practice; returns a remark for the log, may be empty."""
-        needed = self._settings.confirm
-        if needed == 0:
-            return ""
-        if record.kind == "mean":
-            self.mean_is_due, before = False, self.count
-            if record.success and self._confirms(record):
-                again = self.z is not None and record.z == self.z.tolist()
-                self.z, self.count = np.array(record.z), before + 1 if again else 1
-                return f"{self.count} of {needed} successes in a row"
-            self.z, self.count = None, 0
-            return f"ended after {before} successes in a row" if before else ""
-        if record.success and self._settings.mean_every == 0:
-            self.mean_is_due = True
-            return "a success: the mean policy is run to confirm it"
-        return ""
-
-    def forget(self, record: Record) -> None:
-        """Restart the count if a rollout that is no success any more was part of it."""
-        if self.z is not None and record.kind == "mean" and record.z == self.z.tolist():
-            self.z, self.count = None, 0
-
-
 class Improvement:
     """Selects trials around one demonstration and learns from their records.
 
@@ -199,7 +149,7 @@ class Improvement:
         self.parametrization = parametrization
         self.practised = practised
         self._settings, self._task, self._arm, self._rng = settings, task, arm, rng
-        self._rule = StoppingRule(settings.practice, task.confirms)
+        self._rule = StoppingRule(settings.practice, task.margins)
         self.learn_again(records)
 
     @property
@@ -208,9 +158,14 @@ class Improvement:
         return self.learner.mean if self._rule.z is None else self._rule.z
 
     @property
-    def confirmed(self) -> bool:
-        """Whether a mean fulfils the stopping rule."""
+    def confirmed(self) -> str:
+        """Why a mean is confirmed, see `StoppingRule`; empty while none is."""
         return self._rule.complete
+
+    @property
+    def streak(self) -> int:
+        """Number of successes in a row of the mean being confirmed."""
+        return self._rule.count
 
     def learn_again(self, records: Sequence[Record]) -> None:
         """Start a new learner and feed it all rollouts of the demonstration, in their order."""
@@ -220,6 +175,10 @@ class Improvement:
         for record in records:
             if record.demonstration == self.demonstration and record.learnt_as is not None:
                 self.learner.tell(np.array(record.learnt_as), float(record.rated_return or 0.0))
+
+    def begin(self, reproduction: Record) -> str:
+        """Let the mean be run next if the reproduction succeeded; returns a remark for the log."""
+        return self._rule.add(reproduction)
 
     def forget_success(self, record: Record) -> None:
         """Restart the stopping rule if this record was one of its successes."""
@@ -241,7 +200,7 @@ class Improvement:
                 "mean",
                 rule.z,
                 0,
-                f"confirms the mean policy, {rule.count + 1} of {settings.confirm}",
+                f"confirms the mean policy, {rule.count + 1} of at most {settings.confirm}",
             )
         every = settings.mean_every
         if rule.mean_is_due or (every > 0 and (self.practised + 1) % every == 0):

@@ -82,9 +82,10 @@ class Practice:
       not change the course of learning.
     * A rollout ended by a motion limit is learnt from with return 0: the policy caused it.
     * An infeasible policy is not executed, see `improvement.sample`.
-    * A mean that succeeds is run again, unchanged, until it fails or has succeeded `confirm` times
-      in a row; all these runs are learnt from. Returns are noisy and lucky rollouts stay in the
-      elite for ever; running the mean again separates luck from skill.
+    * If the chosen reproduction succeeded, the mean is run next.
+    * A mean that succeeds is run again, unchanged, until it fails or `StoppingRule` is satisfied;
+      all these runs are learnt from. Returns are noisy and lucky rollouts stay in the elite for
+      ever; running the mean again separates luck from skill.
     * The session stops when a mean is confirmed or the budget is used. Its answer is the confirmed
       mean or else the last one; the answer is re-tested and does not change any more.
     * A person may add to the return of any usable rollout (`rate`) while learning: the learner is
@@ -199,6 +200,12 @@ class Practice:
             and bool(self.stopped)
             and (self._answer is None or self._retested >= self.settings.practice.retests)
         )
+
+    @property
+    def confirmed(self) -> int:
+        """Number of successes in a row that confirmed the answer; 0 while nothing has."""
+        found = self._improvement
+        return 0 if found is None or not found.confirmed else found.streak
 
     @property
     def best(self) -> Best | None:
@@ -536,8 +543,7 @@ class Practice:
         except ValueError as error:
             self.stopped = str(error)
             return ""
-        self._learn_from(reproductions[index].demonstration, why)
-        return self.choice
+        return self._learn_from(reproductions[index], why)
 
     def _compare(self, record: Record, present: Improvement) -> str:
         """Switch to a demonstration that was added later if its reproduction is better."""
@@ -553,10 +559,10 @@ class Practice:
         if record.ret <= level:
             return f"goes on with {present.demonstration}: {compared}"
         why = f"{compared}, from {present.demonstration}"
-        self._learn_from(record.demonstration, why, present.practised)
-        return self.choice
+        return self._learn_from(record, why, present.practised)
 
-    def _learn_from(self, demonstration: str, why: str, practised: int = 0) -> None:
+    def _learn_from(self, reproduction: Record, why: str, practised: int = 0) -> str:
+        demonstration = reproduction.demonstration
         self.choice = f"learns from {demonstration}: {why}"
         self._improvement = Improvement(
             self._parametrizations[demonstration],
@@ -567,15 +573,15 @@ class Practice:
             self._records,
             practised,
         )
+        return "; ".join(filter(None, (self.choice, self._improvement.begin(reproduction))))
 
     def _advance_practice(self, record: Record) -> str:
         """Process a record of an exploration or of the mean."""
         if self._improvement is None:
             raise ValueError(f"record {record.number}: {record.kind} before the choice")
         note = self._improvement.add(record)
-        if self._improvement.confirmed:
-            confirm = self.settings.practice.confirm
-            self._stop(np.array(record.z), f"the mean policy succeeded {confirm} times in a row")
+        if why := self._improvement.confirmed:
+            self._stop(np.array(record.z), f"the mean policy is confirmed: {why}")
         return note
 
     def _stop(self, answer: np.ndarray, why: str) -> None:

@@ -26,7 +26,8 @@ class PracticeSettings(BaseModel):
         mean_every: Every n-th trial of the practice runs the mean; 0 runs it only to confirm a
             success.
         confirm: Number of successes of one mean in a row that stop the session; 0 disables the
-            rule.
+            rule. They show a success rate, see `stopping_rule.rate_shown`; fewer stop it if their
+            margins show the same.
         retests: Number of runs of the final answer, which are not learnt from.
         attempts: Number of times a policy is executed while its rollouts have no return.
         return_noise: Standard deviation of the return of one policy, for `Practice.best`.

@@ -207,6 +207,35 @@ class Task(ABC):
         """
         return {}
 
+    @property
+    def goal_values(self) -> Mapping[str, float]:
+        """Numbers that are the goal of a rollout, by name; empty if the goal cannot be changed."""
+        return {}
+
+    def with_goal(self, context: Mapping[str, Any], values: Mapping[str, float]) -> dict[str, Any]:
+        """Context of the same skill with another goal.
+
+        Args:
+            context: Context of this task.
+            values: New ones of `goal_values`, by name.
+
+        Raises:
+            ValueError: A goal cannot be changed, or cannot have these values.
+        """
+        raise ValueError(f"task {self.name} has no goal that can be changed")
+
+    def goal_slope(self, parametrization: Parametrization) -> np.ndarray:
+        """Rough change of what a rollout attains per unit of z; 0 where a new goal is to keep z.
+
+        Returns:
+            Slope of each of `goal_values`, in their order. Shape (g, size).
+        """
+        return np.zeros((len(self.goal_values), parametrization.size))
+
+    def attained(self, record: LoggedRollout) -> Mapping[str, float] | None:
+        """Goal that a rollout would have met, `goal_values` by name; None if it tells of none."""
+        return None
+
     @abstractmethod
     def parametrization(self, policy: Policy) -> Parametrization:
         """Learnt parameters of a policy and their exploration noise."""
@@ -256,9 +285,15 @@ class Task(ABC):
         """Measured errors that `hindsight` corrects under these settings, for the reports."""
         return ()
 
-    def confirms(self, record: LoggedRollout) -> bool:
-        """Whether a successful rollout of the mean policy counts towards the stopping rule."""
-        return True
+    def margins(self, record: LoggedRollout) -> Sequence[float]:
+        """How far inside each of its limits a successful rollout was, for the stopping rule.
+
+        Returns:
+            Positive numbers inside, negative ones outside, in any units but the same for every
+            rollout; about normally distributed over rollouts of one policy. Empty: not known, so
+            that successes are counted alone.
+        """
+        return ()
 
     def model(self, parametrization: Parametrization, start: np.ndarray) -> Model | None:
         """Model of the returns for learners that screen candidates; None if the task has none.

@@ -17,7 +17,7 @@ from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.ball_in_cup.parametrization import cup_parametrization
 from wam_power_ros.tasks.ball_in_cup.settings import CUP_FIT
-from wam_power_ros.tasks.ball_in_cup.swing import GRAVITY, PLANE, STRING, Swing
+from wam_power_ros.tasks.ball_in_cup.swing import CUP_RADIUS, GRAVITY, PLANE, STRING, Swing
 from wam_power_ros.tasks.ball_in_cup.task import (
     APEX_OF_VIGOUR,
     MISS_OF_SHIFT,
@@ -260,3 +260,11 @@ def test_a_rollout_is_drawn_with_its_string_and_landing_and_without_a_ball_not_a
     assert len(side.lines) == 2 + len(whole.body.t)  # cup, ball, and the string in each frame
     assert {line.get_label() for line in height.lines} >= {"ball (camera)", "$t_c$"}
     assert task().figure(Rollout(whole.tool, None)) is None
+
+
+def test_the_margin_of_a_catch_is_its_distance_within_the_cup() -> None:
+    for miss in (0.0, 0.02, 0.06):
+        seen = task().assess(POLICY, rollout(miss, caught=True)).observation
+        (margin,) = task().margins(SimpleNamespace(observation=seen))
+        assert margin == pytest.approx(CUP_RADIUS - miss, abs=0.003)
+    assert task().margins(SimpleNamespace(observation=None)) == ()

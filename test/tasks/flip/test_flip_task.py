@@ -58,43 +58,47 @@ def judged(observation: dict[str, Any] | None, **fields: object) -> SimpleNamesp
 
 
 @pytest.mark.parametrize(
-    ("degrees", "error", "counts"),
+    ("degrees", "error", "climb", "outside"),
     [
-        (161.0, [0.05, 0.0, 0.5], True),
-        (-161.0, [0.0, -0.05, -0.5], True),
-        (159.0, [0.0, 0.0, 0.0], False),
-        (-159.0, [0.0, 0.0, 0.0], False),
-        (229.0, [0.0, 0.0, 0.0], True),
-        (231.0, [0.0, 0.0, 0.0], False),
-        (-231.0, [0.0, 0.0, 0.0], False),
-        (180.0, [0.05, 0.05, 0.0], False),
+        (151.0, [0.13, 0.0, 0.5], 0.003, None),
+        (-151.0, [0.0, -0.13, 0.5], 0.024, None),
+        (149.0, [0.0, 0.0, 0.1], 0.003, 0),
+        (-149.0, [0.0, 0.0, 0.1], 0.0, 0),
+        (239.0, [0.09, 0.09, 0.1], 0.0, None),
+        (-241.0, [0.0, 0.0, 0.1], 0.0, 1),
+        (180.0, [0.1, 0.1, 0.1], 0.0, 2),
+        (180.0, [0.0, 0.0, 0.1], 0.026, 3),
     ],
 )
-def test_a_flip_counts_that_turned_further_than_it_must_and_fell_well_into_the_pan(
-    degrees: float, error: list[float], counts: bool
+def test_the_margins_of_a_flip_are_of_its_rotation_its_landing_and_its_climb(
+    degrees: float, error: list[float], climb: float, outside: int | None
 ) -> None:
-    flight = {"angle": np.deg2rad(degrees), "landing_error": error}
-    assert FLIP.confirms(judged(flight)) == counts
+    flight = {"angle": np.deg2rad(degrees), "landing_error": error, "climb": climb}
+    margins = FLIP.margins(judged(flight))
+    assert [margin > 0.0 for margin in margins] == [k != outside for k in range(4)]
 
 
-def test_one_window_of_rotation_holds_for_success_confirmation_and_ground_truth() -> None:
+def test_one_window_of_rotation_holds_for_success_and_ground_truth() -> None:
     settings = preset("flip").task_settings
     window = np.rad2deg([settings.success_angle, settings.success_angle_max])
     np.testing.assert_allclose(window, TRUE_TURN)
-    for kept in ({"success_angle_max": 2.7}, {"confirm_margin": 1.0}):
-        with pytest.raises(ValueError, match="no rotation is a success"):
-            preset("flip", **kept)
+    with pytest.raises(ValueError, match="no rotation is a success"):
+        preset("flip", success_angle_max=2.5)
 
 
 def test_a_session_from_before_the_window_has_no_largest_rotation() -> None:
     known = preset("flip").task_settings.model_dump(exclude={"success_angle_max"})
     before = Flip(FlipSettings.model_validate(known), {})
-    assert before.confirms(judged({"angle": 4.6, "landing_error": [0.0, 0.0, 0.0]}))
+    assert (
+        min(before.margins(judged({"angle": 4.6, "landing_error": [0.0] * 3, "climb": 0.0}))) > 0.0
+    )
 
 
-def test_a_success_not_seen_counts_only_where_the_flip_does_not_matter() -> None:
-    assert not FLIP.confirms(judged(None))
-    assert Flip(preset("flip", "paper").task_settings, {}).confirms(judged(None))
+def test_margins_are_unknown_where_nothing_was_seen_or_the_flip_does_not_matter() -> None:
+    flight = {"angle": np.pi, "landing_error": [0.0] * 3, "climb": 0.0}
+    assert FLIP.margins(judged(None)) == ()
+    assert FLIP.margins(judged({"angle": np.pi})) == ()  # of a session before climbs were seen
+    assert Flip(preset("flip", "paper").task_settings, {}).margins(judged(flight)) == ()
 
 
 @pytest.mark.parametrize("name", ["flip", "paper"])

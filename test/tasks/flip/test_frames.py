@@ -57,6 +57,14 @@ def test_a_pancake_flies_when_its_lower_edge_is_above_the_rim(edge_on: bool, low
     assert frames.flying.tolist() == [False] * 6 + [True]
 
 
+def test_a_pancake_climbs_as_high_as_it_is_once_it_has_come_down() -> None:
+    heights = [0.0, 0.2, 0.3, 0.1, 0.01, 0.028, 0.003]  # thrown, then up the rim
+    frames = seen_from_still_pan([height * NORMAL for height in heights])
+    assert frames.climb(frames.t[7]) == pytest.approx(0.028)
+    assert frames.climb(frames.t[10]) == pytest.approx(0.003)
+    assert frames.climb(frames.t[-1]) == 0.0  # nothing is seen afterwards
+
+
 def test_beside_the_pan_only_the_height_above_it_counts() -> None:
     # The plane of the tilted pan's floor is above one of these and below the other.
     far = PAN_RADIUS + 2.0 * PANCAKE_RADIUS + 0.3

@@ -70,7 +70,7 @@ _COMMON: Mapping[str, Any] = {
     "learner": {"name": "power", "sigma": 6, "weights": "sharpened", "decay": 0.97},
     "budget": 75,
     "mean_every": 3,
-    "confirm": 8,
+    "confirm": 29,  # a success rate of 0.9
     "retests": 10,
 }
 _CUP: Mapping[str, Any] = {**_COMMON, "variant": "swing", "gain": 0.5}

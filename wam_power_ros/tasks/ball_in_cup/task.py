@@ -21,7 +21,14 @@ from wam_power_ros.tasks.ball_in_cup.put_back import (
     swing_phasor,
 )
 from wam_power_ros.tasks.ball_in_cup.settings import CUP_FIT, PRESETS, CupSettings
-from wam_power_ros.tasks.ball_in_cup.swing import STRING, Swing, in_cup, observe_swing, swing_of
+from wam_power_ros.tasks.ball_in_cup.swing import (
+    CUP_RADIUS,
+    STRING,
+    Swing,
+    in_cup,
+    observe_swing,
+    swing_of,
+)
 from wam_power_ros.tasks.reset import Action, BodyState
 from wam_power_ros.tasks.task import (
     Assessment,
@@ -154,6 +161,11 @@ class BallInCup(Task):
             shift[index] = np.clip(settings.gain * change, -limit, limit)
             shifts.append(shift / parametrization.scale)
         return shifts
+
+    def margins(self, record: LoggedRollout) -> Sequence[float]:
+        """Distance d within the inner radius of the cup [m]; see `Task`."""
+        seen = record.observation
+        return () if seen is None else (CUP_RADIUS - swing_of(seen).distance,)
 
     def outcome(self, record: LoggedRollout) -> str:
         """Distance from the cup and end of the ball, as tracked; see `Task`."""

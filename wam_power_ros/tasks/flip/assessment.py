@@ -50,8 +50,13 @@ def assess(policy: Policy, rollout: Rollout, settings: FlipSettings) -> Assessme
 
 
 def flight_of(observation: Mapping[str, Any]) -> Flight | None:
-    """Flight from an observation of `assess`; None if its fields are not those of `Flight`."""
-    if set(observation) != {field.name for field in dataclasses.fields(Flight)}:
+    """Flight from an observation of `assess`; None if its fields are not those of `Flight`.
+
+    A session from before a field with a default has no such field.
+    """
+    known = dataclasses.fields(Flight)
+    needed = {field.name for field in known if field.default is dataclasses.MISSING}
+    if not needed <= set(observation) <= {field.name for field in known}:
         return None
     fields: dict[str, Any] = {
         name: np.array(value) if isinstance(value, list) else value

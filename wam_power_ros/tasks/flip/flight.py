@@ -62,6 +62,8 @@ class Flight:
         resting: Whether it lies flat in the pan at the end of the path.
         flipped: Whether its normal is opposite to the pan's at the end of the path.
         frames: Number of frames of the free flight that were used.
+        climb: Largest height above the pan's floor after the fall, see `Frames.climb` [m]; 0 if
+            not tossed.
     """
 
     tossed: bool
@@ -83,6 +85,7 @@ class Flight:
     resting: bool
     flipped: bool
     frames: int
+    climb: float = 0.0
 
 
 def observe_flight(pan: EndEffectorPath, pancake: BodyPath, delta_h: float = DELTA_H) -> Flight:
@@ -148,6 +151,7 @@ def _flight_on_arc(pan: EndEffectorPath, frames: Frames, arc: Arc, crossing: Cro
         resting=resting,
         flipped=flipped,
         frames=len(arc.t),
+        climb=frames.climb(crossing.t),
     )
 
 

@@ -51,6 +51,18 @@ class Frames:
     cosine: np.ndarray
     flying: np.ndarray
 
+    def climb(self, start: float) -> float:
+        """Largest height above the pan's floor after a fall, at the rim or in a bounce [m].
+
+        Args:
+            start: Time from which the pancake falls [s].
+
+        Returns:
+            Largest height of its centre once it has been as low as at rest; 0 if it never was.
+        """
+        low = np.flatnonzero((self.t > start) & (np.abs(self.height) < REST_HEIGHT_MAX))
+        return float(self.height[low[0] :].max()) if len(low) else 0.0
+
     def end_state(self, end: float) -> tuple[bool, bool]:
         """Whether the pancake rests in the pan at the end of the path, and whether it is flipped.
 

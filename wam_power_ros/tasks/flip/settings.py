@@ -26,8 +26,8 @@ FLIP_FIT = FitSettings(
 )
 
 
-# Rotation of a true flip in the air [degrees]: of a success, of one that confirms, and in the
-# ground truth of the simulator. Turned further, a pancake may still fall flat, other side up.
+# Rotation of a true flip in the air [degrees]: of a success, and in the ground truth of the
+# simulator. Turned further, a pancake may still fall flat, other side up.
 TRUE_TURN = (150.0, 240.0)
 
 
@@ -55,11 +55,6 @@ class FlipSettings(BaseModel):
         success_angle: Smallest rotation in flight of a success, which must also be caught and
             flipped [rad]; 0: no flip required.
         success_angle_max: Largest rotation of such a success [rad]; by default there is none.
-        confirm_margin: Rotation within `success_angle` and `success_angle_max` with which a success
-            counts towards the stopping rule [rad]: stopping at the first streak selects policies
-            that barely succeed.
-        confirm_landing: Largest landing error of a success that counts towards the stopping rule
-            [m].
         delta_h: Height above the pan at which the falling pancake is assessed [m].
         settle_time: Time that a rollout continues after the movement [s].
     """
@@ -82,8 +77,6 @@ class FlipSettings(BaseModel):
     success_return: float = Field(ge=0.0, allow_inf_nan=False)
     success_angle: float = Field(ge=0.0, allow_inf_nan=False)
     success_angle_max: float = Field(default=100.0, gt=0.0, allow_inf_nan=False)
-    confirm_margin: float = Field(default=0.0, ge=0.0, allow_inf_nan=False)
-    confirm_landing: float = Field(default=1.0, gt=0.0, le=1.0)
     delta_h: float = Field(default=DELTA_H, gt=0.0, le=1.0)
     settle_time: float = Field(default=1.0, ge=0.0, le=10.0)
 
@@ -95,10 +88,10 @@ class FlipSettings(BaseModel):
                     f"{name} {getattr(self, name)} needs a parameter that only the variant "
                     f"'planar' has; the variant is {self.variant!r}"
                 )
-        if self.success_angle_max - self.success_angle < 2.0 * self.confirm_margin:
+        if self.success_angle_max < self.success_angle:
             raise ValueError(
-                f"no rotation is a success by a margin of {self.confirm_margin} between "
-                f"{self.success_angle} and {self.success_angle_max} rad"
+                f"no rotation is a success: success_angle {self.success_angle} is larger than "
+                f"success_angle_max {self.success_angle_max} rad"
             )
         if self.success_return == 0.0 and self.success_angle == 0.0:
             raise ValueError("a success needs a success_return or a success_angle")
@@ -119,9 +112,7 @@ _FLIP: Mapping[str, Any] = {
     "success_return": 0.0,
     "success_angle": math.radians(TRUE_TURN[0]),
     "success_angle_max": math.radians(TRUE_TURN[1]),
-    "confirm": 10,
-    "confirm_margin": math.radians(10.0),
-    "confirm_landing": 0.06,
+    "confirm": 29,  # a success rate of 0.9
     "retests": 10,
 }
 _GAINS = ("landing_gain", "turn_gain", "vigour_gain", "tempo_gain")

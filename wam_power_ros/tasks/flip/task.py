@@ -16,7 +16,7 @@ from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.tasks.flip import assessment as flip_assessment
 from wam_power_ros.tasks.flip import paper
 from wam_power_ros.tasks.flip.flight import FLIP_ANGLES, observe_flight
-from wam_power_ros.tasks.flip.frames import REST_HEIGHT_MAX
+from wam_power_ros.tasks.flip.frames import PAN_RADIUS, REST_HEIGHT_MAX
 from wam_power_ros.tasks.flip.landing_correction import landing_correction
 from wam_power_ros.tasks.flip.parametrization import flip_parametrization
 from wam_power_ros.tasks.flip.planned_toss import TossModel
@@ -41,6 +41,7 @@ _FLAT_OFFSET_MAX = 0.06  # largest distance of a pancake that lies on the floor,
 _MISPLACED_MAX = (
     0.15  # height up to which a body at rest is one in the pan that is seen wrongly [m]
 )
+CLIMB_MAX = 0.025  # height of its centre above the pan's floor from which it may stay there [m]
 _REST_SPEED_MAX = 0.05  # largest speed at rest [m/s]
 
 
@@ -111,17 +112,22 @@ class Flip(Task):
         gains = {"landing error": settings.landing_gain, "rotation": max(turned)}
         return [name for name, gain in gains.items() if gain > 0.0]
 
-    def confirms(self, record: LoggedRollout) -> bool:
-        """Whether rotation and landing meet `confirm_margin` and `confirm_landing`; see `Task`."""
+    def margins(self, record: LoggedRollout) -> Sequence[float]:
+        """Rotation inside its window [rad], landing inside the pan and climb [m]; see `Task`.
+
+        A pancake that climbs the rim after its fall is nearly thrown out, or stays there. Where no
+        rotation is required, successes are counted alone.
+        """
         settings, flight = self.settings, record.observation
-        if settings.success_angle == 0.0:
-            return True
-        if flight is None:
-            return False
-        miss = math.hypot(*flight["landing_error"][:2])  # horizontal part
-        angle_min = settings.success_angle + settings.confirm_margin
-        angle_max = settings.success_angle_max - settings.confirm_margin
-        return angle_min <= abs(flight["angle"]) <= angle_max and miss <= settings.confirm_landing
+        if settings.success_angle == 0.0 or not flight or "climb" not in flight:
+            return ()
+        angle = abs(flight["angle"])
+        return (
+            angle - settings.success_angle,
+            settings.success_angle_max - angle,
+            PAN_RADIUS - math.hypot(*flight["landing_error"][:2]),
+            CLIMB_MAX - flight["climb"],
+        )
 
     def model(self, parametrization: Parametrization, start: np.ndarray) -> Model | None:
         """Return of the planned toss, corrected by the returns of rollouts; see `Task`."""

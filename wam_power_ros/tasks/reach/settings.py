@@ -53,6 +53,7 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
     "reach": {
         **_COMMON,
         "learner": _WARM,
+        "confirm": 29,  # a success rate of 0.9
         "variant": "full",
         "noise": {"stiffness": 0.6, "attractor": 0.0125, "rotation": 0.1},
     },

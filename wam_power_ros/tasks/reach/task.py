@@ -30,6 +30,8 @@ from wam_power_ros.tasks.task import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+AXES = ("x", "y", "z")  # of the base frame
+
 
 class Reach(Task):
     """The task `reach`; see `tasks.task.Task`.
@@ -68,6 +70,36 @@ class Reach(Task):
             "obstacle": [0.0] * 4 if region is None else [*region.centre, region.radius],
         }
 
+    @property
+    def goal_values(self) -> Mapping[str, float]:
+        """Position of the goal [m]; see `Task`."""
+        return dict(zip(AXES, self.demonstrated[-1].tolist(), strict=True))
+
+    def with_goal(self, context: Mapping[str, Any], values: Mapping[str, float]) -> dict[str, Any]:
+        """Move the goal, and the demonstration towards it along its way; see `Task`."""
+        if unknown := set(values) - set(AXES):
+            raise ValueError(f"a goal of {self.name} is {', '.join(AXES)}, not {min(unknown)!r}")
+        new = {**self.goal_values, **values}
+        moved = np.array([new[axis] for axis in AXES]) - self.demonstrated[-1]
+        way = np.linalg.norm(np.diff(self.demonstrated, axis=0), axis=1).cumsum() + 1e-9  # (T-1,)
+        demonstrated = self.demonstrated.copy()
+        demonstrated[1:] += (way / way[-1])[:, np.newaxis] * moved
+        return {**context, "demonstrated": demonstrated.tolist()}
+
+    def goal_slope(self, parametrization: Parametrization) -> np.ndarray:
+        """Move the last attractor, which is where the tool ends; see `Task`."""
+        last = parametrization.groups["attractors"].stop - len(AXES)
+        slope = np.zeros((len(AXES), parametrization.size))
+        slope[:, last : last + len(AXES)] = np.diag(parametrization.scale[last : last + len(AXES)])
+        return slope
+
+    def attained(self, record: LoggedRollout) -> Mapping[str, float] | None:
+        """Where the tool ended, unless the obstacle stopped it; see `Task`."""
+        seen = record.observation
+        if record.fault or seen is None or seen["touched"] or "end" not in seen:
+            return None
+        return dict(zip(AXES, seen["end"], strict=True))
+
     def parametrization(self, policy: Policy) -> Parametrization:
         """Learnt parameters of a policy; see `Task`."""
         return parametrization_of(policy, self.settings.variant, self.settings.noise)
@@ -93,10 +125,23 @@ class Reach(Task):
         return Assessment(
             tracking + goal,
             {"following": tracking, "goal": goal},
-            {"touched": touched, "goal_distance": goal_distance, "clearance": float(clearance)},
+            {
+                "touched": touched,
+                "goal_distance": goal_distance,
+                "clearance": float(clearance),
+                "end": stopped[0, -1].tolist(),
+            },
             success=not touched and goal_distance <= self.settings.goal_tolerance,
             why="stopped at the obstacle" if touched else "",
         )
+
+    def margins(self, record: LoggedRollout) -> Sequence[float]:
+        """Distance from the goal within its tolerance, and clearance of the obstacle [m]."""
+        seen = record.observation
+        if seen is None:
+            return ()
+        reached = self.settings.goal_tolerance - seen["goal_distance"]
+        return (reached,) if self.region is None else (reached, seen["clearance"])
 
     def model(self, parametrization: Parametrization, start: np.ndarray) -> Model | None:
         """Path of Eq. 1, with contacts inferred from earlier rollouts; see `Task`."""

@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The stopping rule states what it shows; clear margins show it with fewer rollouts."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from scipy.stats import nct, norm
+
+from wam_power_ros.practice.session_log import Record
+from wam_power_ros.practice.settings import PracticeSettings, preset
+from wam_power_ros.practice.stopping_rule import (
+    CONFIDENCE,
+    LOOK_CONFIDENCE,
+    ROW_MIN,
+    StoppingRule,
+    rate_shown,
+    tolerance_factor,
+)
+
+
+def rollout(
+    success: bool, z: float = 0.0, kind: str = "mean", margins: Sequence[float] | None = None
+) -> Record:
+    return Record(
+        number=1,
+        id="trial-0001",
+        kind=kind,
+        demonstration="demonstration-1",
+        attempt=1,
+        z=[z, 1.0],
+        theta=[z, 1.0],
+        learnt=True,
+        learnt_as=[z, 1.0],
+        ret=0.5,
+        terms={},
+        success=success,
+        why="",
+        note="",
+        observation=None if margins is None else {"margins": list(margins)},
+        fault="",
+        generator={},
+        bag="",
+        truth=None,
+        clock={},
+    )
+
+
+def rule(confirm: int = 3, mean_every: int = 4) -> StoppingRule:
+    settings = PracticeSettings(budget=50, mean_every=mean_every, confirm=confirm, retests=1)
+    return StoppingRule(settings, lambda record: (record.observation or {}).get("margins", ()))
+
+
+def test_exactly_the_required_number_of_successes_in_a_row_completes_it() -> None:
+    stopping = rule(confirm=3)
+    for count in (1, 2, 3):
+        assert not stopping.complete
+        assert (
+            stopping.add(rollout(True))
+            == f"{count} {'success' if count == 1 else 'successes'} in a row"
+        )
+        assert stopping.z.tolist() == [0.0, 1.0]
+    assert stopping.complete == "3 successes in a row: p > 0.37 with 95% confidence"
+
+
+def test_a_success_of_another_mean_begins_a_new_row() -> None:
+    stopping = rule(confirm=2)
+    stopping.add(rollout(True, z=0.1))
+    assert stopping.add(rollout(True, z=0.2)) == "1 success in a row"
+    assert not stopping.complete and stopping.z.tolist() == [0.2, 1.0]
+    stopping.add(rollout(True, z=0.2))
+    assert stopping.complete
+
+
+def test_a_failure_ends_the_row() -> None:
+    stopping = rule(confirm=3)
+    assert stopping.add(rollout(False)) == ""
+    stopping.add(rollout(True))
+    stopping.add(rollout(True))
+    assert stopping.add(rollout(False)) == "ended after 2 successes in a row"
+    assert (stopping.z, stopping.count) == (None, 0)
+    assert stopping.add(rollout(True)) == "1 success in a row"
+
+
+def test_explorations_neither_count_nor_end_a_row_and_call_for_the_mean_if_it_is_not_regular() -> (
+    None
+):
+    for mean_every in (0, 4):
+        stopping = rule(confirm=3, mean_every=mean_every)
+        stopping.add(rollout(True))
+        stopping.add(rollout(False, kind="explore"))
+        assert stopping.count == 1 and not stopping.mean_is_due
+        stopping.add(rollout(True, kind="explore"))
+        assert stopping.count == 1 and stopping.mean_is_due is (mean_every == 0)
+        stopping.add(rollout(True))
+        assert stopping.count == 2 and not stopping.mean_is_due
+
+
+def test_a_rule_of_no_successes_is_never_complete() -> None:
+    stopping = rule(confirm=0, mean_every=0)
+    for record in (rollout(True), rollout(True, kind="explore"), rollout(False)):
+        assert stopping.add(record) == ""
+        assert not stopping.complete and stopping.z is None and not stopping.mean_is_due
+
+
+@pytest.mark.parametrize(
+    ("record", "left"),
+    [
+        (rollout(True), 0),
+        (rollout(True, z=0.3), 2),  # of another mean
+        (rollout(True, kind="explore"), 2),
+    ],
+)
+def test_a_row_is_forgotten_with_a_success_that_was_rated_down(record: Record, left: int) -> None:
+    stopping = rule()
+    stopping.forget(record)  # no row yet
+    stopping.add(rollout(True))
+    stopping.add(rollout(True))
+    stopping.forget(record)
+    assert stopping.count == left and (stopping.z is None) is (left == 0)
+
+
+@pytest.mark.parametrize("rate", [0.7, 0.9, 0.95])
+def test_policies_below_the_rate_that_is_shown_are_rarely_confirmed_by_their_count(
+    rate: float,
+) -> None:
+    count = next(n for n in range(1, 100) if rate_shown(n) >= rate)
+    assert rate**count <= 1.0 - CONFIDENCE < rate ** (count - 1)
+
+
+@pytest.mark.parametrize("name", ["flip", "return_only", "corrections_only"])
+def test_an_answer_of_the_preset_succeeds_nine_times_of_ten(name: str) -> None:
+    assert 0.9 <= rate_shown(preset("flip", name).practice.confirm) < 0.91
+
+
+@pytest.mark.parametrize("count", [2, 4, 10, 40])
+@pytest.mark.parametrize("rate", [0.7, 0.9, 0.97])
+def test_the_factor_is_that_of_the_one_sided_tolerance_interval(count: int, rate: float) -> None:
+    exact = nct.ppf(LOOK_CONFIDENCE, count - 1, np.sqrt(count) * norm.ppf(rate)) / np.sqrt(count)
+    assert tolerance_factor(count, rate) == pytest.approx(exact, rel=1e-6)
+
+
+def confirmed(margins: np.ndarray, confirm: int = 29) -> StoppingRule:
+    """The rule after successes of one mean with these margins (n, c)."""
+    stopping = rule(confirm)
+    for row in margins:
+        stopping.add(rollout(True, margins=row.tolist()))
+        if stopping.complete or stopping.z is None:
+            break
+    return stopping
+
+
+def test_clear_margins_confirm_with_few_rollouts_and_narrow_ones_end_the_row() -> None:
+    spread = np.array([[0.99, 5.0], [1.01, 5.1], [1.0, 4.9], [1.02, 5.0]])
+    clear = confirmed(spread)
+    assert clear.count == ROW_MIN
+    assert "margins of 61 sd or more: p > 0.9 with 95% confidence" in clear.complete
+    narrow = rule(29)
+    barely = [[0.002, 5.0], [0.05, 5.0], [0.002, 5.1], [0.05, 5.0]]
+    said = [narrow.add(rollout(True, margins=row)) for row in barely]
+    assert said[-1] == "4 successes in a row, but with too small margins: learning goes on"
+    assert (narrow.z, narrow.count, narrow.complete) == (None, 0, "")
+
+
+def test_margins_that_are_not_known_of_every_success_do_not_count() -> None:
+    stopping = rule(confirm=6)
+    for k in range(5):
+        stopping.add(rollout(True, margins=None if k == 1 else [5.0 + 0.1 * k]))
+        assert not stopping.complete
+    stopping.add(rollout(True, margins=[5.0]))
+    assert stopping.complete == "6 successes in a row: p > 0.61 with 95% confidence"
+
+
+def test_a_row_of_the_whole_count_confirms_whatever_its_margins() -> None:
+    wide = np.array([[1.0], [3.0]] * 15)
+    stopping = confirmed(wide)
+    assert stopping.count == 29 and "margins" not in stopping.complete
+
+
+@pytest.mark.parametrize("alike", [1, 3])
+def test_policies_below_the_rate_are_rarely_confirmed_by_their_margins(alike: int) -> None:
+    """Normal margins of a policy of 0.9: one that decides, or three alike; looked at each time."""
+    rng = np.random.default_rng(alike)
+    wrong, runs = 0, 4000
+    share = 0.9 ** (1.0 / alike)
+    for _ in range(runs):
+        rows = np.full((40, 3), 9.0) + rng.standard_normal((40, 3))
+        rows[:, :alike] += norm.ppf(share) - 9.0
+        failed = np.flatnonzero(rows.min(axis=1) < 0.0)
+        wrong += bool(confirmed(rows[: failed[0] if len(failed) else 40]).complete)
+    error = np.sqrt(CONFIDENCE * (1.0 - CONFIDENCE) / runs)
+    assert wrong / runs < 1.0 - CONFIDENCE + 2.0 * error

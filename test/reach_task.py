@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A reach without physics, for tests: Eq. 1 with noise, stopped at the obstacle."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from toss_task import AnyArm
+
+from wam_power_ros.learning.demonstration import from_positions
+from wam_power_ros.learning.policy import Policy
+from wam_power_ros.learning.rollout import EndEffectorPath, Rollout
+from wam_power_ros.practice.practice import Practice
+from wam_power_ros.practice.session_log import Trial
+from wam_power_ros.practice.settings import preset
+from wam_power_ros.regions import region_of
+from wam_power_ros.tasks.reach.scenario import midpoint, resampled
+from wam_power_ros.tasks.reach.task import Reach
+
+START = np.array([0.7, -0.25, 0.6])  # [m] of the tool
+NOISE = 0.003  # standard deviation of the end of a path, per axis [m]
+
+
+def _demonstration() -> Any:  # noqa: ANN401
+    s = np.linspace(0.0, 1.0, 450)[:, np.newaxis]
+    s = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+    arc = np.sin(np.pi * s) * [0.0, 0.0, 0.06]
+    return from_positions(START + s * [0.01, 0.5, 0.0] + arc, 0.004)
+
+
+_TAUGHT = _demonstration()
+DEMONSTRATION = Reach.policy_of([_TAUGHT], "demonstration-1")
+CONTEXT = Reach.context_of(
+    [_TAUGHT], region_of("obstacle", [*midpoint(resampled([_TAUGHT])), 0.06])
+)
+
+
+class ReachingArm(AnyArm):
+    """See `AnyArm`; its tool is at the start of the demonstration."""
+
+    def tool_position(self, q: np.ndarray) -> np.ndarray:
+        """See `practice.ArmModel`."""
+        return START
+
+
+def reached(task: Reach, trial: Trial) -> Rollout:
+    """Rollout of a trial: a function of its id and policy alone."""
+    scenario = task._scenario(trial.policy, START)
+    path = scenario.free_paths(trial.policy.stiffness[None], trial.policy.attractors[None])
+    noise = np.random.default_rng(zlib.crc32(trial.id.encode())).normal(0.0, NOISE, 3)
+    path += np.linspace(0.0, 1.0, scenario.steps)[:, np.newaxis] * noise
+    stopped, touched = scenario.stopped_paths(path)
+    t = np.arange(scenario.steps) * scenario.period
+    t = np.append(t, trial.policy.basis.duration + task.settle_time)
+    position = np.vstack([stopped[0], stopped[0, -1:]])
+    tool = EndEffectorPath(trial.id, t, position, np.tile([0.0, 0.0, 0.0, 1.0], (len(t), 1)))
+    return Rollout(tool, None, None, "obstacle" if touched[0] else "")
+
+
+def practised(policy: Policy, seed: int, context: Mapping[str, Any] = CONTEXT) -> Practice:
+    """A finished session of the default preset."""
+    practice = Practice(preset("reach"), context, [policy], seed, ReachingArm())
+    while (trial := practice.next_trial()) is not None:
+        practice.learn(trial, reached(practice.task, trial))
+    return practice

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stopping rule: how many successes of one mean, and how clear ones, end a session.
+
+A number of successes in a row shows, with a confidence of 95 %, that a further rollout succeeds
+with at least some probability: 10 of 10 one of 0.74, 29 of 29 one of 0.9. A row is run once for a
+mean and ends with its first failure, so the number is exact however often one looks. Margins show
+the same with fewer rollouts: if they are normally distributed, a one-sided tolerance interval
+bounds the share of rollouts that are inside a limit. It is looked at after every success, and only
+while there is no failure, which selects rows that look better than they are. Hence a single look
+must show more (`LOOK_CONFIDENCE`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import cache
+
+import numpy as np
+from scipy.special import nctdtrit, ndtri
+
+from wam_power_ros.practice.session_log import Record
+from wam_power_ros.practice.settings import PracticeSettings
+from wam_power_ros.tasks.task import LoggedRollout
+
+CONFIDENCE = 0.95
+# Of a single look at one margin. Of simulated rows with normal margins, all inside with a
+# probability of 0.9, the rule then confirms 4.7 % if one of them decides and 3.2 % if three do
+# alike; with 0.95 here, 20 %.
+LOOK_CONFIDENCE = 0.998
+ROW_MIN = 4  # successes before margins count
+
+
+def rate_shown(count: int) -> float:
+    """Smallest probability of success that a number of successes in a row shows [1]."""
+    return float((1.0 - CONFIDENCE) ** (1.0 / count))
+
+
+@cache
+def tolerance_factor(count: int, rate: float) -> float:
+    """Mean margin, in standard deviations, that shows a share of positive margins.
+
+    Args:
+        count: Number of independent, normally distributed margins, at least 2.
+        rate: Share to be shown, with `LOOK_CONFIDENCE`.
+    """
+    root = math.sqrt(count)
+    return float(nctdtrit(count - 1, root * ndtri(rate), LOOK_CONFIDENCE)) / root
+
+
+class StoppingRule:
+    """Judges the successes in a row of one mean.
+
+    Attributes:
+        z: Coordinates of the mean being confirmed, None when there is none. Shape (size,).
+        count: Number of its successes in a row.
+        complete: Why it is confirmed, empty while it is not.
+        mean_is_due: Whether the mean is run next because another rollout succeeded.
+
+    Args:
+        settings: Settings; `confirm` is the number of successes that is enough whatever their
+            margins, 0 disables the rule.
+        margins: Margins of a success, see `Task.margins`.
+    """
+
+    def __init__(
+        self, settings: PracticeSettings, margins: Callable[[LoggedRollout], Sequence[float]]
+    ) -> None:
+        self._settings = settings
+        self._margins_of = margins
+        self._margins: list[Sequence[float]] = []  # one row for each success
+        self.z: np.ndarray | None = None
+        self.complete = ""
+        self.mean_is_due = False
+
+    @property
+    def count(self) -> int:
+        """Number of successes in a row of the mean being confirmed."""
+        return len(self._margins)
+
+    def add(self, record: Record) -> str:
+        """Judge a rollout of the practice; returns a remark for the log, may be empty."""
+        if self._settings.confirm == 0:
+            return ""
+        if record.kind == "mean":
+            return self._add_mean(record)
+        if record.success and (record.kind == "reproduction" or self._settings.mean_every == 0):
+            self.mean_is_due = True
+            return "a success: the mean policy is run to confirm it"
+        return ""
+
+    def forget(self, record: Record) -> None:
+        """End the row if a rollout that is no success any more was part of it."""
+        if self.z is not None and record.kind == "mean" and record.z == self.z.tolist():
+            self._end()
+
+    def _add_mean(self, record: Record) -> str:
+        self.mean_is_due, before = False, self.count
+        if not record.success:
+            self._end()
+            return f"ended after {before} successes in a row" if before else ""
+        if self.z is None or record.z != self.z.tolist():
+            self._end()
+        self.z = np.array(record.z)
+        self._margins.append(tuple(self._margins_of(record)))
+        return self._judge()
+
+    def _end(self) -> None:
+        self.z, self._margins = None, []
+
+    def _judge(self) -> str:
+        """Confirm the mean, end its row or go on; returns a remark for the log."""
+        count, enough = self.count, self._settings.confirm
+        said = f"{count} {'success' if count == 1 else 'successes'} in a row"
+        if count >= enough:
+            self.complete = f"{said}: {_shown(count)}"
+            return said
+        size = len(self._margins[0])
+        if count < ROW_MIN or not size or any(len(each) != size for each in self._margins):
+            return said
+        rows = np.array(self._margins)
+        mean, sd, rate = rows.mean(axis=0), rows.std(axis=0, ddof=1), rate_shown(enough)
+        if (mean > tolerance_factor(count, rate) * sd).all():
+            least = float((mean / np.maximum(sd, 1e-12)).min())
+            self.complete = f"{said}, margins of {least:.2g} sd or more: {_shown(enough)}"
+            return said
+        if (mean < float(ndtri(rate)) * sd).any():
+            self._end()
+            return f"{said}, but with too small margins: learning goes on"
+        return said
+
+
+def _shown(count: int) -> str:
+    """What a number of successes in a row shows, in words."""
+    return f"p > {rate_shown(count):.2g} with {CONFIDENCE:.0%} confidence"
