@@ -55,7 +55,7 @@ def test_the_mean_is_the_rollout_of_highest_expected_return_not_the_luckiest() -
     learner = learner_of(0)
     for k, x in enumerate(np.linspace(-2.0, 2.0, 21)):
         z = 5.0 * x * np.eye(SIZE)[0]
-        lucky = 0.3 if k == 3 else 0.0
+        lucky = 0.6 if k == 3 else 0.0
         learner.tell(z, float(np.exp(-((x - 1.0) ** 2))) * 0.5 + lucky)
     assert abs(learner.mean[0] / 5.0 - 1.0) < 0.4
 
