@@ -57,6 +57,7 @@ GROUNDS: Mapping[str, Mapping[str, Any]] = {
 LEARNERS: Mapping[str, tuple[str, Mapping[str, Any]]] = {
     "flip": ("flip", {}),
     "model_based": ("model_based", {}),
+    "power": ("return_only", {}),
     "bayesian_optimization": ("return_only", {"learner": {"name": "bayesian_optimization"}}),
 }
 

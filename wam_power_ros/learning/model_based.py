@@ -276,8 +276,10 @@ class ModelBased(GaussianLearner):
                 return PROBE * unit
         if not beyond or np.linalg.matrix_rank(near, tol=0.1 * PROBE) >= self.size:
             return None
-        # Not from the session's generator: only what `ask` draws from it is counted in the log.
-        drawn = np.random.default_rng(len(self._known)).standard_normal(self.size)
+        # Not from the session's generator, which only `ask` may draw from: a plan is a function of
+        # the rollouts.
+        probes = np.random.Generator(np.random.PCG64(len(self._known)))
+        drawn = probes.standard_normal(self.size)
         drawn[:designed] = 0.0
         return 2.0 * PROBE * drawn / np.linalg.norm(drawn)
 
