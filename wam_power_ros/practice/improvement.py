@@ -260,7 +260,7 @@ class Improvement:
             mean = self.shrunk(self.learner.mean, past, rejections)
             return "mean", *mean, "the mean policy, without exploration"
         z, count = sample(self.learner, *self._feasible(past), rejections)
-        if np.array_equal(z, self.learner.mean):  # as a learner without exploration draws it
+        if count == 0 and np.array_equal(z, self.learner.mean):  # drawn without exploration
             return "mean", z, count, "the mean policy, without exploration"
         return "explore", z, count, "explores"
 
