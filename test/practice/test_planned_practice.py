@@ -14,7 +14,7 @@ from wam_power_ros.learning.learner import Prediction
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session_log import Line
-from wam_power_ros.practice.settings import preset
+from wam_power_ros.practice.settings import SessionSettings, preset
 from wam_power_ros.tasks.flip.parametrization import TURN_OF_FLICK, TURN_OF_TEMPO, TURN_OF_VIGOUR
 from wam_power_ros.tasks.flip.task import Flip
 from wam_power_ros.tasks.flip.toss_errors import LANDING_TOLERANCE, TURN_TOLERANCE, TossErrors
@@ -83,8 +83,25 @@ def test_the_error_is_that_of_what_was_executed_not_of_the_correction_in_hindsig
         np.testing.assert_allclose(error[0], angle)
 
 
-def test_a_task_without_a_vector_error_is_refused_by_name() -> None:
-    settings = preset("reach", learner={"name": "model_based"})
-    with pytest.raises(ValueError, match="'model_based' needs a model of the vector error, task"):
-        settings.make_learner(4, np.random.default_rng(0), None, None)
-    assert ANY_ARM.foresee(CANDIDATES[0]) is None
+@pytest.mark.parametrize("name", ["model_based", "bayesian_optimization"])
+def test_a_task_without_a_vector_error_is_refused_by_name_before_anything_moves(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.undo()  # the task's own model: only of planar parameters
+    settings = preset("flip", "paper", learner={"name": name})
+    refusal = f"learner '{name}' needs a model of the vector error, task 'flip' with these"
+    with pytest.raises(ValueError, match=refusal):
+        practice_of(CANDIDATES, settings, 0)
+    reach = preset("reach", learner={"name": name})
+    context = {
+        "demonstrated": [[0.6, 0.0, 0.5], [0.65, 0.0, 0.5], [0.7, 0.0, 0.5]],
+        "obstacle": [0.0] * 4,
+    }
+    with pytest.raises(ValueError, match="needs a model of the vector error, task 'reach'"):
+        Practice(reach, context, CANDIDATES, 0, ANY_ARM)
+
+
+def test_the_settings_of_the_session_keep_those_of_the_fallback() -> None:
+    changed = preset("flip", "model_based", learner={"fallback": {"sigma": 4}})
+    assert changed.learner_settings.fallback.sigma == 4
+    assert SessionSettings.model_validate(changed.model_dump(mode="json")) == changed

@@ -125,8 +125,9 @@ class Practice:
             log: Lines of the log, oldest first.
 
         Raises:
-            ValueError: `check_candidates` refuses the candidates, or the log is of another
-                session; names the first line that differs.
+            ValueError: `check_candidates` refuses the candidates, the learner needs a model that
+                the task does not have, or the log is of another session; names the first line
+                that differs.
         """
         check_candidates(candidates, settings.practice)
         self.settings = settings
@@ -147,6 +148,7 @@ class Practice:
         self._log: list[Line] = []
         self._waiting: list[Event] = []  # take effect after the pending trial
         self._pending: Trial | None = None
+        self._improvement_of(candidates[0].id, 0)  # a learner without its model is refused now
         for line in log:
             self.apply(line)
 
@@ -553,7 +555,10 @@ class Practice:
 
     def _learn_from(self, demonstration: str, why: str, practised: int = 0) -> None:
         self.choice = f"learns from {demonstration}: {why}"
-        self._improvement = Improvement(
+        self._improvement = self._improvement_of(demonstration, practised)
+
+    def _improvement_of(self, demonstration: str, practised: int) -> Improvement:
+        return Improvement(
             self._parametrizations[demonstration],
             self.settings,
             self.task,
