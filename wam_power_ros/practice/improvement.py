@@ -207,6 +207,7 @@ class Improvement:
         self.practised = practised
         self._settings, self._task, self._arm, self._rng = settings, task, arm, rng
         self._rule = StoppingRule(settings.practice, task.confirms)
+        self._error_model = task.error_model(parametrization, arm.foresee)
         self.learn_again(records)
 
     @property
@@ -227,7 +228,7 @@ class Improvement:
             parametrization.size,
             self._rng,
             task.model(parametrization, start),
-            task.error_model(parametrization, self._arm.foresee),
+            self._error_model,
         )
         for record in records:
             if record.demonstration == self.demonstration:

@@ -119,10 +119,10 @@ def test_a_measured_error_is_in_tolerances_and_has_no_landing_without_a_toss() -
         "angle": math.pi + TURN_TOLERANCE,
         "landing_error": [2.0 * LANDING_TOLERANCE, 0.5, 0.1],
     }
-    np.testing.assert_allclose(measured_error(flight, SETTINGS), [1.0, 2.0])
-    assert measured_error({**flight, "seen": False}, SETTINGS) is None
-    assert measured_error(None, SETTINGS) is None
-    turn, landing = measured_error({**flight, "tossed": False, "angle": 0.0}, SETTINGS)
+    np.testing.assert_allclose(measured_error(flight), [1.0, 2.0])
+    assert measured_error({**flight, "seen": False}) is None
+    assert measured_error(None) is None
+    turn, landing = measured_error({**flight, "tossed": False, "angle": 0.0})
     assert turn == pytest.approx(-math.pi / TURN_TOLERANCE) and math.isnan(landing)
 
 

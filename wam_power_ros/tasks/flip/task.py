@@ -128,7 +128,7 @@ class Flip(Task):
 
     def error(self, record: LoggedRollout) -> np.ndarray | None:
         """Errors of rotation and landing; see `toss_errors.measured_error`."""
-        return measured_error(record.observation, self.settings)
+        return measured_error(record.observation)
 
     def error_model(
         self,

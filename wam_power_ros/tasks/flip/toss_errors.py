@@ -117,21 +117,20 @@ def predict_toss(
     return Toss(False)
 
 
-def measured_error(flight: Mapping[str, Any] | None, settings: FlipSettings) -> np.ndarray | None:
+def measured_error(flight: Mapping[str, Any] | None) -> np.ndarray | None:
     """Errors of rotation and landing along x of an observed toss, in tolerances. Shape (2,).
 
     None if the pancake was not observed.
     """
     if flight is None or (flight["tossed"] and not flight["seen"]):
         return None
-    return _error(bool(flight["tossed"]), flight["angle"], flight["landing_error"][0], settings)
+    return _error(bool(flight["tossed"]), flight["angle"], flight["landing_error"][0])
 
 
-def _error(tossed: bool, angle: float, landing_error: float, settings: FlipSettings) -> np.ndarray:
+def _error(tossed: bool, angle: float, landing_error: float) -> np.ndarray:
     """Errors in tolerances; a pancake that was not tossed has not turned, and has no landing."""
-    wanted = math.pi
     landing = landing_error / LANDING_TOLERANCE if tossed else math.nan
-    return np.array([(angle - wanted) / TURN_TOLERANCE, landing])
+    return np.array([(angle - math.pi) / TURN_TOLERANCE, landing])
 
 
 class TossErrors:
@@ -151,6 +150,7 @@ class TossErrors:
         """See `Task.error_model`."""
         self._parametrization, self._foresee = parametrization, foresee
         self._settings = settings
+        self._known: dict[bytes, Prediction | None] = {}  # by coordinates; a simulation is slow
         self.directions = np.zeros((4, parametrization.size))
         self.slopes = np.zeros((2, 4))
         for k, (group, size, turn, shift) in enumerate(DIRECTIONS):
@@ -160,9 +160,12 @@ class TossErrors:
 
     def predict(self, z: np.ndarray) -> Prediction | None:
         """See `learner.ErrorModel`."""
-        policy, _ = self._parametrization.policy(z, "predicted")
-        foreseen = self._foresee(policy)
-        if foreseen is None:
-            return None
-        toss = predict_toss(foreseen.tool, self._settings.delta_h)
-        return Prediction(_error(*toss, self._settings), foreseen.excess)
+        key = z.tobytes()
+        if key not in self._known:
+            policy, _ = self._parametrization.policy(z, "predicted")
+            foreseen, prediction = self._foresee(policy), None
+            if foreseen is not None:
+                toss = predict_toss(foreseen.tool, self._settings.delta_h)
+                prediction = Prediction(_error(*toss), foreseen.excess)
+            self._known[key] = prediction
+        return self._known[key]
