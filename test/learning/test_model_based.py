@@ -148,6 +148,8 @@ def test_an_error_within_the_tolerances_needs_no_progress() -> None:
     learner = learner_of(LinearModel(fine), patience=4)
     practise(learner, 12, fine)
     assert not learner.falls_back
+    practise(learner, 12, fine)
+    assert learner.falls_back, "but if a session has not ended by then, it does not suffice"
 
 
 def test_a_rejected_plan_is_moved_towards_the_best_rollout() -> None:

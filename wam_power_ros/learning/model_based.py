@@ -69,7 +69,8 @@ class ModelBased(GaussianLearner):
     ones among all coordinates. A rollout is executed at the plan, without exploration.
 
     PoWER learns from the same rollouts, as told. It decides when neither the model foresees an
-    error with a value nor one has been measured, and after `patience` rollouts without progress.
+    error with a value nor one has been measured, after `patience` rollouts without progress, and
+    after `planned` rollouts: the error may leave out something that matters.
 
     What was predicted for a plan is known to later ones. So the state is a function of the rollouts
     and of the draws between them, as in a session that is replayed.
@@ -83,12 +84,15 @@ class ModelBased(GaussianLearner):
             length: Distance over which what a description leaves unexplained changes [sd of the
                 exploration].
             patience: Number of rollouts without progress after which PoWER decides.
+            planned: Number of rollouts after which it decides in any case: small errors alone have
+                not sufficed.
             fallback: Settings of PoWER.
         """
 
         simulations: int = Field(default=8, ge=1)
         length: float = Field(default=10.0, gt=0.0, allow_inf_nan=False)
         patience: int = Field(default=8, ge=1)
+        planned: int = Field(default=24, ge=1)
         fallback: Power.Settings = Power.Settings(sigma=6, weights="sharpened", decay=0.97)
 
     settings: Settings
@@ -171,6 +175,8 @@ class ModelBased(GaussianLearner):
     def _stuck(self) -> bool:
         """Whether the latest plans have not come closer than an earlier one."""
         losses = self._losses()
+        if len(losses) >= self.settings.planned:
+            return True
         last = losses[-self.settings.patience :]
         before = losses[: -self.settings.patience]
         if not len(before):
