@@ -93,11 +93,11 @@ ALLOWED["benchmark"] = {*ALLOWED}
 # what can go; where nothing can, the commit that raises a figure says why.
 BUDGET = {
     "ground": 1330,  # the modules of wam_power_ros/ itself
-    "learning": 3000,
+    "learning": 3010,
     "control": 4430,
     "commissioning": 1010,
     "tracking": 620,
-    "tasks": 3620,
+    "tasks": 3630,
     "practice": 2170,
     "conformance": 1120,
     "bags": 2660,
