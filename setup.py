@@ -95,6 +95,8 @@ setup(
             f"enac = {NAME}.learning.policy_gradient:Enac",
             f"random = {NAME}.learning.baselines:RandomSearch",
             f"corrections_only = {NAME}.learning.baselines:CorrectionsOnly",
+            f"model_based = {NAME}.learning.model_based:ModelBased",
+            f"bayesian_optimization = {NAME}.learning.bayesian_optimization:BayesianOptimization",
         ],
     },
 )

@@ -93,12 +93,12 @@ ALLOWED["benchmark"] = {*ALLOWED}
 # what can go; where nothing can, the commit that raises a figure says why.
 BUDGET = {
     "ground": 1330,  # the modules of wam_power_ros/ itself
-    "learning": 2420,
-    "control": 4430,
+    "learning": 3010,
+    "control": 4450,
     "commissioning": 1040,
     "tracking": 620,
-    "tasks": 3550,
-    "practice": 2300,
+    "tasks": 3760,
+    "practice": 2340,
     "conformance": 1120,
     "bags": 2660,
     "params": 1140,
@@ -113,7 +113,7 @@ BUDGET = {
     "hardware_sim": 3380,
     "launch": 260,
     "examples": 380,
-    "reproduction": 3670,
+    "reproduction": 3930,
     "benchmark": 5260,
 }
 PURE = (

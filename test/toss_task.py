@@ -65,6 +65,9 @@ class AnyArm:
         """See `practice.ArmModel`."""
         return np.array([0.6, 0.0, 0.5])
 
+    def foresee(self, policy: Policy) -> None:
+        """See `practice.ArmModel`."""
+
 
 ANY_ARM = AnyArm()
 

@@ -20,6 +20,7 @@ from hardware_sim.scenes.flip import TossScript, wrist_flick
 from hardware_sim.settings import PITCH_RATE, WorldSettings
 from hardware_sim.world import World
 from reproduction.jobs import Job, Scale
+from reproduction.studies.habits import HABITS
 from wam_power_ros import rotations
 from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.learning.demonstration import from_joint_samples
@@ -60,6 +61,7 @@ def stand_in(
     seed: int,
     *,
     believed_pan: float = 1.0,
+    home: Sequence[float] | None = None,
     **world: Any,  # noqa: ANN401 - checked by WorldSettings
 ) -> Environment:
     """Environment with sensors and motors of the stand-in, in its normal or another condition.
@@ -67,9 +69,12 @@ def stand_in(
     Args:
         seed: Seed of all noise.
         believed_pan: Mass of the pan in the controller's model, as a fraction of its mass.
+        home: Posture in which demonstrations begin [rad]; None for that of the scene.
         **world: Fields of `WorldSettings`.
     """
     world_ = World(scene_type("flip"), WorldSettings(**world), seed)
+    if home is not None:
+        world_.scene.home = np.array(home)
     return Environment(world_, urdf=_with_pan(world_.urdf, believed_pan))
 
 
@@ -88,7 +93,11 @@ def _with_pan(urdf: str, share: float) -> str:
 
 
 def teach(
-    environment: Environment, seed: int, count: int, pitch_rate: float = PITCH_RATE
+    environment: Environment,
+    seed: int,
+    count: int,
+    pitch_rate: float = PITCH_RATE,
+    habit: str = "",
 ) -> list[Policy]:
     """Fit a policy to each demonstration of a small series by the simulated demonstrator.
 
@@ -97,10 +106,13 @@ def teach(
         seed: Seed of the demonstrator; demonstration k of a seed is always the same.
         count: Number of demonstrations.
         pitch_rate: Pitch rate of the demonstrator, see `wrist_flick` [rad/s].
+        habit: Habit of the demonstrator, one of `habits.HABITS`; "" for none.
     """
     policies = []
     for number in range(count):
         script = _script(environment, seed, number, pitch_rate)
+        if habit:
+            script = HABITS[habit](script)
         stamps_ns, q = environment.demonstrate(script, f"demonstration-{number}")
         demonstration = from_joint_samples(environment.arm, stamps_ns, q)
         policies.append(fit([demonstration], FLIP_FIT, f"demonstration-{number + 1}"))
@@ -121,6 +133,7 @@ def session(
     name: str,
     demonstrations: int = 3,
     pitch_rate: float = PITCH_RATE,
+    habit: str = "",
     changes: Mapping[str, Any] | None = None,
     condition: Mapping[str, Any] | None = None,
     carried: Mapping[str, Mapping[str, Any]] | None = None,
@@ -134,6 +147,7 @@ def session(
         name: Name of the preset.
         demonstrations: Number of demonstrations.
         pitch_rate: Pitch rate of the demonstrator, see `wrist_flick` [rad/s].
+        habit: Habit of the demonstrator, see `teach`.
         changes: Changes to the preset.
         condition: Condition of the environment, arguments of `stand_in`.
         carried: Name -> other condition to run the final policy in.
@@ -141,7 +155,7 @@ def session(
         keep_paths: True to keep the paths of demonstration, reproduction and final policy.
     """
     environment = stand_in(seed, **(condition or {}))
-    candidates = teach(environment, seed, demonstrations, pitch_rate=pitch_rate)
+    candidates = teach(environment, seed, demonstrations, pitch_rate, habit)
     settings = preset("flip", name, **(changes or {}))
     practice = Practice(settings, {}, candidates, seed, environment)
     records, best = [*environment.practise(practice)], practice.best

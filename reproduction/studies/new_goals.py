@@ -56,6 +56,9 @@ class AnyArm:
         """See `practice.ArmModel`."""
         return None
 
+    def foresee(self, policy: Policy) -> None:
+        """Nothing is foreseen."""
+
     def tool_position(self, q: np.ndarray) -> np.ndarray:
         """See `practice.ArmModel`."""
         return START

@@ -95,31 +95,34 @@ def line(sessions: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
     Returns:
         "sessions": their number; "reproduced": those whose first reproduction was a true flip;
-        "solved": those with at least SOLVED true flips in the re-tests; "confirmed": those that a
+        "solved": those with at least SOLVED true flips in the re-tests; "landed": those with as
+        many that turned over and were caught, however far in the air; "confirmed": those that a
         streak of successes ended; "wrong": those of them that are not solved; "to_streak": median
         number of rollouts before that streak; "true": mean and lowest decile of the share of true
         flips in the re-tests; "elsewhere": the same for the runs in other worlds, None without
         such runs.
     """
-    true = np.array([_true_flips(s["retests"]) for s in sessions])
-    elsewhere = np.array([_true_flips(s["carried"].get("elsewhere")) for s in sessions])
+    true = np.array([_share(s["retests"]) for s in sessions])
+    landed = np.array([_share(s["retests"], "landed") for s in sessions])
+    elsewhere = np.array([_share(s["carried"].get("elsewhere")) for s in sessions])
     ended = [s for s in sessions if s["ended_by"] == "confirmation"]
     before = [s["used"] - s["confirmed"] for s in ended]
     return {
         "sessions": len(sessions),
         "reproduced": sum(bool(s["trials"][0]["true_flip"]) for s in sessions),
         "solved": int(np.sum(true >= SOLVED / RETESTS)),
+        "landed": int(np.sum(landed >= SOLVED / RETESTS)),
         "confirmed": len(ended),
-        "wrong": sum(_true_flips(s["retests"]) < SOLVED / RETESTS for s in ended),
+        "wrong": sum(_share(s["retests"]) < SOLVED / RETESTS for s in ended),
         "to_streak": float(np.median(before)) if before else None,
         "true": _mean_and_decile(true),
         "elsewhere": _mean_and_decile(elsewhere) if any(s["carried"] for s in sessions) else None,
     }
 
 
-def _true_flips(runs: Sequence[Mapping[str, Any]] | None) -> float:
-    """Share of true flips; 0 for a session without a final policy."""
-    return float(np.mean([run["true_flip"] for run in runs or []] or [0]))
+def _share(runs: Sequence[Mapping[str, Any]] | None, outcome: str = "true_flip") -> float:
+    """Share of runs with an outcome; 0 for a session without a final policy."""
+    return float(np.mean([run[outcome] for run in runs or []] or [0]))
 
 
 def _mean_and_decile(shares: np.ndarray) -> tuple[float, float]:

@@ -11,7 +11,13 @@ import pytest
 from wam_power_ros.control.arm import WAM_GUARDED_POINTS, Arm
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.corrections import Corrections
-from wam_power_ros.control.feasibility import Feasibility, simulate_policy, speed_margin
+from wam_power_ros.control.feasibility import (
+    SPEED_SHARE,
+    Feasibility,
+    foresee,
+    simulate_policy,
+    speed_margin,
+)
 from wam_power_ros.control.safety import limits_of
 from wam_power_ros.faults import FaultKind
 from wam_power_ros.learning.policy import Basis, Policy
@@ -58,6 +64,35 @@ def test_a_gentle_movement_is_simulated_without_a_fault(arm: Arm) -> None:
     assert 0.1 < simulated.tool_peak < 1.0
     assert (simulated.qd_peak < arm.qd_max).all()
     assert f"elbow at most {simulated.elbow_peak:.2f} m/s" in str(simulated)
+
+
+def test_what_is_foreseen_is_the_path_of_the_tool_and_the_excess_of_speed(arm: Arm) -> None:
+    policy = lift(arm, 0.1)
+    foreseen, simulated = foresee(arm, SETTINGS, policy), simulate_policy(arm, SETTINGS, policy)
+    path, limits = foreseen.tool, limits_of(arm)
+    np.testing.assert_allclose(path.position[0], arm.tool_pose(START)[0], atol=1e-6)
+    assert path.position[-1, 2] - path.position[0, 2] == pytest.approx(0.1, abs=0.02)
+    assert np.diff(path.t) == pytest.approx(SETTINGS.period)
+    speeds = np.linalg.norm(np.diff(path.position, axis=0), axis=1) / SETTINGS.period
+    assert speeds.max() == pytest.approx(simulated.tool_peak, rel=0.01)
+    tool_share = simulated.tool_peak / limits.tool_speed
+    assert foreseen.excess[-1] == pytest.approx(tool_share / SPEED_SHARE - 1.0)
+    assert len(foreseen.excess) == arm.n + 2 and foreseen.excess.max() < 0.0
+
+
+@pytest.mark.parametrize(("share", "foreseeable"), [(0.8, True), (0.6, True), (0.3, False)])
+def test_beyond_a_limit_it_is_foreseen_how_far_and_far_beyond_it_nothing(
+    arm: Arm, share: float, foreseeable: bool
+) -> None:
+    policy = lift(arm, 0.2)
+    peak = simulate_policy(arm, SETTINGS, policy).tool_peak
+    limits = replace(limits_of(arm), tool_speed=share * peak / SPEED_SHARE)
+    slow = SETTINGS.model_copy(update={"limits": limits})
+    assert simulate_policy(arm, slow, policy).fault is not None
+    foreseen = foresee(arm, slow, policy)
+    assert (foreseen is not None) == foreseeable
+    if foreseen is not None:
+        assert foreseen.excess[-1] == pytest.approx(1.0 / share - 1.0)
 
 
 @pytest.mark.requirement("S-31")

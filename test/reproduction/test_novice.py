@@ -44,7 +44,12 @@ def test_a_demonstration_from_a_level_pan_begins_level() -> None:
 
 
 def a_session(
-    true: int, ended_by: str, used: int, first: bool = False, elsewhere: int | None = None
+    true: int,
+    ended_by: str,
+    used: int,
+    first: bool = False,
+    elsewhere: int | None = None,
+    landed: int = 30,
 ) -> dict[str, Any]:
     carried = [] if elsewhere is None else [{"true_flip": k < elsewhere} for k in range(30)]
     return {
@@ -53,7 +58,7 @@ def a_session(
         "ended_by": ended_by,
         "confirmed": 10 if ended_by == "confirmation" else 0,
         "trials": [{"true_flip": first}],
-        "retests": [{"true_flip": k < true} for k in range(30)],
+        "retests": [{"true_flip": k < true, "landed": k < landed} for k in range(30)],
     }
 
 
@@ -62,9 +67,10 @@ def test_the_statistics_of_a_row_count_sessions_and_not_rollouts() -> None:
         a_session(30, "confirmation", 20),
         a_session(27, "confirmation", 30, first=True),
         a_session(24, "confirmation", 50),
-        a_session(0, "budget", 60),
+        a_session(0, "budget", 60, landed=26),
     ]
     found = novice.line(sessions)
+    assert found["landed"] == 3  # turned over and caught, however far in the air
     assert (found["sessions"], found["reproduced"], found["solved"]) == (4, 1, 2)
     assert found["confirmed"] == 3 and found["to_streak"] == 20.0  # ten confirm
     assert found["wrong"] == 1

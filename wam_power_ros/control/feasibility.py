@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from wam_power_ros import rotations
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.controller_settings import ControllerSettings
@@ -22,11 +23,13 @@ from wam_power_ros.control.safety import Limits, limits_of
 from wam_power_ros.control.state_checks import at_rate
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.policy import Policy
+from wam_power_ros.learning.rollout import EndEffectorPath, Foreseen
 
 _REST_TICKS = 60  # periods at rest, at 500 Hz, until the controller reaches its fixed point
 _STEP = 0.001  # [s] of the integration of the model
 POSITION_MARGIN = 0.05  # [rad] smallest distance from a position limit
 SPEED_SHARE = 0.9  # usable share of the speed limits: the arm differs from the model
+FORESEEN_SHARE = 2.0  # in `foresee`: how far beyond a limit a policy is, not only that it is
 OVERRUN_SHARE = 0.98  # factor on it for each rollout in which the arm was faster than the model
 _FILTER_STATES = 2  # by which the filter of the velocities adds to a measured delay
 _FRICTION_SPEED = 0.01  # [rad/s] below it Coulomb friction falls to zero with the speed
@@ -42,12 +45,14 @@ class Feasibility:
         qd_peak: Highest joint speeds [rad/s]. Shape (n,).
         elbow_peak: Highest speed of the guarded points, elbow and forearm [m/s].
         tool_peak: Highest speed of the tool [m/s].
+        q: Joint positions in every control period of the rollout [rad]. Shape (T, n).
     """
 
     fault: Fault | None
     qd_peak: np.ndarray
     elbow_peak: float
     tool_peak: float
+    q: np.ndarray
 
     def __str__(self) -> str:
         """Return one line; the arm's safety board must allow the peak speed of the elbow."""
@@ -102,7 +107,7 @@ def simulate_policy(
         controller.move_to_start()
     except ControllerError as error:
         refusal = Fault(FaultKind.COMPUTATION, str(error))
-        return Feasibility(refusal, np.zeros(arm.n), 0.0, 0.0)
+        return Feasibility(refusal, np.zeros(arm.n), 0.0, 0.0, np.empty((0, arm.n)))
     while not controller.ready:
         rest()
     rests, delay = (at_rate(count, settings.period) for count in (_REST_TICKS, TORQUE_DELAY))
@@ -113,13 +118,14 @@ def simulate_policy(
     acting = deque((scales * rest() for _ in range(rests)), maxlen=delay + 1)
     controller.execute()
     qd_peak, elbow_peak, tool_peak = np.zeros(arm.n), 0.0, 0.0
-    lowest, highest = q, q
+    lowest, highest, path = q, q, []
     change = np.zeros(arm.n)  # of the speeds in the last step, expected again in the next
     while True:
         tau = controller.step(stamp_ns, q, qd)
         if controller.mode is not Mode.ROLLOUT:
             break
         acting.append(scales * tau)
+        path.append(q)
         for _ in range(substeps):
             # Implicit: explicit friction would shake joints of less than 0.0015 kg m^2.
             speed = np.maximum(np.abs(qd + change), _FRICTION_SPEED)
@@ -133,7 +139,26 @@ def simulate_policy(
         np.maximum(qd_peak, np.abs(qd), out=qd_peak)
         elbow_peak, tool_peak = max(elbow_peak, *guarded), max(tool_peak, tool)
     fault = controller.latched or _margin_fault(lowest, highest, limits)
-    return Feasibility(fault, qd_peak, elbow_peak, tool_peak)
+    return Feasibility(fault, qd_peak, elbow_peak, tool_peak, np.array(path))
+
+
+def foresee(arm: Arm, settings: ControllerSettings, policy: Policy) -> Foreseen | None:
+    """Path of the tool in a simulated execution of a policy, and its excesses of speed.
+
+    None if it ends in a fault though the speed limits are `FORESEEN_SHARE` of the real ones.
+    """
+    simulated = simulate_policy(arm, settings, policy, FORESEEN_SHARE)
+    if simulated.fault is not None:
+        return None
+    limits = settings.limits or limits_of(arm)
+    points = simulated.elbow_peak / limits.elbow_speed, simulated.tool_peak / limits.tool_speed
+    shares = np.array([*(simulated.qd_peak / limits.qd_max), *points])
+    poses = [arm.tool_pose(q) for q in simulated.q]
+    t = settings.period * np.arange(len(poses))
+    position = np.stack([place for place, _ in poses])
+    quat_xyzw = np.stack([rotations.quat_xyzw(matrix) for _, matrix in poses])
+    path = EndEffectorPath(policy.id, t, position, quat_xyzw)
+    return Foreseen(path, shares / SPEED_SHARE - 1.0)
 
 
 def _margin_fault(lowest: np.ndarray, highest: np.ndarray, limits: Limits) -> Fault | None:

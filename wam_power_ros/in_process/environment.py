@@ -17,12 +17,12 @@ from hardware_sim.ground_truth import Truth
 from hardware_sim.settings import OptitrackSimParams, WamSimParams
 from hardware_sim.world import World
 from wam_power_ros.control.controller import Controller
-from wam_power_ros.control.feasibility import simulate_policy, speed_margin
+from wam_power_ros.control.feasibility import foresee, simulate_policy, speed_margin
 from wam_power_ros.control.modes import Mode
 from wam_power_ros.control.replay_trajectory import sampled
 from wam_power_ros.faults import Fault
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.rollout import Rollout
+from wam_power_ros.learning.rollout import Foreseen, Rollout
 from wam_power_ros.params import overlay
 from wam_power_ros.params.overlay import Setup
 from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
@@ -82,6 +82,10 @@ class Environment:
         """See `practice.ArmModel`."""
         margin = speed_margin(overruns)
         return simulate_policy(self.arm, self.controller.settings, policy, margin).fault
+
+    def foresee(self, policy: Policy) -> Foreseen | None:
+        """See `practice.ArmModel`."""
+        return foresee(self.arm, self.controller.settings, policy)
 
     def tool_position(self, q: np.ndarray) -> np.ndarray:
         """Position of the tool at joint angles q [m]. Shape (3,)."""

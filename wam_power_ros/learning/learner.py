@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from bisect import insort
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
@@ -46,6 +46,53 @@ class Learner(Protocol):
         """
 
 
+@runtime_checkable
+class MeasuringLearner(Protocol):
+    """A learner that is also told the vector error of a rollout, where its task measures one."""
+
+    def measure(self, z: np.ndarray, error: np.ndarray) -> None:
+        """Learn the error of the rollout that is told next.
+
+        Args:
+            z: Coordinates that were executed, without corrections in hindsight. Shape (size,).
+            error: Error in units of its tolerances, as in `ErrorModel`. Shape (m,).
+        """
+
+
+class Prediction(NamedTuple):
+    """What an `ErrorModel` predicts.
+
+    Attributes:
+        error: Error in units of its tolerances. Shape (m,).
+        excess: Share by which each limit is exceeded, below 0 if it is kept. Shape (c,).
+    """
+
+    error: np.ndarray
+    excess: np.ndarray
+
+
+class ErrorModel(Protocol):
+    """A predictor of the vector error of a rollout: what is to become 0, such as a landing error.
+
+    Errors are in units of their tolerances: of at most 1, a rollout is as good as is useful.
+    A component that has no value, such as the landing of what was not thrown, is NaN.
+
+    Attributes:
+        directions: Shifts of z that change the error, each as large as a large correction is; a
+            learner searches along them first. Shape (d, size).
+        slopes: Rough change of the error by each. Shape (m, d).
+    """
+
+    directions: np.ndarray
+    slopes: np.ndarray
+
+    def predict(self, z: np.ndarray) -> Prediction | None:
+        """Predict the error at z (size,), which depends on z alone; None if it is unknown there.
+
+        May take as long as the simulation of a rollout.
+        """
+
+
 class Model(Protocol):
     """A predictor of returns, usable before the first rollout, that may learn from every rollout.
 
@@ -65,6 +112,7 @@ class LearnerClass(Protocol):
     Attributes:
         Settings: Model of the settings, with a default for every field.
         needs_model: Whether the constructor needs a `Model`; if not, it accepts none.
+        needs_error_model: Whether it needs an `ErrorModel` in its place; False if left out.
     """
 
     Settings: Any
@@ -75,7 +123,7 @@ class LearnerClass(Protocol):
         size: int,
         settings: Any,  # noqa: ANN401 - the class's own `Settings`
         rng: np.random.Generator,
-        model: Model | None = None,
+        model: Any = None,  # noqa: ANN401 - a `Model` or an `ErrorModel`
     ) -> Learner:
         """Construct a learner.
 
@@ -83,7 +131,7 @@ class LearnerClass(Protocol):
             size: Number of parameters.
             settings: Instance of `Settings`.
             rng: Source of the exploration noise; used by `ask` only.
-            model: Predictor of returns, given if and only if `needs_model`.
+            model: Predictor of returns or of errors, given if and only if it is needed.
 
         Raises:
             ValueError: If `size` is too small, or a model is missing or unused.
@@ -166,6 +214,7 @@ class GaussianLearner(ABC):
 
     Settings: type[LearnerSettings] = LearnerSettings
     needs_model = False
+    needs_error_model = False
     size_min = 1
     settings: LearnerSettings
 
@@ -174,14 +223,15 @@ class GaussianLearner(ABC):
         size: int,
         settings: LearnerSettings,
         rng: np.random.Generator,
-        model: Model | None = None,
+        model: Any = None,  # noqa: ANN401 - a `Model` or an `ErrorModel`
     ) -> None:
         """Start at z = 0; see `LearnerClass`."""
         name = type(self).__name__
         if size < self.size_min:
             raise ValueError(f"size is {size}, {name} needs at least {self.size_min}")
-        if (model is not None) != self.needs_model:
-            raise ValueError(f"{name} {'needs a' if self.needs_model else 'uses no'} model")
+        needed = self.needs_model or self.needs_error_model
+        if (model is not None) != needed:
+            raise ValueError(f"{name} {'needs a' if needed else 'uses no'} model")
         self.size = size
         self.settings = settings
         self._rng = rng

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -62,6 +63,19 @@ class EndEffectorPath(_Path):
 
 class BodyPath(_Path):
     """Measured path of the tracked body, with gaps where it was hidden; may be empty."""
+
+
+class Foreseen(NamedTuple):
+    """Execution of a policy on a model of the arm.
+
+    Attributes:
+        tool: Path of the tool.
+        excess: Share by which each highest speed exceeds what is allowed; below 0 if it does not.
+            Shape (c,).
+    """
+
+    tool: EndEffectorPath
+    excess: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)

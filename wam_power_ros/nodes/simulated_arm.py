@@ -8,9 +8,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.control.feasibility import simulate_policy, speed_margin
+from wam_power_ros.control.feasibility import foresee, simulate_policy, speed_margin
 from wam_power_ros.faults import Fault
 from wam_power_ros.learning.policy import Policy, to_json, with_id
+from wam_power_ros.learning.rollout import Foreseen
 from wam_power_ros.params.resources import robot_description, share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 
@@ -59,6 +60,10 @@ class SimulatedArm:
             self._report(f"{policy.id} simulated: {simulated}")
             self._verdicts[key] = simulated.fault
         return self._verdicts[key]
+
+    def foresee(self, policy: Policy) -> Foreseen | None:
+        """See `practice.ArmModel`."""
+        return foresee(self._controller.arm, self._controller.settings, policy)
 
     def tool_position(self, q: np.ndarray) -> np.ndarray:
         """Position of the tool at joint angles q [m]. Shape (3,)."""

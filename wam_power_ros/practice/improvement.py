@@ -14,9 +14,10 @@ from typing import Protocol
 import numpy as np
 
 from wam_power_ros.faults import Fault
-from wam_power_ros.learning.learner import Learner
+from wam_power_ros.learning.learner import Learner, MeasuringLearner
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
+from wam_power_ros.learning.rollout import Foreseen
 from wam_power_ros.practice.past import Past
 from wam_power_ros.practice.session_log import Kind, Record
 from wam_power_ros.practice.settings import SessionSettings
@@ -42,6 +43,12 @@ class ArmModel(Protocol):
 
     def tool_position(self, q: np.ndarray) -> np.ndarray:
         """Position of the tool at joint angles q [m]. Shape (3,)."""
+
+    def foresee(self, policy: Policy) -> Foreseen | None:
+        """Simulated execution of a policy; None if it ends in a fault.
+
+        Must be a function of its arguments: a replay depends on it.
+        """
 
 
 def feasibility(
@@ -150,6 +157,7 @@ class Improvement:
         self.practised = practised
         self._settings, self._task, self._arm, self._rng = settings, task, arm, rng
         self._rule = StoppingRule(settings.practice, task.margins)
+        self._error_model = task.error_model(parametrization, arm.foresee)
         self.learn_again(records)
 
     @property
@@ -169,12 +177,17 @@ class Improvement:
 
     def learn_again(self, records: Sequence[Record]) -> None:
         """Start a new learner and feed it all rollouts of the demonstration, in their order."""
-        start = self._arm.tool_position(self.parametrization.policy0.q_start)
-        model = self._task.model(self.parametrization, start)
-        self.learner = self._settings.make_learner(self.parametrization.size, self._rng, model)
+        parametrization, task = self.parametrization, self._task
+        start = self._arm.tool_position(parametrization.policy0.q_start)
+        self.learner = self._settings.make_learner(
+            parametrization.size,
+            self._rng,
+            task.model(parametrization, start),
+            self._error_model,
+        )
         for record in records:
-            if record.demonstration == self.demonstration and record.learnt_as is not None:
-                self.learner.tell(np.array(record.learnt_as), float(record.rated_return or 0.0))
+            if record.demonstration == self.demonstration:
+                self._tell(record)
 
     def begin(self, reproduction: Record) -> str:
         """Let the mean be run next if the reproduction succeeded; returns a remark for the log."""
@@ -206,8 +219,10 @@ class Improvement:
         if rule.mean_is_due or (every > 0 and (self.practised + 1) % every == 0):
             mean = self.shrunk(self.learner.mean, past, rejections)
             return "mean", *mean, "the mean policy, without exploration"
-        drawn = sample(self.learner, *self._feasible(past), rejections)
-        return "explore", *drawn, "explores"
+        z, count = sample(self.learner, *self._feasible(past), rejections)
+        if count == 0 and np.array_equal(z, self.learner.mean):  # drawn without exploration
+            return "mean", z, count, "the mean policy, without exploration"
+        return "explore", z, count, "explores"
 
     def shrunk(self, z: np.ndarray, past: Past, rejections: int | None) -> tuple[np.ndarray, int]:
         """Coordinates shrunk until they are feasible, and the number of halvings; see `draw`."""
@@ -216,9 +231,17 @@ class Improvement:
     def add(self, record: Record) -> str:
         """Learn from a record of an exploration or a mean; returns a remark for the log."""
         self.practised += 1
-        if record.learnt_as is not None and record.ret is not None:
-            self.learner.tell(np.array(record.learnt_as), record.ret)
+        self._tell(record)
         return self._rule.add(record) or ("" if record.ret is not None else "dropped")
+
+    def _tell(self, record: Record) -> None:
+        """Let the learner learn from a record, if it is learnt from."""
+        if record.learnt_as is None:
+            return
+        learner, error = self.learner, self._task.error(record)
+        if isinstance(learner, MeasuringLearner) and error is not None:
+            learner.measure(np.array(record.z), error)
+        self.learner.tell(np.array(record.learnt_as), float(record.rated_return or 0.0))
 
     def _feasible(self, past: Past) -> tuple[np.ndarray, Callable[[np.ndarray], bool]]:
         """Coordinates of the fault-free rollout with the highest return, else 0; `feasibility`."""

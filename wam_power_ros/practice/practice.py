@@ -127,8 +127,9 @@ class Practice:
             log: Lines of the log, oldest first.
 
         Raises:
-            ValueError: `check_candidates` refuses the candidates, or the log is of another
-                session; names the first line that differs.
+            ValueError: `check_candidates` refuses the candidates, the learner needs a model that
+                the task does not have, or the log is of another session; names the first line
+                that differs.
         """
         check_candidates(candidates, settings.practice)
         self.settings = settings
@@ -150,6 +151,7 @@ class Practice:
         self._log: list[Line] = []
         self._waiting: list[Event] = []  # take effect after the pending trial
         self._pending: Trial | None = None
+        self._improvement_of(candidates[0].id, 0)  # a learner without its model is refused now
         for line in log:
             self.apply(line)
 
@@ -564,7 +566,11 @@ class Practice:
     def _learn_from(self, reproduction: Record, why: str, practised: int = 0) -> str:
         demonstration = reproduction.demonstration
         self.choice = f"learns from {demonstration}: {why}"
-        self._improvement = Improvement(
+        self._improvement = self._improvement_of(demonstration, practised)
+        return "; ".join(filter(None, (self.choice, self._improvement.begin(reproduction))))
+
+    def _improvement_of(self, demonstration: str, practised: int) -> Improvement:
+        return Improvement(
             self._parametrizations[demonstration],
             self.settings,
             self.task,
@@ -573,7 +579,6 @@ class Practice:
             self._records,
             practised,
         )
-        return "; ".join(filter(None, (self.choice, self._improvement.begin(reproduction))))
 
     def _advance_practice(self, record: Record) -> str:
         """Process a record of an exploration or of the mean."""

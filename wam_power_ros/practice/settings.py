@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, ValidationError, model_validator
 
-from wam_power_ros.learning.learner import Learner, Model
+from wam_power_ros.learning.learner import ErrorModel, Learner, Model
 from wam_power_ros.practice import plugins
 from wam_power_ros.tasks.task import Task
 
@@ -88,7 +88,11 @@ class SessionSettings(BaseModel):
         return plugins.task_type(self.task)(self.task_settings, context)
 
     def make_learner(
-        self, size: int, rng: np.random.Generator, task_model: Model | None
+        self,
+        size: int,
+        rng: np.random.Generator,
+        task_model: Model | None,
+        error_model: ErrorModel | None = None,
     ) -> Learner:
         """Create a learner.
 
@@ -96,16 +100,22 @@ class SessionSettings(BaseModel):
             size: Number of parameters.
             rng: Random generator of the exploration.
             task_model: Model of the task for a learner that needs one.
+            error_model: Model of the vector error of the task for a learner that needs one.
 
         Raises:
             ValueError: The learner needs a model and the task has none.
         """
         kind = plugins.learner_type(self.learner)
-        if kind.needs_model and task_model is None:
-            raise ValueError(f"learner {self.learner!r} needs a model, task {self.task!r} has none")
-        learner: Learner = kind(
-            size, self.learner_settings, rng, task_model if kind.needs_model else None
-        )
+        needed: dict[str, Model | ErrorModel | None] = {}
+        if kind.needs_model:
+            needed["a model of the returns"] = task_model
+        if getattr(kind, "needs_error_model", False):
+            needed["a model of the vector error"] = error_model
+        for what, model in needed.items():
+            if model is None:
+                name = f"task {self.task!r} with these settings has none"
+                raise ValueError(f"learner {self.learner!r} needs {what}, {name}")
+        learner: Learner = kind(size, self.learner_settings, rng, *needed.values())
         return learner
 
 

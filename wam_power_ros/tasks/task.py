@@ -20,10 +20,10 @@ from pydantic import BaseModel
 from wam_power_ros.faults import Fault
 from wam_power_ros.learning.demonstration import Demonstration, ToolPose, from_joint_samples
 from wam_power_ros.learning.dmp import FitSettings, fit
-from wam_power_ros.learning.learner import Model
+from wam_power_ros.learning.learner import ErrorModel, Model
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.rollout import Rollout
+from wam_power_ros.learning.rollout import Foreseen, Rollout
 from wam_power_ros.regions import Region
 from wam_power_ros.tasks.reset import Action, BodyState
 
@@ -301,6 +301,26 @@ class Task(ABC):
         Args:
             parametrization: Map from coordinates to policies.
             start: Position of the tool at the start of the policy [m]. Shape (3,).
+        """
+        return None
+
+    def error(self, record: LoggedRollout) -> np.ndarray | None:
+        """Vector error of a logged rollout, as `error_model` predicts it; None if unknown.
+
+        It must follow from the record alone: a replay has nothing else.
+        """
+        return None
+
+    def error_model(
+        self,
+        parametrization: Parametrization,
+        foresee: Callable[[Policy], Foreseen | None],
+    ) -> ErrorModel | None:
+        """Model of the vector error, for learners that plan on it; None if the task has none.
+
+        Args:
+            parametrization: Map from coordinates to policies.
+            foresee: Simulates the execution of a policy, None if it ends in a fault.
         """
         return None
 

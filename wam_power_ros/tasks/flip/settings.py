@@ -121,6 +121,8 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
     # For comparison: what the returns, or the corrections, reach alone.
     "return_only": {**_FLIP, **dict.fromkeys(_GAINS, 0.0)},
     "corrections_only": {**_FLIP, "learner": {"name": "corrections_only"}, "mean_every": 1},
+    # Plans on a model of the toss, and falls back on the learner of `flip`.
+    "model_based": {**_FLIP, "learner": {"name": "model_based"}},
     "paper": {
         "variant": "full",
         "noise": {"stiffness": 0.1, "attractor": 0.01, "rotation": 0.05, "catch_shift": 0.01},

@@ -4,15 +4,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from wam_power_ros.learning.learner import Model
+from wam_power_ros.learning.learner import ErrorModel, Model
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.rollout import Rollout
+from wam_power_ros.learning.rollout import Foreseen, Rollout
 from wam_power_ros.tasks.flip import assessment as flip_assessment
 from wam_power_ros.tasks.flip import paper
 from wam_power_ros.tasks.flip.flight import FLIP_ANGLES, observe_flight
@@ -22,6 +22,7 @@ from wam_power_ros.tasks.flip.parametrization import flip_parametrization
 from wam_power_ros.tasks.flip.planned_toss import TossModel
 from wam_power_ros.tasks.flip.returns import pancake_return
 from wam_power_ros.tasks.flip.settings import FLIP_FIT, PRESETS, FlipSettings
+from wam_power_ros.tasks.flip.toss_errors import TossErrors, measured_error
 from wam_power_ros.tasks.task import (
     Assessment,
     BodyState,
@@ -134,6 +135,20 @@ class Flip(Task):
         settings = self.settings
         weights = settings.pancake_weights if settings.ret == "eq5" else settings.landing_weights
         return TossModel(parametrization, start, weights, settings.delta_h)
+
+    def error(self, record: LoggedRollout) -> np.ndarray | None:
+        """Errors of rotation and landing; see `toss_errors.measured_error`."""
+        return measured_error(record.observation)
+
+    def error_model(
+        self,
+        parametrization: Parametrization,
+        foresee: Callable[[Policy], Foreseen | None],
+    ) -> ErrorModel | None:
+        """Toss from the simulated path of the pan; see `TossErrors`."""
+        if self.settings.variant != "planar":
+            return None
+        return TossErrors(parametrization, foresee, self.settings)
 
     def outcome(self, record: LoggedRollout) -> str:
         """Rotation and end state of the pancake, as tracked; see `Task`."""

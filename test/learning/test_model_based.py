@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Planning on a model of a vector error that may be wrong."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hill_task import rng
+
+from wam_power_ros.learning.learner import Prediction
+from wam_power_ros.learning.model_based import ModelBased
+from wam_power_ros.learning.power import Power
+
+SIZE = 8
+SLOPES = np.array([[3.0, 2.0, 0.0], [0.5, 0.0, -4.0]])  # of the error, by direction
+START = np.array([-6.0, 5.0])  # error at z = 0
+
+
+def error(z: np.ndarray) -> np.ndarray:
+    """True error of a rollout: linear, and the coordinates beyond the third do not matter."""
+    return START + SLOPES @ z[:3] / 5.0
+
+
+class LinearModel:
+    """An error model of a linear task, which counts its predictions."""
+
+    directions = 5.0 * np.eye(3, SIZE)
+
+    def __init__(
+        self,
+        predicted: Callable[[np.ndarray], np.ndarray] = error,
+        slopes: np.ndarray = SLOPES,
+        limit: float = math.inf,
+    ) -> None:
+        self._predicted, self.slopes, self._limit = predicted, slopes, limit
+        self.count = 0
+
+    def predict(self, z: np.ndarray) -> Prediction | None:
+        """Predict the error; the excess is that of the distance from the start."""
+        self.count += 1
+        return Prediction(self._predicted(z), np.array([np.linalg.norm(z) / self._limit - 1.0]))
+
+
+def learner_of(model: LinearModel, seed: int = 0, patience: int = 8) -> ModelBased:
+    return ModelBased(SIZE, ModelBased.Settings(patience=patience), rng(seed), model)
+
+
+def practise(
+    learner: ModelBased, rollouts: int, true: Callable[[np.ndarray], np.ndarray] = error
+) -> list[np.ndarray]:
+    """Rollout at z = 0, then at what the learner asks for; returns the true errors."""
+    found = []
+    for number in range(rollouts):
+        z = np.zeros(SIZE) if number == 0 else learner.ask()
+        measured = true(z)
+        found.append(measured)
+        learner.measure(z, measured)
+        learner.tell(z, float(np.exp(-0.01 * (np.nan_to_num(measured, nan=9.0) ** 2).sum())))
+    return found
+
+
+def test_with_an_exact_model_the_second_rollout_is_within_the_tolerances() -> None:
+    model = LinearModel()
+    first, second = practise(learner_of(model), 2)
+    assert np.abs(first).max() > 4.0
+    assert np.abs(second).max() < 1.0
+    assert model.count <= 1 + ModelBased.Settings().simulations
+
+
+def test_a_constant_error_of_the_model_is_corrected_by_one_rollout() -> None:
+    """One more rollout than with an exact model; the model keeps its weight."""
+    learner = learner_of(LinearModel(lambda z: error(z) + np.array([4.0, -3.0])))
+    errors = practise(learner, 3)
+    assert np.abs(errors[1]).max() > 2.0 or np.abs(errors[2]).max() < 1.0
+    assert np.abs(errors[2]).max() < 1.0
+    assert learner.weight > 0.5
+
+
+def test_a_wrong_model_loses_its_weight_and_the_rollouts_still_converge() -> None:
+    def wrong(z: np.ndarray) -> np.ndarray:
+        return -2.0 * error(z) + 7.0 * np.sin(z[:2])
+
+    learner = learner_of(LinearModel(wrong))
+    practise(learner, 1)
+    before = learner.weight
+    errors = practise(learner, 12)
+    assert learner.weight < 0.1 < before
+    assert np.abs(errors[-1]).max() < 1.0
+
+
+def test_a_model_without_the_true_slopes_learns_them() -> None:
+    learner = learner_of(LinearModel(slopes=SLOPES * [-0.5, 1.0, 0.5]))
+    assert np.abs(practise(learner, 3)[-1]).max() < 1.0
+
+
+def test_a_plan_keeps_the_limits_of_the_arm() -> None:
+    model = LinearModel(limit=7.0)  # without it, plans are 8 away
+    free, bound = learner_of(LinearModel()), learner_of(model)
+    practise(free, 4)
+    practise(bound, 4)
+    assert np.linalg.norm(free.mean) > 7.0
+    assert np.linalg.norm(bound.mean) < 7.0
+
+
+def test_a_rollout_that_a_fault_ended_moves_the_plan_away_from_the_limits() -> None:
+    learner = learner_of(LinearModel(limit=7.0))
+    practise(learner, 3)
+    before = np.linalg.norm(learner.mean)
+    for _ in range(3):
+        learner.tell(learner.ask(), 0.0)  # nothing was measured
+    assert np.linalg.norm(learner.mean) < 0.97 * before
+
+
+def test_without_a_foreseen_value_power_decides() -> None:
+    def nothing(z: np.ndarray) -> np.ndarray:
+        return np.array([-12.0, math.nan])
+
+    learner = learner_of(LinearModel(nothing), seed=3)
+    practise(learner, 1, nothing)
+    assert learner.falls_back
+    power = Power(SIZE, ModelBased.Settings().fallback, rng(3))
+    power.tell(np.zeros(SIZE), 1.0)
+    np.testing.assert_array_equal(learner.ask(), power.ask())
+    z = 3.0 * np.ones(SIZE)
+    learner.measure(z, error(z))
+    learner.tell(z, 1.0)
+    assert not learner.falls_back, "a measured value is something to plan from"
+
+
+def test_without_progress_power_decides_after_some_rollouts() -> None:
+    def hopeless(z: np.ndarray) -> np.ndarray:
+        return np.array([9.0, 9.0])
+
+    learner = learner_of(LinearModel(), patience=4)
+    practise(learner, 4, hopeless)
+    assert not learner.falls_back
+    practise(learner, 1, hopeless)
+    assert learner.falls_back
+
+
+def test_an_error_within_the_tolerances_needs_no_progress() -> None:
+    def fine(z: np.ndarray) -> np.ndarray:
+        return np.array([0.9, 0.9])
+
+    learner = learner_of(LinearModel(fine), patience=4)
+    practise(learner, 12, fine)
+    assert not learner.falls_back
+    practise(learner, 12, fine)
+    assert learner.falls_back, "but if a session has not ended by then, it does not suffice"
+
+
+def test_a_rejected_plan_is_moved_towards_the_best_rollout() -> None:
+    learner = learner_of(LinearModel())
+    practise(learner, 1)
+    plan = learner.mean
+    asked = np.stack([learner.ask() for _ in range(4)])
+    np.testing.assert_array_equal(asked[0], plan)
+    np.testing.assert_allclose(asked[1:], np.outer(0.8 ** np.arange(1, 4), plan))
+
+
+def test_the_same_rollouts_and_draws_give_the_same_plans() -> None:
+    def bent(z: np.ndarray) -> np.ndarray:
+        return error(z) + 3.0 * np.sin(z[:2])
+
+    learners = [learner_of(LinearModel(limit=6.0)) for _ in range(2)]  # so near, it probes
+    practise(learners[0], 6, bent)
+    practise(learners[1], 6, bent)
+    np.testing.assert_array_equal(learners[0].mean, learners[1].mean)
+
+
+def test_a_learner_without_error_model_is_refused() -> None:
+    with pytest.raises(ValueError, match="ModelBased needs a model"):
+        ModelBased(SIZE, ModelBased.Settings(), rng(0))

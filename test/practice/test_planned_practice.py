@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sessions of a learner that plans on a model of the vector error."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from toss_task import ANY_ARM, demonstrated_policy, practice_of, toss
+
+from wam_power_ros.learning.learner import Prediction
+from wam_power_ros.learning.parametrization import Parametrization
+from wam_power_ros.practice.practice import Practice
+from wam_power_ros.practice.session_log import Line
+from wam_power_ros.practice.settings import SessionSettings, preset
+from wam_power_ros.tasks.flip.parametrization import TURN_OF_FLICK, TURN_OF_TEMPO, TURN_OF_VIGOUR
+from wam_power_ros.tasks.flip.task import Flip
+from wam_power_ros.tasks.flip.toss_errors import LANDING_TOLERANCE, TURN_TOLERANCE, TossErrors
+
+SETTINGS = preset("flip", "model_based", budget=12, retests=2, confirm=3)
+CANDIDATES = [demonstrated_policy()]
+
+
+class RoughTosses(TossErrors):
+    """What is known of `toss_task.toss`: not its noise, and a rotation that is 0.3 rad off."""
+
+    def predict(self, z: np.ndarray) -> Prediction | None:
+        """Predict the error of `toss`, without its noise."""
+        noise = self._settings.noise
+        turn = TURN_OF_VIGOUR * noise.vigour * z[-4] + TURN_OF_FLICK * noise.flick * z[-3]
+        turn += TURN_OF_TEMPO * noise.tempo * z[-1]
+        landing = 0.12 - noise.catch_shift * z[-2]
+        error = [(1.9 + turn - math.pi) / TURN_TOLERANCE, landing / LANDING_TOLERANCE, 0.0]
+        return Prediction(np.array(error), np.array([-0.5]))
+
+
+@pytest.fixture(autouse=True)
+def _known(monkeypatch: pytest.MonkeyPatch) -> None:
+    def error_model(
+        task: Flip, parametrization: Parametrization, foresee: Callable[..., None]
+    ) -> RoughTosses:
+        return RoughTosses(parametrization, foresee, task.settings)
+
+    monkeypatch.setattr(Flip, "error_model", error_model)
+
+
+def practised(practice: Practice) -> Practice:
+    while (trial := practice.next_trial()) is not None:
+        practice.learn_assessed(trial, toss(trial, practice.task.settings, noise=0.02))
+    return practice
+
+
+def test_a_plan_is_run_as_the_mean_so_its_success_counts_at_once() -> None:
+    practice = practised(practice_of(CANDIDATES, SETTINGS, 0))
+    kinds = [record.kind for record in practice.records if record.kind != "retest"]
+    assert kinds[0] == "reproduction" and set(kinds[1:]) == {"mean"}
+    assert "3 times in a row" in practice.stopped
+    assert practice.used <= 6
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_session_resumed_after_any_line_plans_the_same(seed: int) -> None:
+    whole = practised(practice_of(CANDIDATES, SETTINGS, seed))
+    log: list[Line] = list(whole.log)
+    for kept in range(len(log)):
+        again = practice_of(CANDIDATES, SETTINGS, seed, log[:kept])
+        trial = again.next_trial()
+        assert trial.z.tolist() == log[kept].z and trial.kind == log[kept].kind
+
+
+def test_the_error_is_that_of_what_was_executed_not_of_the_correction_in_hindsight() -> None:
+    practice = practice_of(CANDIDATES, SETTINGS, 0)
+    for _ in range(3):
+        trial = practice.next_trial()
+        practice.learn_assessed(trial, toss(trial, practice.task.settings))
+    told = practice.learner._measured
+    assert [z.tolist() for z, _ in told] == [record.z for record in practice.records]
+    assert any(record.learnt_as != record.z for record in practice.records)
+    for (_, error), record in zip(told, practice.records, strict=True):
+        angle = (record.observation["angle"] - math.pi) / TURN_TOLERANCE
+        np.testing.assert_allclose(error[0], angle)
+
+
+@pytest.mark.parametrize("name", ["model_based", "bayesian_optimization"])
+def test_a_task_without_a_vector_error_is_refused_by_name_before_anything_moves(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.undo()  # the task's own model: only of planar parameters
+    settings = preset("flip", "paper", learner={"name": name})
+    refusal = f"learner '{name}' needs a model of the vector error, task 'flip' with these"
+    with pytest.raises(ValueError, match=refusal):
+        practice_of(CANDIDATES, settings, 0)
+    reach = preset("reach", learner={"name": name})
+    context = {
+        "demonstrated": [[0.6, 0.0, 0.5], [0.65, 0.0, 0.5], [0.7, 0.0, 0.5]],
+        "obstacle": [0.0] * 4,
+    }
+    with pytest.raises(ValueError, match="needs a model of the vector error, task 'reach'"):
+        Practice(reach, context, CANDIDATES, 0, ANY_ARM)
+
+
+def test_the_settings_of_the_session_keep_those_of_the_fallback() -> None:
+    changed = preset("flip", "model_based", learner={"fallback": {"sigma": 4}})
+    assert changed.learner_settings.fallback.sigma == 4
+    assert SessionSettings.model_validate(changed.model_dump(mode="json")) == changed
