@@ -17,6 +17,7 @@ import numpy as np
 from hardware_sim.ground_truth import Truth
 from hardware_sim.scenes import scene_type
 from hardware_sim.scenes.flip import TossScript, wrist_flick
+from hardware_sim.sensors import MocapSettings
 from hardware_sim.settings import PITCH_RATE, WorldSettings
 from hardware_sim.world import World
 from reproduction.jobs import Job, Scale
@@ -61,6 +62,7 @@ def stand_in(
     seed: int,
     *,
     believed_pan: float = 1.0,
+    mocap: MocapSettings | None = None,
     home: Sequence[float] | None = None,
     **world: Any,  # noqa: ANN401 - checked by WorldSettings
 ) -> Environment:
@@ -69,10 +71,11 @@ def stand_in(
     Args:
         seed: Seed of all noise.
         believed_pan: Mass of the pan in the controller's model, as a fraction of its mass.
+        mocap: Settings of the motion capture; None for the defaults.
         home: Posture in which demonstrations begin [rad]; None for that of the scene.
         **world: Fields of `WorldSettings`.
     """
-    world_ = World(scene_type("flip"), WorldSettings(**world), seed)
+    world_ = World(scene_type("flip"), WorldSettings(**world), seed, mocap)
     if home is not None:
         world_.scene.home = np.array(home)
     return Environment(world_, urdf=_with_pan(world_.urdf, believed_pan))

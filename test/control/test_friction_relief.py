@@ -22,14 +22,19 @@ DAMPING = 0.5 * FRICTION
 
 
 @pytest.mark.requirement("S-127")
-@given(speeds)
-def test_friction_is_taken_off_moving_joints_alone_and_never_all_of_it(qd: np.ndarray) -> None:
-    relief = friction_relief(FRICTION, DAMPING, qd)
+@given(speeds, st.floats(-0.5, 0.5))
+def test_friction_is_taken_off_moving_joints_alone_and_never_all_of_it(
+    qd: np.ndarray, asymmetry: float
+) -> None:
+    uneven = np.full(7, asymmetry)
+    relief = friction_relief(FRICTION, uneven, DAMPING, qd)
     still = np.abs(qd) <= RELIEF_SPEED
     assert not relief[still].any()
     assert np.all(relief * qd >= 0.0)  # along the motion
-    assert np.all(np.abs(relief) <= FRICTION + DAMPING * np.abs(qd))
-    assert np.all(np.abs(friction_relief(FRICTION, DAMPING, 2.0 * qd)) >= np.abs(relief))
+    smaller = (1.0 - abs(asymmetry)) * FRICTION  # of both directions
+    assert np.all(np.abs(relief) <= smaller + DAMPING * np.abs(qd))
+    faster = friction_relief(FRICTION, uneven, DAMPING, 2.0 * qd)
+    assert np.all(np.abs(faster) >= np.abs(relief))
 
 
 @pytest.mark.requirement("S-127")

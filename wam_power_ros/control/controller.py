@@ -626,8 +626,8 @@ class Controller:
         if not (share := self.settings.teaching_friction):
             return tau
         arm = self.arm
-        smaller = arm.friction * (1.0 - np.abs(arm.asymmetry))  # of both directions
-        return tau + share * safety.friction_relief(smaller, arm.damping, state.qd)
+        relief = safety.friction_relief(arm.friction, arm.asymmetry, arm.damping, state.qd)
+        return tau + share * relief
 
     def _damped_gravity(self, state: JointState, damping: float, beyond: np.ndarray) -> np.ndarray:
         """g(q) and a torque beyond the model, damped [N m]. Shape (n,)."""

@@ -254,18 +254,23 @@ def damped_gravity(
     return gravity - damping * mass.dot(qd)
 
 
-def friction_relief(friction: np.ndarray, damping: np.ndarray, qd: np.ndarray) -> np.ndarray:
+def friction_relief(
+    friction: np.ndarray, asymmetry: np.ndarray, damping: np.ndarray, qd: np.ndarray
+) -> np.ndarray:
     """Friction of joints that move, signed [N m], shape (n,); zero of those that stand still.
 
-    Joints that stand still get none, so that it never sets an arm in motion.
+    Joints that stand still get none, so that it never sets an arm in motion. Coulomb friction
+    counts as in the direction in which it is smaller.
 
     Args:
         friction: Coulomb friction [N m]. Shape (n,).
+        asymmetry: Share by which it is larger forwards than on average. Shape (n,).
         damping: Viscous friction [N m s/rad]. Shape (n,).
         qd: Speeds [rad/s]. Shape (n,).
     """
     moving = np.maximum(np.abs(qd) - RELIEF_SPEED, 0.0)
-    return (friction + damping * np.abs(qd)) * np.copysign(np.tanh(moving / RELIEF_SPEED), qd)
+    least = friction * (1.0 - np.abs(asymmetry)) + damping * np.abs(qd)
+    return least * np.copysign(np.tanh(moving / RELIEF_SPEED), qd)
 
 
 def teaching_damping(speed: float) -> float:
