@@ -118,7 +118,7 @@ def test_nothing_is_written_when_the_joints_have_to_be_zeroed(
     assert not (tmp_path / "arm.yaml").exists()
 
 
-def test_where_the_driver_adds_gravity_friction_alone_is_measured(
+def test_where_the_driver_adds_gravity_what_it_adds_is_counted(
     folder: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -128,21 +128,21 @@ def test_where_the_driver_adds_gravity_friction_alone_is_measured(
     extra.write_text(
         "/**/torque_controller:\n  ros__parameters:\n    driver_compensates_gravity: true\n"
     )
-    rubbing = Corrections.of(7, zeros=true_arm.ZEROS, coulomb_friction=1.5 * ARM.friction)
-    recorded, model = true_arm.recording(true_arm.planned(), rubbing), ARM.corrected(rubbing)
-    gravity = np.array([model.gravity(q) for q in recorded.q])
+    true = true_arm.truth()
+    recorded = true_arm.recording(true_arm.planned(), true)
+    gravity = np.array([ARM.gravity(q) for q in recorded.q])  # it knows neither zeros nor tool
     (tmp_path / "movement.npz").write_bytes((folder / "movement.npz").read_bytes())
     sent = replace(recorded, tau=recorded.tau - gravity)
     bag_of(tmp_path / "bags/commissioning_1", sent)
     words = ["--folder", str(tmp_path), "--config", str(extra), "--simulate"]
     assert run(monkeypatch, *words) == 0
-    assert "masses, torque constants and tilt are not measured" in capsys.readouterr().out
+    assert "is taken for that of the URDF" in capsys.readouterr().out
     params = TorqueControllerParams.of_setup(
         overlay.setup([str(extra), str(tmp_path / "arm.yaml")], simulated=True)
     )
-    assert np.allclose(params.coulomb_friction, 1.5 * ARM.friction, rtol=0.06)
-    assert np.allclose(params.torque_scales, 1.0, atol=1e-3)
-    assert np.allclose(params.payload, 0.0, atol=1e-3)
+    assert np.allclose(params.coulomb_friction[:6], true.coulomb_friction[:6], rtol=0.1)
+    assert np.allclose(params.base_tilt, true.base_tilt, atol=np.deg2rad(0.3))
+    assert params.payload[0] == pytest.approx(0.08, abs=0.06)
 
 
 @pytest.mark.parametrize("kind", ["multiarray", "joint_state"])

@@ -65,14 +65,6 @@ def test_an_old_measurement_is_a_warning(capsys: pytest.CaptureFixture[str], lab
     assert "WARN" in row
 
 
-def test_motors_are_not_asked_for_where_the_driver_adds_gravity(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    _, text = shown(capsys, Devices(["geodude"]))
-    assert "the driver adds gravity: its model counts" in text
-    assert "Missing: frame, zeros, friction, loop delay." in text
-
-
 def test_low_limits_of_the_elbow_are_a_warning_that_names_what_a_flip_needs(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -10,6 +12,9 @@ import pytest
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.corrections import Corrections
+from wam_power_ros.control.fault_hold import BrakeWithoutModel
+from wam_power_ros.control.safety import limits_of
+from wam_power_ros.control.torque_output import TorqueOutput
 from wam_power_ros.params.resources import share
 
 URDF = share("urdf/wam7.urdf").read_text()
@@ -35,6 +40,28 @@ def test_without_a_correction_every_number_stays_bit_for_bit() -> None:
         assert (
             getattr(same, quantity)(*given).tobytes() == getattr(PLAIN, quantity)(*given).tobytes()
         )
+
+
+def test_a_driver_that_adds_gravity_adds_that_of_the_urdf_and_the_rest_is_sent() -> None:
+    corrected = arm(
+        zeros=np.deg2rad([0.0, 2.0, -1.0, 3.0, 0.0, 1.0, 0.0]),
+        payload=[0.2, 0.0, 0.0, 0.02],
+        base_tilt=[0.02, -0.01],
+        torque_scales=[0.9, 1.1, 1.0, 1.0, 0.95, 1.05, 1.0],
+    )
+    assert np.array_equal(corrected.driver_gravity(Q), PLAIN.gravity(Q))
+    assert not np.allclose(corrected.gravity(Q), PLAIN.gravity(Q), atol=0.1)
+    assert np.array_equal(PLAIN.driver_gravity(Q), PLAIN.gravity(Q))
+    output = TorqueOutput(corrected, limits_of(corrected), True, Counter())
+    wanted = corrected.gravity(Q) + 0.5
+    sent = output.send(wanted, Q, None)
+    given = corrected.torque_scales * (sent + PLAIN.gravity(Q))
+    assert np.allclose(given, wanted)
+    assert np.allclose(output.motor_torque(Q), wanted)
+    brake = BrakeWithoutModel(corrected, True)
+    brake.observe(corrected, Q, np.full(7, 0.5))
+    held = corrected.torque_scales * (brake.torque(None, 0.002) + PLAIN.gravity(Q))
+    assert np.allclose(held, wanted)
 
 
 def test_friction_may_be_larger_in_one_direction_and_at_low_speed() -> None:

@@ -84,8 +84,7 @@ def commission(
     given = None if tool_mass is None else tool_mass - tool_centre(arm)[0].mass
     found = analyse(arm, plan, recorded, given, gravity_added, flat)
     if gravity_added:
-        print("The driver adds gravity by a model of its own, which is taken for that of the URDF:")
-        print("masses, torque constants and tilt are not measured.")
+        print("The driver adds gravity by a model of its own, which is taken for that of the URDF.")
     for line in report(arm, found):
         print(line)
     for remark in remarks(arm, found):

@@ -114,10 +114,7 @@ def measured(setup: overlay.Setup, config: Sequence[str], today: date) -> list[R
         _row("friction", bool(np.any(friction >= 0.0)), "of the joints"),
         _row("loop delay", params.loop_delay > 0.0, f"{params.loop_delay * 1e3:.0f} ms"),
     ]
-    if params.driver_compensates_gravity:
-        rows.append(Row("motors, tool", OK, "the driver adds gravity: its model counts"))
-    else:
-        rows.append(_row("motors, tool", loads, "torque constants, payload, tilt"))
+    rows.append(_row("motors, tool", loads, "torque constants, payload, tilt"))
     for name in config:
         if found := MEASURED.search(overlay.find(name).read_text()):
             age = (today - date.fromisoformat(found[1])).days

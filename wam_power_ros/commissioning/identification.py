@@ -136,7 +136,6 @@ def identify(
     tau: np.ndarray,
     zeros: np.ndarray,
     payload: float | None = None,
-    gravity_added: bool = False,
 ) -> Identified:
     """Find corrections of an arm from a recording of its movement.
 
@@ -148,11 +147,7 @@ def identify(
         tau: Commanded torques, gravity included [N m]. Shape (T, n).
         zeros: Zeros of the joints, from the cameras [rad]. Shape (n,).
         payload: Mass of the tool beyond the URDF's, from a scale [kg]; None if it was not weighed.
-        gravity_added: Whether the driver adds gravity by a model of its own, which is taken for the
-            URDF's: then friction and the delay alone are found.
     """
-    if gravity_added:
-        tau = tau + np.array([arm.gravity(each - zeros) for each in q])
     period = float(np.median(np.diff(t)))
     still = rests(t, q, tau, plan.rests)
     moving = [sweep(t, q, tau, part, 0.0) for part in plan.sweeps]
@@ -169,8 +164,7 @@ def identify(
     for shift in range(round(DELAYS / period) + 1):
         delay = shift * period
         torques = [still.tau, *(sweep(t, q, tau, part, delay).tau for part in plan.sweeps)]
-        rigid = KNOWN if gravity_added else 1.0
-        cost, found = _fit(arm, matrix, known, np.concatenate(torques), weight, payload, rigid)
+        cost, found = _fit(arm, matrix, known, np.concatenate(torques), weight, payload)
         if best is None or cost < best[0]:
             corrections = replace(found.corrections, zeros=zeros)
             best = cost, replace(found, corrections=corrections, loop_delay=delay)
@@ -186,7 +180,6 @@ def _fit(
     tau: np.ndarray,
     weight: np.ndarray,
     payload: float | None,
-    rigid: float,
 ) -> tuple[float, Identified]:
     """Cost and result of the fit: tau = (known + matrix x) / scales, for likely x and scales.
 
@@ -200,20 +193,19 @@ def _fit(
         tau: Commanded torques [N m]. Shape (N, n).
         weight: 1 / standard deviation of each torque, 0 for those that do not count. Shape (N, n).
         payload: Mass of the tool beyond the URDF's [kg]; None if it is not known.
-        rigid: Factor on the deviations expected of all but friction.
     """
     n, count = arm.n, matrix.shape[2]
     friction, viscous = arm.friction, np.maximum(arm.damping, 0.1 * arm.friction)
     tool, centre = tool_centre(arm)
     spread = np.concatenate(
         [
-            np.full(n - 1, rigid * LINKS),
+            np.full(n - 1, LINKS),
             [KNOWN],  # of the last link the tool is a part, whose payload is found
-            [rigid * PAYLOAD if payload is None else WEIGHED],
-            np.full(3, rigid * CENTRE * (tool.mass + (payload or 0.0))),
+            [PAYLOAD if payload is None else WEIGHED],
+            np.full(3, CENTRE * (tool.mass + (payload or 0.0))),
             *(COULOMB * friction, ASYMMETRY * friction, STRIBECK * friction, VISCOUS * viscous),
-            np.full(2, rigid * TILT),
-            np.full(n, rigid * SCALES),
+            np.full(2, TILT),
+            np.full(n, SCALES),
         ]
     )
     expected = np.zeros(count + n)

@@ -95,12 +95,16 @@ def analyse(
         plan: The movement.
         recorded: Recording of it.
         payload: Mass of the tool beyond the URDF's, from a scale [kg]; None if it was not weighed.
-        gravity_added: True if the driver adds gravity itself, see `identification.identify`.
+        gravity_added: Whether the driver adds gravity by a model of its own, which is taken for the
+            URDF's.
         flat: Whether the body lies flat in the tool, see `camera_frame.calibrate`.
 
     Raises:
         ValueError: The recording is of another movement, or what the cameras saw is not usable.
     """
+    if gravity_added:
+        carried = np.array([arm.gravity(each) for each in recorded.q])
+        recorded = replace(recorded, tau=recorded.tau + carried)
     t = recorded.t - begun(plan, recorded.t, recorded.q)
     seen_t = recorded.seen_t - (recorded.t[0] - t[0])
     cameras, latency = None, 0.0
@@ -114,12 +118,7 @@ def analyse(
         check = _error(arm, cameras, *_at_rest(t, recorded, seen_t, last))
         latency = _latency(arm, cameras, t, recorded, seen_t, plan.sweeps[FITTED_SWEEPS - 1])
     fitted = Excitation(plan.t, plan.q, used, plan.sweeps[:FITTED_SWEEPS])
-    found = identification.identify(
-        arm, fitted, t, recorded.q, recorded.tau, zeros, payload, gravity_added
-    )
-    if gravity_added:
-        carried = np.array([arm.gravity(each - zeros) for each in recorded.q])
-        recorded = replace(recorded, tau=recorded.tau + carried)
+    found = identification.identify(arm, fitted, t, recorded.q, recorded.tau, zeros, payload)
     return Commissioned(
         *(cameras, latency, *check, found),
         before=_residual(arm, plan, t, recorded, found.loop_delay),

@@ -192,7 +192,11 @@ class Arm:
         self._identity = self._identified()
         self.torque_scales: np.ndarray | None = None
         self.asymmetry = self.low_speed_friction = self._zero
+        self._uncorrected: pin.Model | None = None
         if corrections is not None:
+            if corrections.of_gravity:
+                self._uncorrected = self.model.copy()
+                self._uncorrected_data = self._uncorrected.createData()
             corrections.apply(self.model, self._tool)
             self.asymmetry = corrections.friction_asymmetry
             self.low_speed_friction = corrections.low_speed_friction
@@ -303,6 +307,12 @@ class Arm:
     def gravity(self, q: np.ndarray) -> np.ndarray:
         """g(q) [N m]. Shape (n,)."""
         return pin.computeGeneralizedGravity(self.model, self._data, q)
+
+    def driver_gravity(self, q: np.ndarray) -> np.ndarray:
+        """g(q) of a driver that adds it: of the URDF, without corrections [N m]. Shape (n,)."""
+        if self._uncorrected is None:
+            return self.gravity(q)
+        return pin.computeGeneralizedGravity(self._uncorrected, self._uncorrected_data, q).copy()
 
     def bias(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         """C(q, qd) qd + g(q) [N m]. Shape (n,)."""

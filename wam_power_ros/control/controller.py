@@ -536,9 +536,8 @@ class Controller:
         tau = self._brake.torque(state, dt)
         if tau is None or self._mode is Mode.INACTIVE:
             tau = before
-        else:
-            tau = tau if state is None else self._with_springs(tau, state.q, dt)
-            tau = tau if self.arm.torque_scales is None else tau / self.arm.torque_scales
+        elif state is not None:
+            tau = self._with_springs(tau, state.q, dt)
         sent = safety.limit_torque(tau, before, dt, self.limits)
         sent.setflags(write=False)
         self._output.sent, self._label = sent, self._mode_label

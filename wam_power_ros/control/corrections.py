@@ -90,6 +90,16 @@ class Corrections:
         down = np.array([np.cos(x) * np.sin(y), -np.sin(x), -np.cos(x) * np.cos(y)])
         return GRAVITY * down
 
+    @property
+    def of_gravity(self) -> bool:
+        """Whether they change g(q)."""
+        return bool(
+            self.zeros.any()
+            or self.base_tilt.any()
+            or self.payload.any()
+            or (self.link_masses != 1.0).any()
+        )
+
     def apply(self, model: pin.Model, tool_frame: int) -> None:
         """Correct a model of the arm in place, all but its torques.
 

@@ -67,7 +67,9 @@ class BrakeWithoutModel:
         self._remembered = at_rate(REMEMBERED_STATES, period)
         self._driver_adds_gravity = driver_compensates_gravity
         self._qd_max, self._spring_max = arm.qd_max, feedback_max(arm)
-        self._gravity: np.ndarray | None = None  # torque that carries the arm [N m]
+        self._scales = arm.torque_scales
+        self._gravity: np.ndarray | None = None  # beyond what the driver adds [N m]
+        self._added = np.zeros(arm.n)  # by the driver [N m]
         self._mass = np.zeros((arm.n, arm.n))
         self._states = 0  # states observed since they were computed
         self._reference: tuple[np.ndarray, np.ndarray] | None = None  # q_ref, qd_ref
@@ -87,7 +89,9 @@ class BrakeWithoutModel:
             mass, gravity = arm.mass_matrix(q), arm.gravity(q)
             if not math.isfinite(sum(gravity.tolist())):
                 raise ArithmeticError(f"gravity {gravity.tolist()} is not finite")
-            self._gravity = beyond if self._driver_adds_gravity else gravity + beyond
+            if self._driver_adds_gravity:
+                self._added = arm.driver_gravity(q)
+            self._gravity = gravity - self._added + beyond
             self._mass, self._states = mass, 0
         self._states += 1
 
@@ -96,14 +100,19 @@ class BrakeWithoutModel:
         self._reference = None
 
     def torque(self, state: JointState | None, dt: float) -> np.ndarray | None:
-        """Torque [N m], shape (n,); None if no state has been observed.
+        """Torque to send [N m], shape (n,); None if no state has been observed.
 
         Args:
             state: Measured state; without one gravity alone is carried.
             dt: Time since the last torque [s].
         """
-        if self._gravity is None or state is None:
-            return self._gravity
+        if self._gravity is None:
+            return None
+        tau = self._gravity if state is None else self._braked(self._gravity, state, dt)
+        return tau if self._scales is None else (tau + self._added) / self._scales - self._added
+
+    def _braked(self, carrying: np.ndarray, state: JointState, dt: float) -> np.ndarray:
+        """Torque that carries, brakes and holds the arm [N m]. Shape (n,)."""
         limit = self._qd_max
         q_ref, qd_ref = self._reference or (state.q, np.clip(state.qd, -limit, limit))
         slower = qd_ref * math.exp(-safety.FAULT_DAMPING * dt)
@@ -112,4 +121,4 @@ class BrakeWithoutModel:
         braking = 2.0 * DAMPING_RATIO * BANDWIDTH * (slower - state.qd)
         spring = self._mass.dot(BANDWIDTH**2 * (q_ref - state.q))
         bounded = np.clip(spring, -self._spring_max, self._spring_max)
-        return self._gravity + self._mass.dot(braking - safety.FAULT_DAMPING * slower) + bounded
+        return carrying + self._mass.dot(braking - safety.FAULT_DAMPING * slower) + bounded

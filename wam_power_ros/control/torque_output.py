@@ -35,7 +35,7 @@ class TorqueOutput:
 
     def motor_torque(self, q: np.ndarray) -> np.ndarray:
         """Motor torque that results from the last torque sent, at a posture (n,) [rad]. [N m]."""
-        tau = self.sent + self._arm.gravity(q) if self._driver_adds_gravity else self.sent
+        tau = self.sent + self._arm.driver_gravity(q) if self._driver_adds_gravity else self.sent
         return tau if self._arm.torque_scales is None else self._arm.torque_scales * tau
 
     def send(self, tau: np.ndarray, q: np.ndarray, dt: float | None) -> np.ndarray:
@@ -50,7 +50,7 @@ class TorqueOutput:
         if self._arm.torque_scales is not None:
             tau = tau / self._arm.torque_scales
         if self._driver_adds_gravity:  # the limits of the motors hold for the sum
-            tau = self._bounded(tau) - self._arm.gravity(q)
+            tau = self._bounded(tau) - self._arm.driver_gravity(q)
         if dt is None:
             sent = self._bounded(tau)
         else:
