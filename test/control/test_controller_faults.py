@@ -404,7 +404,7 @@ def test_the_time_of_torques_without_a_state_is_not_used_again_by_the_next_state
 
 def test_an_activation_trusts_the_states_again() -> None:
     controller, plant = begin()
-    controller._supervision.doubt(lasting=True)
+    controller._supervision.jumped(None)
     controller.deactivate()
     assert not controller._supervision.trusted
     controller.hold()

@@ -154,7 +154,7 @@ def test_a_velocity_that_no_motor_can_reach_in_one_state_makes_such_a_torque_a_f
 @pytest.mark.requirement("S-121")
 def test_states_count_again_once_they_have_agreed_with_the_model_for_a_while() -> None:
     watch = supervision()
-    watch.doubt(lasting=False)
+    watch._doubt()
     estimated(watch, [state(k) for k in range(TRUST_STATES)])
     assert not watch.trusted
     estimated(watch, [state(TRUST_STATES)])
@@ -166,13 +166,13 @@ def test_states_of_a_joint_that_moves_while_the_model_rests_never_count_again() 
     speed = np.zeros(7)
     speed[1] = 1.01 * AGREEMENT / (TRUST_STATES * 0.002)
     watch = supervision()
-    watch.doubt(lasting=False)
+    watch._doubt()
     for before, after in pairwise(
         estimated(watch, [state(k, HOME + 0.002 * k * speed) for k in range(400)])
     ):
         assert not watch.trusted
         assert np.abs(after.q - before.q).max() < 1e-6
-    watch.doubt(lasting=False)
+    watch._doubt()
     estimated(watch, [state(400 + k, HOME + 0.0018 * k * speed) for k in range(400)])
     assert watch.trusted
 
@@ -180,11 +180,26 @@ def test_states_of_a_joint_that_moves_while_the_model_rests_never_count_again() 
 @pytest.mark.requirement("S-121")
 def test_after_a_jump_states_count_again_only_after_a_reset() -> None:
     watch = supervision()
-    watch.doubt(lasting=True)
+    watch.jumped(None)
     estimated(watch, [state(k) for k in range(10 * TRUST_STATES)])
     assert not watch.trusted
     watch.begin()
     assert watch.trusted
+
+
+@pytest.mark.requirement("S-121")
+def test_after_a_jump_the_arm_is_braked_from_the_last_state_before_it() -> None:
+    """What the joint was going to do is known; what it reports from then on never counts."""
+    speed, jumps = np.array([0.3, 1.2, 0.0, 0.8, 0.0, 0.0, 0.0]), 0.5 * np.eye(7)[3]
+    watch, before = supervision(), state(1, HOME, speed)
+    watch.plausibility_fault(Mode.GRAVITY_COMPENSATION, state(0, HOME - 0.002 * speed), before)
+    watch.jumped(before)
+    first, *later = estimated(watch, [state(k, HOME + jumps, -speed) for k in range(2, 5)])
+    np.testing.assert_allclose(first.q, HOME, atol=0.006)  # two periods at that speed
+    np.testing.assert_allclose(first.qd, speed, atol=0.15)
+    watch.jumped(later[-1].moved(HOME + jumps, -speed))  # back and forth: that state was false
+    (after,) = estimated(watch, [state(5, HOME, -speed)])
+    np.testing.assert_allclose(after.q, later[-1].q, atol=0.01)
 
 
 @pytest.mark.requirement("S-121")
@@ -194,7 +209,7 @@ def test_a_speed_that_grows_after_a_false_state_is_braked_and_a_constant_one_is_
 ) -> None:
     for growth, braked in ((0.0, False), (0.8, True)):  # [rad/s^2] of joint 2
         watch, t = supervision(), 0.002 * np.arange(250)
-        watch.doubt(lasting)
+        watch.jumped(None) if lasting else watch._doubt()
         way = 0.3 * t + 0.5 * growth * t**2
         states = [state(k, HOME + each * np.eye(7)[1]) for k, each in enumerate(way)]
         speed = estimated(watch, states)[-1].qd[1]

@@ -470,7 +470,7 @@ class Controller:
         if (fault := states.fault) is not None:
             self.fault(fault)
             if fault.kind is FaultKind.JUMP:
-                self._supervision.doubt(lasting=True)
+                self._supervision.jumped(states.before)
         self.fresh = state is not None
         if state is None:
             return self._output.sent

@@ -65,6 +65,7 @@ class Supervision:
         self._estimate: Estimate | None = None
         self._rest_since_ns: int | None = None  # stamp since which an arm in a fault is at rest
         self.trusted, self._lasting = True, False
+        self._before_jump: JointState | None = None  # last state before the jump of this fault
         self._agreed = 0  # consecutive states that agree with the model
         self._agreed_from: np.ndarray | None = None  # reported minus predicted at their first [rad]
         self._plausible = 0  # consecutive states that passed every check since `doubt`
@@ -86,15 +87,21 @@ class Supervision:
     def begin(self) -> None:
         """Restart the plausibility checks: the next state has no predecessor."""
         self._plausibility.begin()
-        self.trusted, self._lasting = True, False
+        self.trusted, self._lasting, self._before_jump = True, False, None
 
-    def doubt(self, lasting: bool) -> None:
-        """Use no state until states have agreed with the model for a while; if lasting, ever."""
+    def jumped(self, before: JointState | None) -> None:
+        """Use no state any more, but the last one before the jump, if it was true."""
+        if self.trusted:
+            self._doubt()
+            self._before_jump = before
+        self._lasting = True
+
+    def _doubt(self) -> None:
+        """Use no state until states have agreed with the model for a while."""
         self.trusted, self._agreed, self._estimate = False, 0, None
         self._reported.clear()
         self._plausible, self._falling = 0, False
         self._slowest = np.full(self._slowest.shape, math.inf)
-        self._lasting = self._lasting or lasting
 
     def mode_changed(self) -> None:
         """Restart the count of states beyond a motion limit: other limits apply."""
@@ -121,7 +128,7 @@ class Supervision:
         if fault is not None:
             self._agreed = 0
             if self.trusted and self._plausibility.contradictory:
-                self.doubt(lasting=False)
+                self._doubt()
         return fault
 
     def limit_fault(self, mode: Mode, state: JointState, motion: Motion | Speeds) -> Fault | None:
@@ -156,7 +163,7 @@ class Supervision:
             self._rest_since_ns = None
         elif self._rest_since_ns is None:
             self._rest_since_ns = state.stamp_ns
-        arm = self._estimate = self._estimate or self._plausibility.estimate(state)
+        arm = self._estimate = self._estimate or self._begun(state)
         if not new:
             self._watch_speed(state, plausible)
             used = self.trusted or self._falling
@@ -164,6 +171,15 @@ class Supervision:
         if not self.trusted:
             self._compare(state.q - arm.q)
         return state.moved(arm.q, arm.qd)
+
+    def _begun(self, state: JointState) -> Estimate:
+        """Estimate to begin with at a state; after a jump from the true state before it."""
+        before, self._before_jump = self._before_jump, None
+        if before is None:
+            return self._plausibility.estimate(state)
+        arm = self._plausibility.estimate_at(before)
+        arm.advance(self._motor_torque(arm.q), state.span)
+        return arm
 
     def _watch_speed(self, state: JointState, plausible: bool) -> None:
         """Notice that states which pass every check report a speed that grows."""
