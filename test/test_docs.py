@@ -122,7 +122,7 @@ def test_every_name_of_a_module_is_there(page: str) -> None:
             assert is_there(f"{package}{module}", name), (module, name)
 
 
-@pytest.mark.parametrize("name", ["paper", "flip"])
+@pytest.mark.parametrize("name", ["paper", "hindsight"])
 def test_the_method_states_the_numbers_of_the_presets(name: str) -> None:
     text = " ".join((ROOT / "docs/method.md").read_text().split())
     whole = preset("flip", name)
@@ -136,7 +136,7 @@ def test_the_method_states_the_numbers_of_the_presets(name: str) -> None:
             f"R ≥ {settings.success_return}, confirmed",
             f"re-tested {course.retests} times",
         ],
-        "flip": [
+        "hindsight": [
             f"{settings.noise.stiffness:.0%} of the mean stiffness".replace("%", " %"),
             f"{1000 * settings.noise.attractor:.0f} mm, {settings.noise.rotation} rad",
             f"shrinking by {1 - power.decay:.0%}".replace("%", " %"),

@@ -143,7 +143,7 @@ def jobs(scale: Scale) -> list[Job]:
     common = {"demonstrations": series}
     for seed in seeds:
         novice = {"seed": seed, "name": "paper", "pitch_rate": NOVICE, **common}
-        poor = {"seed": seed, "name": "flip", "changes": flip, "pitch_rate": POOR, **common}
+        poor = {"seed": seed, "name": "hindsight", "changes": flip, "pitch_rate": POOR, **common}
         studies = {}
         for size in (AUTO, 6) if quick else (AUTO, 6, 20):  # a session takes half a minute
             changes = {**paper, "learner": {"sigma": size}}

@@ -42,7 +42,8 @@ class Row(NamedTuple):
 
 
 ROWS = {
-    "flip": Row("return, landing error, rotation", "flip", {}),
+    "flip": Row("return, landing error, rotation, a model of the toss", "flip", {}),
+    "hindsight": Row("return, landing error, rotation", "hindsight", {}),
     "corrections": Row("landing error, rotation", "corrections_only", {}),
     "power": Row("return", "return_only", {}),
     "cma_es": Row("return", "return_only", {"learner": {"name": "cma_es"}}),

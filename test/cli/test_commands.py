@@ -299,6 +299,7 @@ def test_a_session_from_another_one_is_refused_where_that_does_not_fit(
     ("name", "learner", "words"),
     [
         ("flip", "", []),
+        ("hindsight", "", ["--preset", "hindsight"]),
         ("paper", "", ["--preset", "paper"]),
         ("return_only", "cma_es", ["--preset", "return_only", "--learner", "cma_es"]),
         ("corrections_only", "", ["--preset", "corrections_only"]),

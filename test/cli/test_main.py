@@ -23,12 +23,12 @@ from wam_power_ros.practice.settings import preset
 from wam_power_ros.reporting import terminal
 
 ROOT = Path(__file__).resolve().parents[2]
-TASK = preset("flip").make_task({})
+TASK = preset("flip", "hindsight").make_task({})
 OUTCOME = TASK.outcome
 
 
 def begun_session(folder: Path, seed: int = 5) -> Path:
-    Session.begin(folder, preset("flip"), seed, [demonstrated_policy()]).close()
+    Session.begin(folder, preset("flip", "hindsight"), seed, [demonstrated_policy()]).close()
     return folder
 
 
@@ -135,7 +135,7 @@ def test_a_log_shows_every_rollout_once_on_a_line_of_its_own() -> None:
     text = io.StringIO()
     with terminal.Display(Console(file=text, width=80)) as display:
         for count in (0, 2, 2, 9):
-            display.show(records[:count], preset("flip"), TASK)
+            display.show(records[:count], preset("flip", "hindsight"), TASK)
     _, *lines = text.getvalue().splitlines()
     assert [int(line.split()[0]) for line in lines] == list(range(1, 10))
     assert all(f"return {record.ret:.3f}" in line for record, line in zip(records, lines, strict=1))
@@ -149,7 +149,7 @@ def test_a_terminal_shows_the_newest_rollouts_and_the_best_return_so_far() -> No
     assert bests[-1] == f"{max(record.ret or 0.0 for record in records):.3f}"
     text = io.StringIO()
     with terminal.Display(Console(file=text, width=120, force_terminal=True)) as display:
-        display.show(records, preset("flip", budget=60), TASK)
+        display.show(records, preset("flip", "hindsight", budget=60), TASK)
     assert "40 of at most 60 rollouts" in re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", text.getvalue())
 
 

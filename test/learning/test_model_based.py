@@ -152,6 +152,58 @@ def test_an_error_within_the_tolerances_needs_no_progress() -> None:
     assert learner.falls_back, "but if a session has not ended by then, it does not suffice"
 
 
+def test_power_decides_when_what_the_model_foresees_is_not_seen() -> None:
+    def nothing(z: np.ndarray) -> np.ndarray:
+        return np.array([-12.0, math.nan])
+
+    learner = learner_of(LinearModel())
+    practise(learner, 3, nothing)
+    assert not learner.falls_back
+    practise(learner, 1, nothing)
+    assert learner.falls_back
+    z = np.full(SIZE, 0.5)
+    learner.measure(z, np.array([3.0, 3.0]))
+    learner.tell(z, 0.5)
+    assert not learner.falls_back, "a measured value is something to plan from"
+
+
+def test_a_rollout_beyond_an_edge_halves_the_way_of_the_next_plan() -> None:
+    """Beyond it there is no error with a value, as of a pancake that does not leave the pan."""
+
+    def with_an_edge(z: np.ndarray) -> np.ndarray:
+        return error(z) if z[0] < 3.0 else np.array([-12.0, math.nan])
+
+    learner = learner_of(LinearModel())
+    errors = practise(learner, 8, with_an_edge)
+    beyond = [bool(np.isnan(each).any()) for each in errors]
+    assert beyond[1], "the model does not know the edge"
+    assert not all(beyond[1:5]), "an eighth of the way is on this side of it"
+    best = min(np.abs(each).max() for each in errors)  # NaN is no minimum
+    assert best < 0.8 * np.abs(errors[0]).max()
+
+
+def test_power_decides_when_no_better_plan_is_found_than_one_that_was_run() -> None:
+    """At the limits of the arm the best plan is the same again; another rollout tells no more."""
+    learner = learner_of(LinearModel(limit=0.3))
+    practise(learner, 1)
+    assert learner.falls_back
+    near = learner_of(LinearModel())
+    z = np.zeros(SIZE)
+    for measured in (np.array([0.3, 0.3]), np.array([-0.2, 0.1])):
+        near.measure(z, measured)
+        near.tell(z, 1.0)
+    assert not near.falls_back, "what is within the tolerances is run again"
+
+
+def test_where_a_rejected_plan_has_come_back_to_the_best_rollout_power_draws() -> None:
+    learner = learner_of(LinearModel(), seed=3)
+    practise(learner, 1)
+    asked = [learner.ask() for _ in range(40)]
+    on_the_way = [np.allclose(z, 0.8**k * asked[0]) for k, z in enumerate(asked)]
+    assert all(on_the_way[:5]) and not any(on_the_way[25:])
+    assert min(np.linalg.norm(z) for z in asked) > 0.3, "never the rollout again"
+
+
 def test_a_rejected_plan_is_moved_towards_the_best_rollout() -> None:
     learner = learner_of(LinearModel())
     practise(learner, 1)

@@ -39,11 +39,11 @@ from wam_power_ros.tasks.task import Assessment
 
 CANDIDATES = [demonstrated_policy("flick-1", seed=1), demonstrated_policy("flick-2", seed=2)]
 LATER = demonstrated_policy("flick-9", seed=9)
-SETTINGS = preset("flip", budget=40, retests=2, confirm=0, learner={"decay": 0.98})
-presets = pytest.mark.parametrize("name", ["paper", "flip"])
+SETTINGS = preset("flip", "hindsight", budget=40, retests=2, confirm=0, learner={"decay": 0.98})
+presets = pytest.mark.parametrize("name", ["paper", "hindsight"])
 
 
-def started(name: str = "flip", **changes: object) -> Practice:
+def started(name: str = "hindsight", **changes: object) -> Practice:
     return practice_of(CANDIDATES, preset("flip", name, **{"confirm": 0, **changes}), 0)
 
 

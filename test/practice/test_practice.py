@@ -22,7 +22,7 @@ from wam_power_ros.tasks.task import Assessment, fault_assessment
 
 CANDIDATES = [demonstrated_policy("flick-1", seed=1), demonstrated_policy("flick-2", seed=2)]
 Judge = Callable[[Trial], Assessment]
-presets = pytest.mark.parametrize("name", ["paper", "flip"])
+presets = pytest.mark.parametrize("name", ["paper", "hindsight"])
 
 
 def started(name: str, seed: int = 0, **changes: object) -> Practice:
@@ -79,7 +79,7 @@ def test_every_demonstration_is_reproduced_once_and_one_is_chosen(name: str) -> 
     }
 
 
-@pytest.mark.parametrize("name, seed", [("paper", 0), ("flip", 1)])
+@pytest.mark.parametrize("name, seed", [("paper", 0), ("hindsight", 1)])
 def test_replaying_records_rebuilds_the_practice_at_every_boundary(name: str, seed: int) -> None:
     def judge(trial: Trial) -> Assessment:
         if trial.number % 7 == 3 or trial.number in (15, 16, 17):
@@ -126,7 +126,7 @@ def test_a_session_is_a_function_of_candidates_settings_and_seed(name: str) -> N
 
 
 def test_a_trial_stays_the_same_until_it_is_learnt_from() -> None:
-    practice = started("flip")
+    practice = started("hindsight")
     run(practice, rollouts=3)
     assert practice.next_trial() is practice.next_trial()
     state = learner_state(practice.learner)
@@ -135,7 +135,7 @@ def test_a_trial_stays_the_same_until_it_is_learnt_from() -> None:
 
 
 def test_a_rollout_that_says_nothing_is_tried_again_and_leaves_the_course_of_learning() -> None:
-    settings = preset("flip", budget=20, confirm=0, retests=0, learner={"decay": 0.97})
+    settings = preset("flip", "hindsight", budget=20, confirm=0, retests=0, learner={"decay": 0.97})
     undisturbed = practice_of(CANDIDATES, settings, 3)
     run(undisturbed, lambda trial: toss(trial, settings.task_settings, noise=0.0))
     disturbed = practice_of(CANDIDATES, settings, 3)
@@ -158,7 +158,7 @@ def test_a_rollout_that_says_nothing_is_tried_again_and_leaves_the_course_of_lea
 
 
 def test_what_never_says_anything_is_dropped_after_some_attempts() -> None:
-    practice = started("flip", attempts=3)
+    practice = started("hindsight", attempts=3)
     run(practice, rollouts=3)
     hopeless = practice.next_trial()
     records = run(practice, lambda trial: Assessment(None, why="lost"), rollouts=3)
@@ -171,12 +171,12 @@ def test_what_never_says_anything_is_dropped_after_some_attempts() -> None:
 
 
 def test_a_session_in_which_nothing_is_ever_seen_ends() -> None:
-    practice = started("flip")
+    practice = started("hindsight")
     records = run(practice, lambda trial: Assessment(None, why="lost"))
     assert len(records) == 6 and practice.finished and practice.best is None
     assert practice.stopped.startswith("no demonstration could be reproduced (flick-1: lost;")
 
-    practice = started("flip", budget=20)
+    practice = started("hindsight", budget=20)
     run(practice, rollouts=4)
     records = run(practice, lambda trial: Assessment(None, why="lost"))
     assert practice.finished and len(practice.records) < 3 * 20 + 3 * 10 + 3
@@ -184,7 +184,7 @@ def test_a_session_in_which_nothing_is_ever_seen_ends() -> None:
 
 
 def test_a_policy_that_ends_in_over_speed_is_learnt_from_with_return_zero() -> None:
-    practice = started("flip")
+    practice = started("hindsight")
     run(practice, rollouts=3)
     before = len(practice.learner._rollouts)
     trial = practice.next_trial()
@@ -196,7 +196,7 @@ def test_a_policy_that_ends_in_over_speed_is_learnt_from_with_return_zero() -> N
 
 
 def test_a_reproduction_that_ended_in_a_fault_is_not_chosen() -> None:
-    practice = started("flip")
+    practice = started("hindsight")
     practice.learn_assessed(
         practice.next_trial(), Assessment(0.0), fault="elbow at 2.1 m/s, limit 2.00"
     )
@@ -205,7 +205,7 @@ def test_a_reproduction_that_ended_in_a_fault_is_not_chosen() -> None:
 
 
 def test_a_toss_is_learnt_as_moved_by_what_turn_and_landing_missed() -> None:
-    practice = started("flip")
+    practice = started("hindsight")
     settings = practice.task.settings
     for record in run(practice, rollouts=12):
         moved = np.subtract(record.learnt_as, record.z)
@@ -235,7 +235,7 @@ def test_a_toss_is_learnt_as_moved_by_what_turn_and_landing_missed() -> None:
 
 @pytest.mark.parametrize("seen", [True, False])
 def test_a_pancake_that_was_not_thrown_lacks_the_whole_half_turn(seen: bool) -> None:
-    practice = started("flip")
+    practice = started("hindsight")
     settings = practice.task.settings
     run(practice, rollouts=4)
     trial = practice.next_trial()
@@ -255,7 +255,7 @@ def test_without_landing_gain_a_trial_is_learnt_as_it_was_executed() -> None:
 
 
 def test_the_mean_runs_every_fifth_time_and_counts() -> None:
-    practice = started("flip", budget=32)
+    practice = started("hindsight", budget=32)
     records = []
     while not practice.stopped:
         mean = None if practice.learner is None else practice.learner.mean.tolist()
@@ -269,7 +269,7 @@ def test_the_mean_runs_every_fifth_time_and_counts() -> None:
 
 
 def test_a_mean_that_succeeds_is_run_again_unchanged_until_it_fails_or_is_confirmed() -> None:
-    practice = started("flip", confirm=4, retests=2)
+    practice = started("hindsight", confirm=4, retests=2)
     run(practice, lambda trial: bad(), rollouts=6)
     streak = run(practice, lambda trial: good(), rollouts=3)
     assert [record.kind for record in streak] == ["mean"] * 3
@@ -293,7 +293,7 @@ def test_a_mean_that_barely_succeeds_does_not_stop_the_session_and_a_clear_one_s
         sure = good(angle=math.radians(degrees))
         return replace(sure, observation={**sure.observation, "climb": 0.004})
 
-    practice = started("flip")
+    practice = started("hindsight")
     run(practice, lambda trial: bad(), rollouts=6)
     run(practice, lambda trial: with_angle(150.0 + 3.0 * (trial.number % 2)), rollouts=4)
     assert not practice.stopped and practice.next_trial().kind == "explore"
@@ -307,10 +307,10 @@ def test_a_mean_that_barely_succeeds_does_not_stop_the_session_and_a_clear_one_s
 
 
 def test_a_reproduction_that_succeeded_calls_for_the_mean_at_once() -> None:
-    practice = started("flip")
+    practice = started("hindsight")
     run(practice, lambda trial: good(), rollouts=2)
     assert practice.next_trial().kind == "mean"
-    other = started("flip")
+    other = started("hindsight")
     run(other, lambda trial: bad(), rollouts=2)
     assert other.next_trial().kind == "explore"
 
@@ -343,7 +343,7 @@ def test_the_budget_ends_learning_and_the_answer_is_retested_unlearnt(name: str)
 
 
 def test_time_ends_learning_at_the_next_rollout_also_after_a_resumption() -> None:
-    practice = started("flip", minutes=2, retests=2)
+    practice = started("hindsight", minutes=2, retests=2)
     lines: list[str] = []
     while (trial := practice.next_trial()) is not None:
         record = practice.learn_assessed(trial, bad(), clock={"took": 25.0})
@@ -355,7 +355,7 @@ def test_time_ends_learning_at_the_next_rollout_also_after_a_resumption() -> Non
 
 
 def test_the_best_policy_was_run_without_noise_and_is_not_a_lucky_one() -> None:
-    practice = started("flip", confirm=8, return_noise=0.2)
+    practice = started("hindsight", confirm=8, return_noise=0.2)
     run(practice, lambda trial: bad(0.4), rollouts=2)
     run(practice, lambda trial: bad(2.0), rollouts=4)  # lucky while exploring
     assert practice.best.policy.id in ("trial-0001", "trial-0002")
@@ -374,7 +374,7 @@ def test_the_best_policy_was_run_without_noise_and_is_not_a_lucky_one() -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_sessions_with_our_settings_learn_a_caught_flip(seed: int) -> None:
-    practice = started("flip", seed)
+    practice = started("hindsight", seed)
     run(practice)
     retests = [record.success for record in practice.records if record.kind == "retest"]
     assert len(retests) == 10 and sum(retests) >= 8
@@ -388,7 +388,7 @@ def test_sessions_with_the_papers_settings_raise_the_return(seed: int) -> None:
 
 
 def reproduced(id: str, ret: float | None, fault: str = "") -> Record:
-    practice = practice_of([demonstrated_policy(id)], preset("flip"), 0)
+    practice = practice_of([demonstrated_policy(id)], preset("flip", "hindsight"), 0)
     assessment = Assessment(ret, why="seen or not")
     return practice.learn_assessed(practice.next_trial(), assessment, fault=fault)
 
@@ -413,7 +413,7 @@ def paths(trial: Trial, end: float, seen: np.ndarray) -> tuple[EndEffectorPath, 
 
 
 def test_a_pancake_that_stays_in_the_pan_is_a_poor_but_usable_rollout() -> None:
-    for name in ("paper", "flip"):
+    for name in ("paper", "hindsight"):
         practice = started(name)
         trial = practice.next_trial()
         record = practice.learn(trial, Rollout(*paths(trial, 1.86, np.arange(0.01, 1.85, 1 / 30))))
@@ -424,7 +424,7 @@ def test_a_pancake_that_stays_in_the_pan_is_a_poor_but_usable_rollout() -> None:
 
 
 def test_paths_and_trials_that_are_not_due_are_refused_without_a_trace() -> None:
-    practice = started("flip")
+    practice = started("hindsight")
     trial = practice.next_trial()
     pan, pancake = paths(trial, 1.86, np.arange(0.0, 1.85, 1 / 30))
     with pytest.raises(ValueError, match="body path of rollout 'other'"):
@@ -441,64 +441,76 @@ def test_paths_and_trials_that_are_not_due_are_refused_without_a_trace() -> None
 
 
 def test_records_of_another_session_are_refused() -> None:
-    practice = started("flip", 1)
+    practice = started("hindsight", 1)
     records = run(practice, rollouts=10)
     settings = practice.settings
     for candidates, other, seed, taken, reason in [
         (CANDIDATES, settings, 2, records, "record 1: the generator is not this session's"),
         (CANDIDATES[::-1], settings, 1, records, "record 1: demonstration is 'flick-1'"),
         (CANDIDATES, preset("flip", "paper"), 1, records, "record 1: z is not"),
-        (CANDIDATES, preset("flip", mean_every=3), 1, records, "record 5: kind is 'explore'"),
+        (
+            CANDIDATES,
+            preset("flip", "hindsight", mean_every=3),
+            1,
+            records,
+            "record 5: kind is 'explore'",
+        ),
         (CANDIDATES, settings, 1, records[1:], "record 1: number is 2"),
-        (CANDIDATES, preset("flip", budget=6, retests=0), 1, records, "record 7 .* after"),
+        (
+            CANDIDATES,
+            preset("flip", "hindsight", budget=6, retests=0),
+            1,
+            records,
+            "record 7 .* after",
+        ),
     ]:
         with pytest.raises(ValueError, match=reason):
             practice_of(candidates, other, seed, taken)
 
 
 def test_settings_and_candidates_that_cannot_be_are_refused() -> None:
-    with pytest.raises(ValueError, match="'quick' of 'flip' is not one of flip, return_only, "):
+    with pytest.raises(ValueError, match="'quick' of 'flip' is not one of flip, hindsight, "):
         preset("flip", "quick")
     with pytest.raises(ValueError, match="task 'fly' is not one of ball_in_cup, flip, reach"):
         preset("fly")
     with pytest.raises(ValueError, match=r"learner 'genetic' is not one of .*cma_es.*power"):
-        preset("flip", learner={"name": "genetic"})
+        preset("flip", "hindsight", learner={"name": "genetic"})
     with pytest.raises(ValueError, match="sigmma"):
-        preset("flip", learner={"sigmma": 3})
+        preset("flip", "hindsight", learner={"sigmma": 3})
     for name in ("landing_gain", "turn_gain", "vigour_gain", "tempo_gain"):
         off = {"landing_gain": 0.0, "turn_gain": 0.0, "vigour_gain": 0.0, "tempo_gain": 0.0}
         off[name] = 0.5
         with pytest.raises(ValueError, match=f"{name} 0.5 needs a parameter .* 'planar'"):
-            preset("flip", variant="full", **off)
+            preset("flip", "hindsight", variant="full", **off)
     with pytest.raises(ValueError, match="a success needs"):
         preset("flip", "paper", success_return=0.0)
     with pytest.raises(ValueError, match="budget"):
         preset("flip", "paper", budget=0)
     with pytest.raises(ValueError, match="at least one demonstration"):
-        practice_of([], preset("flip"), 0)
+        practice_of([], preset("flip", "hindsight"), 0)
     with pytest.raises(ValueError, match="different ids"):
-        practice_of([CANDIDATES[0]] * 2, preset("flip"), 0)
+        practice_of([CANDIDATES[0]] * 2, preset("flip", "hindsight"), 0)
     with pytest.raises(ValueError, match="budget of 2 rollouts leaves none"):
-        practice_of(CANDIDATES, preset("flip", budget=2), 0)
+        practice_of(CANDIDATES, preset("flip", "hindsight", budget=2), 0)
 
 
 def test_a_preset_changes_only_what_is_named() -> None:
-    changed = preset("flip", learner={"sigma": 3}, budget=10)
+    changed = preset("flip", "hindsight", learner={"sigma": 3}, budget=10)
     assert changed.learner_settings.sigma == 3
     assert changed.learner_settings.weights == "sharpened"
     assert changed.practice.budget == 10
     assert SessionSettings.model_validate(changed.model_dump(mode="json")) == changed
-    assert preset("flip", noise={"flick": 0.1}).task_settings.noise.flick == 0.1
+    assert preset("flip", "hindsight", noise={"flick": 0.1}).task_settings.noise.flick == 0.1
 
 
 def test_another_learner_begins_with_its_own_settings() -> None:
-    changed = preset("flip", learner={"name": "cma_es", "population": 8})
+    changed = preset("flip", "hindsight", learner={"name": "cma_es", "population": 8})
     assert changed.learner == "cma_es" and changed.learner_settings.population == 8
     assert SessionSettings.model_validate(changed.model_dump(mode="json")) == changed
 
 
 def test_a_record_is_one_line_of_strict_json_and_comes_back_exactly() -> None:
-    practice = started("flip")
+    practice = started("hindsight")
     run(practice, rollouts=4)
     trial = practice.next_trial()
     record = practice.learn_assessed(
@@ -534,7 +546,7 @@ def test_infeasible_samples_are_rejected_and_only_feasible_ones_are_tried() -> N
         return "too stiff" if stiffer else ""
 
     practice = practice_of(
-        CANDIDATES[:1], preset("flip", budget=20, retests=0), 3, arm=AnyArm(infeasible)
+        CANDIDATES[:1], preset("flip", "hindsight", budget=20, retests=0), 3, arm=AnyArm(infeasible)
     )
     tried = []
     while (trial := practice.next_trial()) is not None:
@@ -566,7 +578,7 @@ def test_each_rollout_that_the_arm_itself_was_too_fast_in_leaves_less_of_the_lim
     kind: FaultKind, counted: int
 ) -> None:
     arm = SlowModel()
-    settings = preset("flip", budget=20, retests=0)
+    settings = preset("flip", "hindsight", budget=20, retests=0)
     practice = practice_of(CANDIDATES[:1], settings, 3, arm=arm)
     for number in range(12):
         if number == 8:
@@ -587,7 +599,7 @@ def test_a_replayed_practice_draws_without_simulating_again() -> None:
     def never(policy: Policy) -> str:
         raise AssertionError(f"asked about {policy.id}")
 
-    settings = preset("flip", budget=20, retests=0)
+    settings = preset("flip", "hindsight", budget=20, retests=0)
     practice = practice_of(CANDIDATES, settings, 3, arm=AnyArm(parity))
     records = run(practice, rollouts=12)
     assert any(record.rejections for record in records)
@@ -598,7 +610,10 @@ def test_a_replayed_practice_draws_without_simulating_again() -> None:
 @pytest.mark.requirement("S-31")
 def test_when_everything_is_infeasible_only_what_ran_before_is_run_again() -> None:
     practice = practice_of(
-        CANDIDATES, preset("flip", budget=8, retests=2), 3, arm=AnyArm(lambda policy: "no")
+        CANDIDATES,
+        preset("flip", "hindsight", budget=8, retests=2),
+        3,
+        arm=AnyArm(lambda policy: "no"),
     )
     records = run(practice)
     assert len(records) == 10
@@ -610,7 +625,7 @@ def test_when_everything_is_infeasible_only_what_ran_before_is_run_again() -> No
 
 @pytest.mark.requirement("S-31")
 def test_an_infeasible_mean_or_answer_is_shrunk_to_what_ran_without_a_fault() -> None:
-    settings = preset("flip", budget=24, retests=1, mean_every=4, confirm=0)
+    settings = preset("flip", "hindsight", budget=24, retests=1, mean_every=4, confirm=0)
     shrunk = 0
     for seed in range(2):
         practice = practice_of(CANDIDATES[:1], settings, seed, arm=AnyArm(parity))
@@ -630,7 +645,7 @@ def test_a_correction_that_the_arm_cannot_follow_keeps_no_other_back() -> None:
         return "" if np.allclose(policy.attractors[1], first) else "too fast"
 
     practice = practice_of(
-        CANDIDATES[:1], preset("flip", budget=2, retests=0), 3, arm=AnyArm(infeasible)
+        CANDIDATES[:1], preset("flip", "hindsight", budget=2, retests=0), 3, arm=AnyArm(infeasible)
     )
     settings = practice.task.settings
     flight = {"tossed": True, "seen": True, "angle": 2.0, "landing_error": [0.1, 0.0, 0.0]}
@@ -652,7 +667,7 @@ def test_a_landing_correction_stops_where_the_arm_cannot_follow() -> None:
         return Assessment(0.5, observation=flight)
 
     practice = practice_of(
-        CANDIDATES[:1], preset("flip", budget=2, retests=0), 3, arm=AnyArm(infeasible)
+        CANDIDATES[:1], preset("flip", "hindsight", budget=2, retests=0), 3, arm=AnyArm(infeasible)
     )
     trial = practice.next_trial()
     record = practice.learn_assessed(trial, far(trial))

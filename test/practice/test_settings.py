@@ -21,7 +21,7 @@ from wam_power_ros.practice.settings import PracticeSettings, preset
 )
 def test_a_setting_that_is_refused_is_named_in_one_line(changes: dict, why: str) -> None:
     with pytest.raises(ValueError, match=rf"invalid settings of task 'flip': {why}") as refused:
-        preset("flip", **changes)
+        preset("flip", "hindsight", **changes)
     assert "\n" not in str(refused.value)
     assert len(str(refused.value)) < 400
 

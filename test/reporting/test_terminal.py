@@ -17,7 +17,7 @@ from wam_power_ros.reporting import terminal
 @pytest.fixture
 def practice() -> Practice:
     """A session of the flip after six rollouts."""
-    settings = preset("flip", budget=6, confirm=0, retests=0)
+    settings = preset("flip", "hindsight", budget=6, confirm=0, retests=0)
     practice = practice_of([demonstrated_policy()], settings, seed=0)
     while (trial := practice.next_trial()) is not None:
         practice.learn_assessed(trial, toss(trial, practice.task.settings))
@@ -113,7 +113,7 @@ def test_the_summary_has_the_peak_speeds_of_the_retests(practice: Practice) -> N
 
 
 def test_the_summary_begins_with_what_the_demonstration_was_worth_before_learning() -> None:
-    settings = preset("flip", budget=8, confirm=0, retests=0)
+    settings = preset("flip", "hindsight", budget=8, confirm=0, retests=0)
     candidates = [demonstrated_policy("one"), demonstrated_policy("other")]
     practice = practice_of(candidates, settings, seed=1)
     while (trial := practice.next_trial()) is not None:
@@ -151,7 +151,7 @@ def test_rollouts_of_the_budget_and_re_tests_are_counted_apart(practice: Practic
     tests = [
         r.model_copy(update={"kind": "retest"}) if r.number > 4 else r for r in practice.records
     ]
-    settings = preset("flip", budget=4, retests=10)
+    settings = preset("flip", "hindsight", budget=4, retests=10)
     text = io.StringIO()
     with terminal.Display(Console(file=text, width=120, force_terminal=True)) as display:
         display.show(tests[:3], settings, practice.task)

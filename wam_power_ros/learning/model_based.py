@@ -28,9 +28,11 @@ CAUTION = 0.02  # weight of the variance of an expected error
 EXCESS = 0.02  # excess that weighs as much as an error of a tolerance, see `Prediction`
 SLACK = 0.01  # excess that a plan keeps below 0
 IGNORED = 0.02  # weight below which the model is not asked any more
+BLIND = 4  # rollouts without a complete error, after which PoWER decides
 REST = 5.0  # unit of the search beyond the model's directions [sd of the exploration]
 STEP_MAX = 1.0  # largest step along an axis of the search
 PROBE = 0.15  # step along a direction in which the changes are unknown
+SAME = 0.1  # distance along the axes from a rollout below which a plan is not a new one
 NEAR = 1.0  # distance along the axes over which slopes are alike
 SLOPE_SD = 0.1  # change along an axis whose observation weighs as much as the rough slopes
 ACTIVE_SETS = 8  # rounds in which a step finds the limits that it would exceed
@@ -66,10 +68,13 @@ class ModelBased(GaussianLearner):
     A plan is found by Gauss-Newton steps on the expected error, with the limits that they would
     exceed, from the best coordinates that were executed or predicted so far. Their slopes are a
     regression of the predictions near by. The model's few directions are probed first, then random
-    ones among all coordinates. A rollout is executed at the plan, without exploration.
+    ones among all coordinates. A rollout is executed at the plan, without exploration. Each that
+    had no complete error, as a pancake that did not leave the pan, halves the way of the next plan
+    from the best rollout: there is an edge between them.
 
-    PoWER learns from the same rollouts, as told. It decides when neither the model foresees an
-    error with a value nor one has been measured, after `patience` rollouts without progress, and
+    PoWER learns from the same rollouts, as told. It decides when no complete error has been
+    measured in `BLIND` rollouts, or is foreseen before that; when no better plan is found than one
+    that was run and is not within the tolerances; after `patience` rollouts without progress; and
     after `planned` rollouts: the error may leave out something that matters.
 
     What was predicted for a plan is known to later ones. So the state is a function of the rollouts
@@ -118,6 +123,7 @@ class ModelBased(GaussianLearner):
         self._axes = np.vstack([directions, REST * others])  # of the search, (size, size)
         self._inverse = np.linalg.inv(self._axes)
         self._plan: np.ndarray | None = None
+        self._searched = False  # for a plan since the last rollout
         self._draws = 0  # since the last rollout
 
     @property
@@ -139,8 +145,8 @@ class ModelBased(GaussianLearner):
     def ask(self) -> np.ndarray:
         """The plan, or a draw of PoWER. Shape (size,).
 
-        A plan that is asked for again has been rejected: each time it is moved nearer to the
-        best rollout.
+        A plan that is asked for again has been rejected: each time it is moved nearer to the best
+        rollout, and PoWER draws instead where that is no new plan.
         """
         plan = self._planned()
         if plan is None:
@@ -149,7 +155,8 @@ class ModelBased(GaussianLearner):
         if self._draws == 1 or not self._measured:
             return plan.copy()
         best = self._measured[int(np.argmin(self._losses()))][0]
-        return best + 0.8 ** (self._draws - 1) * (plan - best)
+        moved = best + 0.8 ** (self._draws - 1) * (plan - best)
+        return self._power.ask() if self._was_run(moved) else moved
 
     def measure(self, z: np.ndarray, error: np.ndarray) -> None:
         """See `MeasuringLearner`."""
@@ -162,7 +169,7 @@ class ModelBased(GaussianLearner):
             self._faults += ret == 0.0
         else:
             self._measured.append(self._latest)
-        self._latest, self._plan, self._draws = None, None, 0
+        self._latest, self._plan, self._searched, self._draws = None, None, False, 0
 
     def _update(self) -> None:
         """Nothing: `tell` is this learner's own."""
@@ -172,10 +179,14 @@ class ModelBased(GaussianLearner):
         errors = np.stack([error for _, error in self._measured])
         return (np.where(np.isnan(errors), UNKNOWN, errors) ** 2).sum(axis=1)
 
+    def _complete(self) -> list[bool]:
+        """Whether every component of the measured errors has a value, oldest first."""
+        return [bool(np.isfinite(error).all()) for _, error in self._measured]
+
     def _stuck(self) -> bool:
         """Whether the latest plans have not come closer than an earlier one."""
         losses = self._losses()
-        if len(losses) >= self.settings.planned:
+        if len(losses) >= (self.settings.planned if any(self._complete()) else BLIND):
             return True
         last = losses[-self.settings.patience :]
         before = losses[: -self.settings.patience]
@@ -185,8 +196,9 @@ class ModelBased(GaussianLearner):
 
     def _planned(self) -> np.ndarray | None:
         """Coordinates of the next rollout, computed once for each; None if PoWER decides."""
-        if self._plan is None and not (self._measured and self._stuck()):
-            self._plan = self._search()
+        if not self._searched:
+            self._searched = True
+            self._plan = None if self._measured and self._stuck() else self._search()
         return self._plan
 
     def _predicted(self, z: np.ndarray) -> Prediction | None:
@@ -241,11 +253,26 @@ class ModelBased(GaussianLearner):
             points[z.tobytes()] = point = self._point(z, discrepancy, trusted)
             failed = failed + 1 if probe is None and point.loss >= best.loss else 0
         feasible = [point for point in points.values() if point.feasible]
-        seen = any(np.isfinite(error).all() for _, error in self._measured)
         if not feasible:
             return None
-        plan, m = _best(feasible), len(self._model.slopes)
-        return plan.z if seen or np.isfinite(plan.values[:m]).all() else None
+        plan, complete = _best(feasible), self._complete()
+        if not any(complete):
+            foreseen = np.isfinite(plan.values[: len(self._model.slopes)]).all()
+            return plan.z if foreseen else None
+        losses = self._losses()
+        best = int(np.argmin(np.where(complete, losses, math.inf)))
+        origin = self._measured[best][0]
+        z = origin + 0.5 ** complete[best:].count(False) * (plan.z - origin)
+        return None if self._was_run(z) else z
+
+    def _was_run(self, z: np.ndarray) -> bool:
+        """Whether z is no new plan, and its rollouts are not within the tolerances."""
+        near = [
+            loss
+            for (at, _), loss in zip(self._measured, self._losses(), strict=True)
+            if float(np.linalg.norm(self._along(at - z))) < SAME
+        ]
+        return bool(near) and float(np.mean(near)) > FINE**2
 
     def _point(self, z: np.ndarray, discrepancy: Discrepancy, trusted: bool) -> _Point:
         rough, excess = self._rough(z), np.empty(0)
@@ -261,6 +288,8 @@ class ModelBased(GaussianLearner):
         over = np.maximum(excess + SLACK, 0.0) / EXCESS
         filled = np.where(np.isnan(error), UNKNOWN, error)
         loss = float((filled**2 + CAUTION * variance).sum() + (over**2).sum())
+        if any((z == at).all() and np.isnan(seen).any() for at, seen in self._measured):
+            loss = math.inf  # whatever is expected there, it has no complete error
         return _Point(z, np.append(error, excess), bool((excess < 0.0).all()), loss)
 
     def _probe(self, best: _Point, points: list[_Point], beyond: bool) -> np.ndarray | None:

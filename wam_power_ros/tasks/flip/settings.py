@@ -98,7 +98,8 @@ class FlipSettings(BaseModel):
         return self
 
 
-_FLIP: Mapping[str, Any] = {
+# Corrected in hindsight; all presets but `paper` share its settings.
+_HINDSIGHT: Mapping[str, Any] = {
     "variant": "planar",
     "noise": {"stiffness": 0.16, "attractor": 0.016, "rotation": 0.05, "catch_shift": 0.016},
     "learner": {"name": "power", "sigma": 6, "weights": "sharpened", "decay": 0.97},
@@ -117,12 +118,16 @@ _FLIP: Mapping[str, Any] = {
 }
 _GAINS = ("landing_gain", "turn_gain", "vigour_gain", "tempo_gain")
 PRESETS: Mapping[str, Mapping[str, Any]] = {
-    "flip": _FLIP,
+    # Plans on a model of the toss, and falls back on the learner of `hindsight`.
+    "flip": {**_HINDSIGHT, "learner": {"name": "model_based"}},
+    "hindsight": _HINDSIGHT,
     # For comparison: what the returns, or the corrections, reach alone.
-    "return_only": {**_FLIP, **dict.fromkeys(_GAINS, 0.0)},
-    "corrections_only": {**_FLIP, "learner": {"name": "corrections_only"}, "mean_every": 1},
-    # Plans on a model of the toss, and falls back on the learner of `flip`.
-    "model_based": {**_FLIP, "learner": {"name": "model_based"}},
+    "return_only": {**_HINDSIGHT, **dict.fromkeys(_GAINS, 0.0)},
+    "corrections_only": {
+        **_HINDSIGHT,
+        "learner": {"name": "corrections_only"},
+        "mean_every": 1,
+    },
     "paper": {
         "variant": "full",
         "noise": {"stiffness": 0.1, "attractor": 0.01, "rotation": 0.05, "catch_shift": 0.01},
