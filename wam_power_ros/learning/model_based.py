@@ -259,10 +259,9 @@ class ModelBased(GaussianLearner):
         if not any(complete):
             foreseen = np.isfinite(plan.values[: len(self._model.slopes)]).all()
             return plan.z if foreseen else None
-        losses = self._losses()
-        best = int(np.argmin(np.where(complete, losses, math.inf)))
-        origin = self._measured[best][0]
-        z = origin + 0.5 ** complete[best:].count(False) * (plan.z - origin)
+        closest = int(np.argmin(np.where(complete, self._losses(), math.inf)))
+        origin = self._measured[closest][0]
+        z = origin + 0.5 ** complete[closest:].count(False) * (plan.z - origin)
         return None if self._was_run(z) else z
 
     def _was_run(self, z: np.ndarray) -> bool:
