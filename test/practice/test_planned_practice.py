@@ -83,6 +83,21 @@ def test_the_error_is_that_of_what_was_executed_not_of_the_correction_in_hindsig
         np.testing.assert_allclose(error[0], angle)
 
 
+def test_once_a_person_has_rated_a_rollout_returns_count_and_not_the_measured_error() -> None:
+    """The plan would be the same again: a rating changes no error."""
+    rated, plain = (practice_of(CANDIDATES, SETTINGS, 0) for _ in range(2))
+    for practice in (rated, plain):
+        practice.learn_assessed(trial := practice.next_trial(), toss(trial, SETTINGS.task_settings))
+    rated.rate(-0.1)
+    assert plain.next_trial().kind == "mean" and not plain.learner.falls_back
+    assert rated.next_trial().kind == "explore" and rated.learner.falls_back
+    trial = rated.next_trial()
+    rated.learn_assessed(trial, toss(trial, SETTINGS.task_settings))
+    assert rated.learner.falls_back, "for the rest of the session"
+    again = practice_of(CANDIDATES, SETTINGS, 0, rated.log)
+    assert again.next_trial().z.tolist() == rated.next_trial().z.tolist()
+
+
 @pytest.mark.parametrize("name", ["model_based", "bayesian_optimization"])
 def test_a_task_without_a_vector_error_is_refused_by_name_before_anything_moves(
     name: str, monkeypatch: pytest.MonkeyPatch

@@ -58,6 +58,9 @@ class MeasuringLearner(Protocol):
             error: Error in units of its tolerances, as in `ErrorModel`. Shape (m,).
         """
 
+    def trust_returns(self) -> None:
+        """Learn from returns alone from now on: what a person has rated is not in the error."""
+
 
 class Prediction(NamedTuple):
     """What an `ErrorModel` predicts.

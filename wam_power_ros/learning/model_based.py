@@ -74,8 +74,9 @@ class ModelBased(GaussianLearner):
 
     PoWER learns from the same rollouts, as told. It decides when no complete error has been
     measured in `BLIND` rollouts, or is foreseen before that; when no better plan is found than one
-    that was run and is not within the tolerances; after `patience` rollouts without progress; and
-    after `planned` rollouts: the error may leave out something that matters.
+    that was run and is not within the tolerances; after `patience` rollouts without progress;
+    after `planned` rollouts: the error may leave out something that matters; and once a person has
+    rated a rollout.
 
     What was predicted for a plan is known to later ones. So the state is a function of the rollouts
     and of the draws between them, as in a session that is replayed.
@@ -124,6 +125,7 @@ class ModelBased(GaussianLearner):
         self._inverse = np.linalg.inv(self._axes)
         self._plan: np.ndarray | None = None
         self._searched = False  # for a plan since the last rollout
+        self._rated = False  # a rollout, by a person
         self._draws = 0  # since the last rollout
 
     @property
@@ -162,6 +164,10 @@ class ModelBased(GaussianLearner):
         """See `MeasuringLearner`."""
         self._latest = np.array(z, dtype=float), np.array(error, dtype=float)
 
+    def trust_returns(self) -> None:
+        """See `MeasuringLearner`: PoWER decides."""
+        self._searched, self._plan, self._rated = True, None, True
+
     def tell(self, z: np.ndarray, ret: float) -> None:
         """Learn from a rollout; see `Learner.tell`."""
         self._power.tell(z, ret)
@@ -169,7 +175,7 @@ class ModelBased(GaussianLearner):
             self._faults += ret == 0.0
         else:
             self._measured.append(self._latest)
-        self._latest, self._plan, self._searched, self._draws = None, None, False, 0
+        self._latest, self._plan, self._searched, self._draws = None, None, self._rated, 0
 
     def _update(self) -> None:
         """Nothing: `tell` is this learner's own."""

@@ -188,6 +188,8 @@ class Improvement:
         for record in records:
             if record.demonstration == self.demonstration:
                 self._tell(record)
+                if record.adjustment and isinstance(self.learner, MeasuringLearner):
+                    self.learner.trust_returns()
 
     def begin(self, reproduction: Record) -> str:
         """Let the mean be run next if the reproduction succeeded; returns a remark for the log."""
