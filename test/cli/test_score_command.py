@@ -51,7 +51,7 @@ def recorded(
 @pytest.fixture
 def session(tmp_path: Path) -> Path:
     """A session of two rollouts, with their bags."""
-    folder, settings = tmp_path / "s", preset("flip", budget=2, confirm=0, retests=0)
+    folder, settings = tmp_path / "s", preset("flip", "hindsight", budget=2, confirm=0, retests=0)
     with Session.begin(folder, settings, 5, [demonstrated_policy("demonstration-1")]) as begun:
         practice = begun.practice(ANY_ARM)
         for angle in (100.0, 175.0):
