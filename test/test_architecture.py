@@ -97,7 +97,7 @@ BUDGET = {
     "control": 4510,
     "commissioning": 1030,
     "tracking": 620,
-    "tasks": 3760,
+    "tasks": 3770,
     "practice": 2340,
     "conformance": 1120,
     "bags": 2660,

@@ -162,6 +162,22 @@ def test_clear_margins_confirm_with_few_rollouts_and_narrow_ones_end_the_row() -
     assert (narrow.z, narrow.count, narrow.complete) == (None, 0, "")
 
 
+def test_a_row_ends_when_the_rest_of_it_would_more_likely_fail_than_not() -> None:
+    """Margins of r sd: 25 further successes have the probability Phi(r)^25, 3 more Phi(r)^3."""
+    for mean, goes_on in ((1.85, False), (2.0, True)):
+        rows = [[mean + each] for each in (-1.0, 1.0, -1.0, 1.0)]
+        sd = float(np.std(rows, ddof=1))
+        assert (norm.cdf(mean) ** 25 > 0.5) == goes_on
+        narrow = rule(29)
+        for row in rows:
+            narrow.add(rollout(True, margins=[row[0] - mean + mean * sd]))
+        assert (narrow.count == 4) == goes_on
+        last = rule(7)
+        for row in rows:
+            last.add(rollout(True, margins=[row[0] - mean + mean * sd]))
+        assert last.count == 4
+
+
 def test_margins_that_are_not_known_of_every_success_do_not_count() -> None:
     stopping = rule(confirm=6)
     for k in range(5):
@@ -172,7 +188,7 @@ def test_margins_that_are_not_known_of_every_success_do_not_count() -> None:
 
 
 def test_a_row_of_the_whole_count_confirms_whatever_its_margins() -> None:
-    wide = np.array([[1.0], [3.0]] * 15)
+    wide = np.array([[1.32], [3.32]] * 15)
     stopping = confirmed(wide)
     assert stopping.count == 29 and "margins" not in stopping.complete
 

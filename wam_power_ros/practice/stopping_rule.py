@@ -124,7 +124,8 @@ class StoppingRule:
             least = float((mean / np.maximum(sd, 1e-12)).min())
             self.complete = f"{said}, margins of {least:.2g} sd or more: {_shown(enough)}"
             return said
-        if (mean < float(ndtri(rate)) * sd).any():
+        # Of this success rate, the rest of the row would more likely fail than not.
+        if (mean < float(ndtri(0.5 ** (1.0 / (enough - count)))) * sd).any():
             self._end()
             return f"{said}, but with too small margins: learning goes on"
         return said

@@ -25,7 +25,7 @@ class Toss:
     position: np.ndarray  # (T, 3)
     matrix: np.ndarray  # (T, 3, 3) body frame; the body's own axes are arbitrary
     normal: np.ndarray  # (T, 3)
-    winding: np.ndarray  # (T,) rotation from rest about the spin axis [rad]
+    winding: np.ndarray  # (T,) rotation from rest in the plane normal to the spin axis [rad]
     release: float
     t_f: float
 
@@ -98,7 +98,9 @@ def toss(
     on[:] = pan_position[landed:] + np.einsum("tij,j->ti", pan_matrix[landed:], stay)
     matrix[landed:] = pan_matrix[landed:] @ np.diag([1.0, side, side])
     body = rotations.exp(rng.normal(size=3))
-    rest = math.atan2(-pan_matrix[k, 0, 2], pan_matrix[k, 2, 2])
+    across = np.cross(axis, [0.0, 0.0, 1.0])
+    across /= np.linalg.norm(across)
+    winding = np.unwrap(np.arctan2(matrix[:, :, 2] @ across, matrix[:, 2, 2]))
     above = position[:, 2] - pan_z - DELTA_H
     apex = k + int(np.argmax(position[k:landed, 2]))
     low = np.flatnonzero(above[apex:] <= 0.0)
@@ -106,9 +108,7 @@ def toss(
     if len(low) and above[apex] > 0.0:
         j = apex + int(low[0])
         t_f = float(t[j] - STEP * above[j] / (above[j] - above[j - 1]))
-    return Toss(
-        t, pan, position, matrix @ body, matrix[:, :, 2].copy(), rest + turned, release, t_f
-    )
+    return Toss(t, pan, position, matrix @ body, matrix[:, :, 2].copy(), winding, release, t_f)
 
 
 def capture(

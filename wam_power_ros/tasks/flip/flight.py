@@ -51,8 +51,8 @@ class Flight:
         normal_start: Normal v0 at rest, that of the pan at the start, base frame. Shape (3,).
         normal: Normal v_tf at t_f, base frame. Shape (3,).
         normal_std: Standard deviation of the direction of `normal` [rad].
-        angle: Rotation from rest to t_f [rad]: arccos(v0 . v_tf), unfolded by the number of half
-            turns about the spin axis, so that cos(angle) = v0 . v_tf; 0 if not tossed.
+        angle: Rotation from rest to t_f in the plane normal to the spin axis [rad]; 0 if not
+            tossed. Of a toss in one plane, arccos(v0 . v_tf) unfolded by the number of half turns.
         angle_std: Standard deviation of `angle` [rad].
         spin_axis: Unit vector about which the rotation is positive, base frame. Shape (3,).
         spin_rate: Spin rate at t_f [rad/s].
@@ -125,7 +125,9 @@ def _flight_on_arc(pan: EndEffectorPath, frames: Frames, arc: Arc, crossing: Cro
     normal, normal_cov = spin.normal_with_covariance(crossing.t, crossing.t_std)
     normal_cov += TILT_NOISE**2 / frames.resting_frames * np.eye(3)
     axis, angle = spin.turned(frames.normal_start, crossing.t)
-    along = unit(np.cross(axis, normal))
+    across = unit(np.cross(axis, frames.normal_start))
+    sine, cosine = float(normal @ across), float(normal @ frames.normal_start)
+    along = (cosine * across - sine * frames.normal_start) / max(sine**2 + cosine**2, 0.1)
     angle_std = math.sqrt(max(along @ normal_cov @ along, 0.0))
     pan_position = interpolate(crossing.t, pan.t, pan.position)
     seen = bool(crossing.position_std.max() <= _POSITION_STD_MAX)

@@ -32,6 +32,7 @@ _RELEASE_STD = 0.35  # prior: normal of the pancake from the pan's at release [r
 _SLOWING_MIN = 0.2  # smallest 1 + d s to which the spin is extrapolated [1]
 _SPARSE_INTERVAL = 0.07  # time between frames from which on the number of turns is ambiguous [s]
 _AXIS_ANGLE_MIN = 0.2  # smallest rotation in flight that defines the spin axis [rad]
+_ALONG_MAX = 0.7  # cosine between the normal and an axis about which it makes a cone, not a turn
 _AMBIGUOUS_COST = 6.0  # largest cost above the best one of an equally plausible spin [1]
 _OTHER_SPIN_MIN = 1.0  # smallest distance between different spins [rad/s]
 _DIFFERENCE_STEP = math.sqrt(float(np.finfo(float).eps))  # step, relative to a parameter [1]
@@ -88,23 +89,19 @@ class Spin:
             t: Time after the release [s].
 
         Returns:
-            Spin axis, a unit vector of shape (3,), and the angle between `start` and the normal at
-            t, unfolded by the number of half turns about that axis [rad].
+            Spin axis, a unit vector of shape (3,), and the rotation in the plane of `start` that is
+            normal to it, more than a turn if it was more [rad]. What leans out of that plane, as
+            of a pan that is rolled to the side, does not count.
         """
         omega = self.theta[2:5]
         speed = float(np.linalg.norm(omega))
         end = self.normal(np.array([t]))[0]
-        folded = angle_between(start, end)
-        if speed * (t - self.release) < _AXIS_ANGLE_MIN:
-            return axis_between(start, end), folded
-        axis = omega / speed
+        axis = omega / speed if speed else start
+        if speed * (t - self.release) < _AXIS_ANGLE_MIN or abs(start @ axis) > _ALONG_MAX:
+            return axis_between(start, end), angle_between(start, end)
         path = self.normal(np.linspace(self.release, t, 200))
-        sine = np.cross(start, path) @ axis
-        cosine = path @ start - (path @ axis) * (start @ axis)
-        half_turns = math.floor(abs(np.unwrap(np.arctan2(sine, cosine))[-1]) / math.pi)
-        if half_turns % 2:
-            return axis, (half_turns + 1) * math.pi - folded
-        return axis, half_turns * math.pi + folded
+        sine = path @ unit(np.cross(axis, start))
+        return axis, abs(float(np.unwrap(np.arctan2(sine, path @ start))[-1]))
 
 
 def fit_spin(frames: Frames, arc: Arc, pan: EndEffectorPath) -> Spin:

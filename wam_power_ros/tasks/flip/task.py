@@ -16,7 +16,7 @@ from wam_power_ros.learning.rollout import Foreseen, Rollout
 from wam_power_ros.tasks.flip import assessment as flip_assessment
 from wam_power_ros.tasks.flip import paper
 from wam_power_ros.tasks.flip.flight import FLIP_ANGLES, observe_flight
-from wam_power_ros.tasks.flip.frames import PAN_RADIUS, REST_HEIGHT_MAX
+from wam_power_ros.tasks.flip.frames import REST_HEIGHT_MAX
 from wam_power_ros.tasks.flip.landing_correction import landing_correction
 from wam_power_ros.tasks.flip.parametrization import flip_parametrization
 from wam_power_ros.tasks.flip.planned_toss import TossModel
@@ -42,6 +42,9 @@ _FLAT_OFFSET_MAX = 0.06  # largest distance of a pancake that lies on the floor,
 _MISPLACED_MAX = (
     0.15  # height up to which a body at rest is one in the pan that is seen wrongly [m]
 )
+# Miss up to which a pancake that had turned was caught in 99 % of 3300 simulated tosses [m]. In the
+# next 2 cm it was 86 %, at 0.12 m half of them.
+CAUGHT_MISS = 0.07
 CLIMB_MAX = 0.025  # height of its centre above the pan's floor from which it may stay there [m]
 _REST_SPEED_MAX = 0.05  # largest speed at rest [m/s]
 
@@ -114,7 +117,7 @@ class Flip(Task):
         return [name for name, gain in gains.items() if gain > 0.0]
 
     def margins(self, record: LoggedRollout) -> Sequence[float]:
-        """Rotation inside its window [rad], landing inside the pan and climb [m]; see `Task`.
+        """Rotation inside its window [rad], landing near the middle and climb [m]; see `Task`.
 
         A pancake that climbs the rim after its fall is nearly thrown out, or stays there. Where no
         rotation is required, successes are counted alone.
@@ -126,7 +129,7 @@ class Flip(Task):
         return (
             angle - settings.success_angle,
             settings.success_angle_max - angle,
-            PAN_RADIUS - math.hypot(*flight["landing_error"][:2]),
+            CAUGHT_MISS - math.hypot(*flight["landing_error"][:2]),
             CLIMB_MAX - flight["climb"],
         )
 
