@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run a session in this process: reproduce, choose a demonstration, explore, re-test."""
+"""Run a session in this process: reproduce, choose a demonstration, practise, re-test."""
 
 from hardware_sim.scenes import scene_type
 from hardware_sim.wam import JOINTS
