@@ -69,8 +69,8 @@ class ModelBased(GaussianLearner):
     exceed, from the best coordinates that were executed or predicted so far. Their slopes are a
     regression of the predictions near by. The model's few directions are probed first, then random
     ones among all coordinates. A rollout is executed at the plan, without exploration. Each that
-    had no complete error, as a pancake that did not leave the pan, halves the way of the next plan
-    from the best rollout: there is an edge between them.
+    had no complete error, as a throw that did not come off, halves the way of the next plan from
+    the best rollout: there is an edge between them.
 
     PoWER learns from the same rollouts, as told. It decides when no complete error has been
     measured in `BLIND` rollouts, or is foreseen before that; when no better plan is found than one
