@@ -90,28 +90,29 @@ def row(found: Mapping[str, Any]) -> dict[str, Any]:
     """Figures of one session.
 
     Returns:
-        "true", "landed": true flips, and re-tests turned over and caught, of "retests";
-        "to_streak": rollouts before the streak that ended it, None without one.
+        "true", "landed": true flips, and re-tests turned over and caught, of "retests"; "rollouts":
+        number of rollouts, those that confirm included; "confirmed": whether they did.
     """
-    confirmed = found["ended_by"] == "confirmation"
     return {
         "true": sum(run["true_flip"] for run in found["retests"]),
         "landed": sum(run["landed"] for run in found["retests"]),
         "retests": len(found["retests"]),
-        "to_streak": found["used"] - found["confirmed"] if confirmed else None,
+        "rollouts": found["used"],
+        "confirmed": found["ended_by"] == "confirmation",
     }
 
 
 def line(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Figures of all sessions of a learner on a ground; one without a streak counts as BUDGET."""
+    """Figures of all sessions of a learner on a ground; "wrong" are confirmed and not solved."""
     solved = sum(each["true"] >= SOLVED for each in rows)
     landed = sum(each["landed"] >= SOLVED for each in rows)
-    before = [BUDGET if each["to_streak"] is None else each["to_streak"] for each in rows]
-    ended = sum(each["to_streak"] is not None for each in rows)
+    used = [each["rollouts"] for each in rows]
+    confirmed = [each for each in rows if each["confirmed"]]
+    wrong = sum(each["true"] < SOLVED for each in confirmed)
     return (
-        f"{solved} of {len(rows)} solved, {landed} turned over and caught, {ended} ended by a "
-        f"streak; rollouts before it: median {np.median(before):g}, worst decile "
-        f"{np.quantile(before, 0.9, method='higher'):g}"
+        f"{solved} of {len(rows)} solved, {landed} turned over and caught, {len(confirmed)} "
+        f"confirmed, {wrong} of them wrong; rollouts, confirmation included: median "
+        f"{np.median(used):g}, worst decile {np.quantile(used, 0.9, method='higher'):g}"
     )
 
 

@@ -55,15 +55,16 @@ def test_a_habit_changes_the_demonstration(habit: str) -> None:
     assert not np.allclose(changed.rotation_attractors, plain.rotation_attractors, atol=0.02)
 
 
-def test_a_row_counts_what_was_turned_over_and_a_line_those_that_never_ended() -> None:
+def test_a_row_counts_what_was_turned_over_and_a_line_those_that_were_wrong() -> None:
     run = {"true_flip": True, "landed": True}
     short = {**run, "true_flip": False}
     retests = 28 * [run] + 2 * [short]
     session = {"ended_by": "confirmation", "used": 15, "confirmed": 10, "retests": retests}
-    never = {"ended_by": "budget", "used": 60, "retests": 30 * [short]}
-    rows = [grounds.row(session), grounds.row(never)]
-    assert rows[0] == {"true": 28, "landed": 30, "retests": 30, "to_streak": 5}
-    assert rows[1]["to_streak"] is None
+    short30 = 30 * [short]
+    never = {"ended_by": "budget", "used": 60, "retests": short30}
+    rows = [grounds.row(session), grounds.row(never), grounds.row({**session, "retests": short30})]
+    counted = {"true": 28, "landed": 30, "retests": 30, "rollouts": 15, "confirmed": True}
+    assert rows[0] == counted and not rows[1]["confirmed"]
     text = grounds.line(rows)
-    assert text.startswith("1 of 2 solved, 2 turned over and caught, 1 ended by a streak")
-    assert text.endswith("median 32.5, worst decile 60")
+    assert text.startswith("1 of 3 solved, 3 turned over and caught, 2 confirmed, 1 of them wrong")
+    assert text.endswith("median 15, worst decile 60")
