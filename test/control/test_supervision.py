@@ -194,12 +194,22 @@ def test_after_a_jump_the_arm_is_braked_from_the_last_state_before_it() -> None:
     watch, before = supervision(), state(1, HOME, speed)
     watch.plausibility_fault(Mode.GRAVITY_COMPENSATION, state(0, HOME - 0.002 * speed), before)
     watch.jumped(before)
-    first, *later = estimated(watch, [state(k, HOME + jumps, -speed) for k in range(2, 5)])
-    np.testing.assert_allclose(first.q, HOME, atol=0.006)  # two periods at that speed
-    np.testing.assert_allclose(first.qd, speed, atol=0.15)
+    first = watch.estimate(state(2, HOME + jumps, -speed), MODEL.motion(HOME, STILL), new=True)
+    np.testing.assert_allclose(first.q, HOME + 0.002 * speed, atol=5e-4)
+    np.testing.assert_allclose(first.qd, speed, atol=0.1)
+    later = estimated(watch, [state(k, HOME + jumps, -speed) for k in range(3, 5)])
     watch.jumped(later[-1].moved(HOME + jumps, -speed))  # back and forth: that state was false
     (after,) = estimated(watch, [state(5, HOME, -speed)])
     np.testing.assert_allclose(after.q, later[-1].q, atol=0.01)
+
+
+@pytest.mark.requirement("S-121")
+def test_a_jump_before_the_last_reset_is_no_state_to_begin_with() -> None:
+    watch = supervision()
+    watch.jumped(state(1, HOME + 0.3, STILL))  # of an arm that nothing commanded then
+    watch.begin()
+    first = watch.estimate(state(2), MODEL.motion(HOME, STILL), new=True)
+    np.testing.assert_allclose(first.q, HOME, atol=1e-3)
 
 
 @pytest.mark.requirement("S-121")

@@ -167,6 +167,17 @@ def test_power_decides_when_what_the_model_foresees_is_not_seen() -> None:
     assert not learner.falls_back, "a measured value is something to plan from"
 
 
+def test_what_was_run_without_a_complete_error_is_no_plan_whatever_is_expected_there() -> None:
+    learner = learner_of(LinearModel(), seed=2)
+    practise(learner, 1)
+    z = learner.ask()
+    learner.measure(z, np.array([-12.0, math.nan]))
+    learner.tell(z, 0.1)
+    discrepancy = learner._discrepancy()
+    assert learner._point(z, discrepancy, trusted=True).loss == math.inf
+    assert learner._point(z + 0.01, discrepancy, trusted=True).loss < math.inf
+
+
 def test_a_rollout_beyond_an_edge_halves_the_way_of_the_next_plan() -> None:
     """Beyond it there is no error with a value, as of a pancake that does not leave the pan."""
 

@@ -379,8 +379,7 @@ class Plausibility:
 
     def estimate_at(self, state: JointState) -> Estimate:
         """Estimate that begins at a state which is true, as measured."""
-        sent = [each.tau for each in self._history][-at_rate(TORQUE_DELAY, self._period) :]
-        return Estimate(self._arm, state.q, state.qd, sent, self._period)
+        return Estimate(self._arm, state.q, state.qd, period=self._period)
 
     def estimate(self, last: JointState, suspect: int | None = None) -> Estimate:
         """Estimate the arm's state: measured where joints were observed to move, else by the model.

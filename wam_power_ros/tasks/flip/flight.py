@@ -127,7 +127,7 @@ def _flight_on_arc(pan: EndEffectorPath, frames: Frames, arc: Arc, crossing: Cro
     axis, angle = spin.turned(frames.normal_start, crossing.t)
     across = unit(np.cross(axis, frames.normal_start))
     sine, cosine = float(normal @ across), float(normal @ frames.normal_start)
-    along = (cosine * across - sine * frames.normal_start) / max(sine**2 + cosine**2, 0.1)
+    along = cosine * across - sine * frames.normal_start  # of a normal that turns further
     angle_std = math.sqrt(max(along @ normal_cov @ along, 0.0))
     pan_position = interpolate(crossing.t, pan.t, pan.position)
     seen = bool(crossing.position_std.max() <= _POSITION_STD_MAX)

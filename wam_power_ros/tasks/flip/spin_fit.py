@@ -32,7 +32,6 @@ _RELEASE_STD = 0.35  # prior: normal of the pancake from the pan's at release [r
 _SLOWING_MIN = 0.2  # smallest 1 + d s to which the spin is extrapolated [1]
 _SPARSE_INTERVAL = 0.07  # time between frames from which on the number of turns is ambiguous [s]
 _AXIS_ANGLE_MIN = 0.2  # smallest rotation in flight that defines the spin axis [rad]
-_ALONG_MAX = 0.7  # cosine between the normal and an axis about which it makes a cone, not a turn
 _AMBIGUOUS_COST = 6.0  # largest cost above the best one of an equally plausible spin [1]
 _OTHER_SPIN_MIN = 1.0  # smallest distance between different spins [rad/s]
 _DIFFERENCE_STEP = math.sqrt(float(np.finfo(float).eps))  # step, relative to a parameter [1]
@@ -96,9 +95,9 @@ class Spin:
         omega = self.theta[2:5]
         speed = float(np.linalg.norm(omega))
         end = self.normal(np.array([t]))[0]
-        axis = omega / speed if speed else start
-        if speed * (t - self.release) < _AXIS_ANGLE_MIN or abs(start @ axis) > _ALONG_MAX:
+        if speed * (t - self.release) < _AXIS_ANGLE_MIN:
             return axis_between(start, end), angle_between(start, end)
+        axis = omega / speed
         path = self.normal(np.linspace(self.release, t, 200))
         sine = path @ unit(np.cross(axis, start))
         return axis, abs(float(np.unwrap(np.arctan2(sine, path @ start))[-1]))
