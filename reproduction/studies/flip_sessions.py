@@ -303,7 +303,11 @@ def jobs(scale: Scale) -> list[Job]:
     retests = {"retests": 1 if quick else 30}
     fewer = {"retests": 1 if quick else 10}
     common = {"demonstrations": series, "repeats": 1 if quick else 3}
-    default = {**common, "name": "flip", "changes": {**retests, **({"budget": 4} if quick else {})}}
+    default = {
+        **common,
+        "name": "hindsight",
+        "changes": {**retests, **({"budget": 4} if quick else {})},
+    }
     paper = {**common, "name": "paper", "pitch_rate": NOVICE}
     conditions = dict(list(CONDITIONS.items())[one])
     changes = {count: {**fewer, "budget": budgets[count], "confirm": 0} for count in budgets}

@@ -55,8 +55,8 @@ GROUNDS: Mapping[str, Mapping[str, Any]] = {
 
 # Learner -> preset and changes to it.
 LEARNERS: Mapping[str, tuple[str, Mapping[str, Any]]] = {
-    "flip": ("flip", {}),
     "hindsight": ("hindsight", {}),
+    "model_based": ("model_based", {}),
     "power": ("return_only", {}),
     "bayesian_optimization": ("return_only", {"learner": {"name": "bayesian_optimization"}}),
 }
@@ -122,7 +122,9 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=Path("grounds"))
     parser.add_argument("--seeds", type=int, default=10, help="of each row, at most 100")
     parser.add_argument("--only", nargs="+", choices=GROUNDS, default=list(GROUNDS))
-    parser.add_argument("--learners", nargs="+", choices=LEARNERS, default=["flip", "hindsight"])
+    parser.add_argument(
+        "--learners", nargs="+", choices=LEARNERS, default=["hindsight", "model_based"]
+    )
     parser.add_argument("--table", type=Path, help="CSV file, a line for each session")
     parser.add_argument("--workers", type=int, default=1)
     args = parser.parse_args()

@@ -42,7 +42,7 @@ class Row(NamedTuple):
 
 
 ROWS = {
-    "flip": Row("return, landing error, rotation, a model of the toss", "flip", {}),
+    "model_based": Row("return, landing error, rotation, a model of the toss", "model_based", {}),
     "hindsight": Row("return, landing error, rotation", "hindsight", {}),
     "corrections": Row("landing error, rotation", "corrections_only", {}),
     "power": Row("return", "return_only", {}),
@@ -83,7 +83,7 @@ def jobs(
                 "demonstrations": 1,
                 "changes": {"budget": BUDGET, "retests": RETESTS, **ROWS[name].changes},
                 **CASES[case],
-                **(ELSEWHERE if name == "flip" else {}),
+                **(ELSEWHERE if name == "hindsight" else {}),
             },
         )
         for seed in seeds

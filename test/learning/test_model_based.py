@@ -109,8 +109,10 @@ def test_a_rollout_that_a_fault_ended_moves_the_plan_away_from_the_limits() -> N
     learner = learner_of(LinearModel(limit=7.0))
     practise(learner, 3)
     before = np.linalg.norm(learner.mean)
+    assert learner._complete() == [True] * 3
     for _ in range(3):
         learner.tell(learner.ask(), 0.0)  # nothing was measured
+    assert learner._complete() == [True] * 3 + [False] * 3, "each halves the way of the next plan"
     assert np.linalg.norm(learner.mean) < 0.97 * before
 
 

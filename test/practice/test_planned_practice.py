@@ -19,7 +19,7 @@ from wam_power_ros.tasks.flip.parametrization import TURN_OF_FLICK, TURN_OF_TEMP
 from wam_power_ros.tasks.flip.task import Flip
 from wam_power_ros.tasks.flip.toss_errors import LANDING_TOLERANCE, TURN_TOLERANCE, TossErrors
 
-SETTINGS = preset("flip", budget=12, retests=2, confirm=3)
+SETTINGS = preset("flip", "model_based", budget=12, retests=2, confirm=3)
 CANDIDATES = [demonstrated_policy()]
 
 
@@ -117,6 +117,6 @@ def test_a_task_without_a_vector_error_is_refused_by_name_before_anything_moves(
 
 
 def test_the_settings_of_the_session_keep_those_of_the_fallback() -> None:
-    changed = preset("flip", learner={"fallback": {"sigma": 4}})
+    changed = preset("flip", "model_based", learner={"fallback": {"sigma": 4}})
     assert changed.learner_settings.fallback.sigma == 4
     assert SessionSettings.model_validate(changed.model_dump(mode="json")) == changed

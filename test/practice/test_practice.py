@@ -469,7 +469,9 @@ def test_records_of_another_session_are_refused() -> None:
 
 
 def test_settings_and_candidates_that_cannot_be_are_refused() -> None:
-    with pytest.raises(ValueError, match="'quick' of 'flip' is not one of flip, hindsight, "):
+    with pytest.raises(
+        ValueError, match="'quick' of 'flip' is not one of hindsight, model_based, "
+    ):
         preset("flip", "quick")
     with pytest.raises(ValueError, match="task 'fly' is not one of ball_in_cup, flip, reach"):
         preset("fly")

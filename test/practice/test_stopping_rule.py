@@ -128,7 +128,7 @@ def test_policies_below_the_rate_that_is_shown_are_rarely_confirmed_by_their_cou
     assert rate**count <= 1.0 - CONFIDENCE < rate ** (count - 1)
 
 
-@pytest.mark.parametrize("name", ["flip", "hindsight", "return_only", "corrections_only"])
+@pytest.mark.parametrize("name", ["hindsight", "model_based", "return_only", "corrections_only"])
 def test_an_answer_of_the_preset_succeeds_nine_times_of_ten(name: str) -> None:
     assert 0.9 <= rate_shown(preset("flip", name).practice.confirm) < 0.91
 

@@ -80,7 +80,7 @@ def test_a_report_has_the_first_flip_and_the_speeds_that_were_needed(folder: Pat
 def test_a_report_names_the_corrections_of_the_learner(folder: Path) -> None:
     found = session.read(folder)
     for name, told in (
-        ("flip", "learner model_based with corrections of landing error and rotation;"),
+        ("model_based", "learner model_based with corrections of landing error and rotation;"),
         ("hindsight", "learner power with corrections of landing error and rotation;"),
         ("return_only", "learner power without corrections;"),
         ("corrections_only", "learner corrections_only with corrections of landing error and"),

@@ -17,7 +17,7 @@ def test_rows_differ_only_in_the_learner_and_its_information() -> None:
     assert not set(novice.HELD_OUT) & set(HELD_OUT)
     own = {"task_settings", "learner", "learner_settings", "practice"}
     blank = {"seed": 0, "name": "", "changes": 0, "carried": 0, "repeats": 0}
-    plain = preset("flip", "flip", **found[0].arguments["changes"])
+    plain = preset("flip", "hindsight", **found[0].arguments["changes"])
     for job in found:
         assert {**job.arguments, **blank} == {**found[0].arguments, **blank}
         settings = preset("flip", job.arguments["name"], **job.arguments["changes"])
@@ -30,7 +30,7 @@ def test_rows_differ_only_in_the_learner_and_its_information() -> None:
 
 
 def test_every_case_is_a_study_of_its_own() -> None:
-    found = [job for case in novice.CASES for job in novice.jobs([1], ["flip"], case)]
+    found = [job for case in novice.CASES for job in novice.jobs([1], ["hindsight"], case)]
     assert len({job.study for job in found}) == len(found) == len(novice.CASES)
     assert len({str(job.arguments) for job in found}) == len(found)
 

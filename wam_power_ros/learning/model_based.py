@@ -69,8 +69,8 @@ class ModelBased(GaussianLearner):
     exceed, from the best coordinates that were executed or predicted so far. Their slopes are a
     regression of the predictions near by. The model's few directions are probed first, then random
     ones among all coordinates. A rollout is executed at the plan, without exploration. Each that
-    had no complete error, as a throw that did not come off, halves the way of the next plan from
-    the best rollout: there is an edge between them.
+    had no complete error, as a throw that did not come off or that a fault ended, halves the way of
+    the next plan from the best rollout: there is an edge between them.
 
     PoWER learns from the same rollouts, as told. It decides when no complete error has been
     measured in `BLIND` rollouts, or is foreseen before that; when no better plan is found than one
@@ -171,9 +171,10 @@ class ModelBased(GaussianLearner):
     def tell(self, z: np.ndarray, ret: float) -> None:
         """Learn from a rollout; see `Learner.tell`."""
         self._power.tell(z, ret)
-        if self._latest is None:
-            self._faults += ret == 0.0
-        else:
+        if self._latest is None and ret == 0.0:  # a fault ended it: there is no error
+            self._faults += 1
+            self._latest = np.array(z, dtype=float), np.full(len(self._model.slopes), math.nan)
+        if self._latest is not None:
             self._measured.append(self._latest)
         self._latest, self._plan, self._searched, self._draws = None, None, self._rated, 0
 
