@@ -206,10 +206,7 @@ class Driver:
             self.play(5.0, lambda: lab.label.startswith("rollout"))
             self.play(moment * self.policy.basis.duration)
         elif phase in ("move", "teaching"):
-            for _ in range(5):  # refused while the arm still comes to rest; or for good
-                if self.call(interface.GRAVITY_COMPENSATION, True):
-                    break
-                self.play(0.2)
+            self.call(interface.GRAVITY_COMPENSATION, True)
             self._world.attach(self._demonstrator())
             self.play(0.4)
         if phase == "move":

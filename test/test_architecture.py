@@ -114,7 +114,7 @@ BUDGET = {
     "launch": 260,
     "examples": 380,
     "reproduction": 3940,
-    "benchmark": 5270,
+    "benchmark": 5260,
 }
 PURE = (
     "faults",
