@@ -124,6 +124,7 @@ def toss(trial: Trial, task: FlipSettings, noise: float = 0.1) -> Assessment:
         "angle": angle,
         "apex": 0.4,
         "landing_error": [error, 0.0, 0.0],
+        "catch_pitch": 0.0,
         "resting": caught,
         "flipped": flipped,
     }

@@ -145,7 +145,7 @@ def test_without_progress_power_decides_after_some_rollouts() -> None:
 
 def test_an_error_within_the_tolerances_needs_no_progress() -> None:
     def fine(z: np.ndarray) -> np.ndarray:
-        return np.array([0.9, 0.9])
+        return np.array([0.8, 0.8])
 
     learner = learner_of(LinearModel(fine), patience=4)
     practise(learner, 12, fine)

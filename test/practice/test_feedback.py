@@ -55,6 +55,7 @@ def run(practice: Practice, rollouts: int, judge: Callable[[Trial], Assessment])
 
 def worth(ret: float | None, success: bool = False) -> Callable[[Trial], Assessment]:
     flight = {"tossed": True, "seen": False, "angle": 3.0, "landing_error": [0.0, 0.0, 0.0]}
+    flight["catch_pitch"] = 0.0
     return lambda trial: Assessment(ret, observation=flight, success=success, why="so it was")
 
 

@@ -40,6 +40,7 @@ def run(practice: Practice, judge: Judge | None = None, rollouts: int = 10_000) 
 
 def good(ret: float = 1.0, angle: float = 3.0) -> Assessment:
     flight = {"tossed": True, "seen": True, "angle": angle, "landing_error": [0.0, 0.0, 0.0]}
+    flight["catch_pitch"] = 0.0
     return Assessment(ret, observation=flight, success=True)
 
 
@@ -240,6 +241,7 @@ def test_a_pancake_that_was_not_thrown_lacks_the_whole_half_turn(seen: bool) -> 
     run(practice, rollouts=4)
     trial = practice.next_trial()
     weak = {"tossed": False, "seen": seen, "angle": 0.0, "landing_error": [0.0, 0.0, 0.0]}
+    weak["catch_pitch"] = 0.0
     record = practice.learn_assessed(trial, Assessment(0.05, observation=weak))
     moved = np.subtract(record.learnt_as, record.z)
     stronger = [settings.vigour_limit, settings.turn_limit, 0.0, settings.tempo_limit]
@@ -295,13 +297,13 @@ def test_a_mean_that_barely_succeeds_does_not_stop_the_session_and_a_clear_one_s
 
     practice = started("hindsight")
     run(practice, lambda trial: bad(), rollouts=6)
-    run(practice, lambda trial: with_angle(150.0 + 3.0 * (trial.number % 2)), rollouts=4)
+    run(practice, lambda trial: with_angle(150.0 + 3.0 * (trial.number % 2)), rollouts=6)
     assert not practice.stopped and practice.next_trial().kind == "explore"
     assert "too small margins" in practice.records[-1].note
     while practice.next_trial().kind == "explore":
         run(practice, lambda trial: bad(), rollouts=1)
-    run(practice, lambda trial: with_angle(180.0 + trial.number % 4), rollouts=4)
-    assert "margins" in practice.stopped and practice.confirmed == 4
+    run(practice, lambda trial: with_angle(180.0 + trial.number % 4), rollouts=6)
+    assert "margins" in practice.stopped and practice.confirmed == 6
     again = practice_of(CANDIDATES, practice.settings, 0, practice.log)
     assert again.stopped == practice.stopped and image(again) == image(practice)
 
@@ -479,8 +481,9 @@ def test_settings_and_candidates_that_cannot_be_are_refused() -> None:
         preset("flip", "hindsight", learner={"name": "genetic"})
     with pytest.raises(ValueError, match="sigmma"):
         preset("flip", "hindsight", learner={"sigmma": 3})
-    for name in ("landing_gain", "turn_gain", "vigour_gain", "tempo_gain"):
-        off = {"landing_gain": 0.0, "turn_gain": 0.0, "vigour_gain": 0.0, "tempo_gain": 0.0}
+    gains = ("landing_gain", "level_gain", "turn_gain", "vigour_gain", "tempo_gain")
+    for name in gains:
+        off = dict.fromkeys(gains, 0.0)
         off[name] = 0.5
         with pytest.raises(ValueError, match=f"{name} 0.5 needs a parameter .* 'planar'"):
             preset("flip", "hindsight", variant="full", **off)
@@ -651,6 +654,7 @@ def test_a_correction_that_the_arm_cannot_follow_keeps_no_other_back() -> None:
     )
     settings = practice.task.settings
     flight = {"tossed": True, "seen": True, "angle": 2.0, "landing_error": [0.1, 0.0, 0.0]}
+    flight["catch_pitch"] = 0.0
     record = practice.learn_assessed(practice.next_trial(), Assessment(0.5, observation=flight))
     vigour, flick, shift, tempo = np.array(record.learnt_as)[-4:]
     assert vigour == 0.0 < tempo
@@ -666,6 +670,7 @@ def test_a_landing_correction_stops_where_the_arm_cannot_follow() -> None:
 
     def far(trial: Trial) -> Assessment:
         flight = {"tossed": True, "seen": True, "angle": 2.0, "landing_error": [0.1, 0.0, 0.0]}
+        flight["catch_pitch"] = 0.0
         return Assessment(0.5, observation=flight)
 
     practice = practice_of(

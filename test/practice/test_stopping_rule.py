@@ -46,9 +46,11 @@ def rollout(
     )
 
 
-def rule(confirm: int = 3, mean_every: int = 4) -> StoppingRule:
+def rule(confirm: int = 3, mean_every: int = 4, scatter: Sequence[float] = ()) -> StoppingRule:
     settings = PracticeSettings(budget=50, mean_every=mean_every, confirm=confirm, retests=1)
-    return StoppingRule(settings, lambda record: (record.observation or {}).get("margins", ()))
+    return StoppingRule(
+        settings, lambda record: (record.observation or {}).get("margins", ()), scatter
+    )
 
 
 def test_exactly_the_required_number_of_successes_in_a_row_completes_it() -> None:
@@ -136,13 +138,17 @@ def test_an_answer_of_the_preset_succeeds_nine_times_of_ten(name: str) -> None:
 @pytest.mark.parametrize("count", [2, 4, 10, 40])
 @pytest.mark.parametrize("rate", [0.7, 0.9, 0.97])
 def test_the_factor_is_that_of_the_one_sided_tolerance_interval(count: int, rate: float) -> None:
-    exact = nct.ppf(LOOK_CONFIDENCE, count - 1, np.sqrt(count) * norm.ppf(rate)) / np.sqrt(count)
-    assert tolerance_factor(count, rate) == pytest.approx(exact, rel=1e-6)
+    root = np.sqrt(count)
+    for freedom in (count - 1, count + 3):
+        exact = nct.ppf(LOOK_CONFIDENCE, freedom, root * norm.ppf(rate)) / root
+        assert tolerance_factor(count, freedom, rate) == pytest.approx(exact, rel=1e-6)
 
 
-def confirmed(margins: np.ndarray, confirm: int = 29) -> StoppingRule:
+def confirmed(
+    margins: np.ndarray, confirm: int = 29, scatter: Sequence[float] = ()
+) -> StoppingRule:
     """The rule after successes of one mean with these margins (n, c)."""
-    stopping = rule(confirm)
+    stopping = rule(confirm, scatter=scatter)
     for row in margins:
         stopping.add(rollout(True, margins=row.tolist()))
         if stopping.complete or stopping.z is None:
@@ -151,31 +157,41 @@ def confirmed(margins: np.ndarray, confirm: int = 29) -> StoppingRule:
 
 
 def test_clear_margins_confirm_with_few_rollouts_and_narrow_ones_end_the_row() -> None:
-    spread = np.array([[0.99, 5.0], [1.01, 5.1], [1.0, 4.9], [1.02, 5.0]])
+    spread = np.array([[0.99, 5.0], [1.01, 5.1], [1.0, 4.9]] * 2)
     clear = confirmed(spread)
     assert clear.count == ROW_MIN
-    assert "margins of 61 sd or more: p > 0.9 with 95% confidence" in clear.complete
+    assert "margins of 56 sd or more: p > 0.9 with 95% confidence" in clear.complete
     narrow = rule(29)
-    barely = [[0.002, 5.0], [0.05, 5.0], [0.002, 5.1], [0.05, 5.0]]
+    barely = [[0.002, 5.0], [0.05, 5.0], [0.002, 5.1]] * 2
     said = [narrow.add(rollout(True, margins=row)) for row in barely]
-    assert said[-1] == "4 successes in a row, but with too small margins: learning goes on"
+    assert said[-1] == "6 successes in a row, but with too small margins: learning goes on"
     assert (narrow.z, narrow.count, narrow.complete) == (None, 0, "")
 
 
 def test_a_row_ends_when_the_rest_of_it_would_more_likely_fail_than_not() -> None:
-    """Margins of r sd: 25 further successes have the probability Phi(r)^25, 3 more Phi(r)^3."""
-    for mean, goes_on in ((1.85, False), (2.0, True)):
-        rows = [[mean + each] for each in (-1.0, 1.0, -1.0, 1.0)]
+    """Margins of r sd: 23 further successes have the probability Phi(r)^23, one more Phi(r)."""
+    for mean, goes_on in ((1.8, False), (2.0, True)):
+        rows = [[mean + each] for each in (-1.0, 1.0) * 3]
         sd = float(np.std(rows, ddof=1))
-        assert (norm.cdf(mean) ** 25 > 0.5) == goes_on
+        assert (norm.cdf(mean) ** 23 > 0.5) == goes_on
         narrow = rule(29)
         for row in rows:
             narrow.add(rollout(True, margins=[row[0] - mean + mean * sd]))
-        assert (narrow.count == 4) == goes_on
+        assert (narrow.count == 6) == goes_on
         last = rule(7)
         for row in rows:
             last.add(rollout(True, margins=[row[0] - mean + mean * sd]))
-        assert last.count == 4
+        assert last.count == 6
+
+
+def test_margins_that_scatter_as_expected_confirm_sooner_and_never_by_a_lucky_row() -> None:
+    """A row that happens to scatter little does not show more than what is expected of it."""
+    rng = np.random.default_rng(5)
+    rows = 4.0 + rng.standard_normal((40, 1))
+    counts = [confirmed(rows, scatter=scatter).count for scatter in ((), (1.0,), (1.0, 1.0))]
+    assert counts[1] < counts[0] == counts[2]  # a scatter of other margins does not count
+    alike = np.array([[1.0], [1.01], [0.99]] * 2)
+    assert confirmed(alike).complete and not confirmed(alike, scatter=[1.0]).complete
 
 
 def test_margins_that_are_not_known_of_every_success_do_not_count() -> None:
@@ -188,21 +204,29 @@ def test_margins_that_are_not_known_of_every_success_do_not_count() -> None:
 
 
 def test_a_row_of_the_whole_count_confirms_whatever_its_margins() -> None:
-    wide = np.array([[1.32], [3.32]] * 15)
+    wide = np.array([[1.18], [3.18]] * 15)
     stopping = confirmed(wide)
     assert stopping.count == 29 and "margins" not in stopping.complete
 
 
+@pytest.mark.parametrize("expected", [None, 1.0, 0.7])
 @pytest.mark.parametrize("alike", [1, 3])
-def test_policies_below_the_rate_are_rarely_confirmed_by_their_margins(alike: int) -> None:
-    """Normal margins of a policy of 0.9: one that decides, or three alike; looked at each time."""
+def test_policies_below_the_rate_are_rarely_confirmed_by_their_margins(
+    alike: int, expected: float | None
+) -> None:
+    """Normal margins of a policy of 0.9: one that decides, or three alike; looked at each time.
+
+    Their standard deviation is not expected, is the expected one, or 1.4 times as large.
+    """
     rng = np.random.default_rng(alike)
+    scatter = () if expected is None else (expected,) * 3
     wrong, runs = 0, 4000
     share = 0.9 ** (1.0 / alike)
     for _ in range(runs):
         rows = np.full((40, 3), 9.0) + rng.standard_normal((40, 3))
         rows[:, :alike] += norm.ppf(share) - 9.0
         failed = np.flatnonzero(rows.min(axis=1) < 0.0)
-        wrong += bool(confirmed(rows[: failed[0] if len(failed) else 40]).complete)
+        row = rows[: failed[0] if len(failed) else 40]
+        wrong += bool(confirmed(row, scatter=scatter).complete)
     error = np.sqrt(CONFIDENCE * (1.0 - CONFIDENCE) / runs)
     assert wrong / runs < 1.0 - CONFIDENCE + 2.0 * error

@@ -80,10 +80,16 @@ def test_a_report_has_the_first_flip_and_the_speeds_that_were_needed(folder: Pat
 def test_a_report_names_the_corrections_of_the_learner(folder: Path) -> None:
     found = session.read(folder)
     for name, told in (
-        ("model_based", "learner model_based with corrections of landing error and rotation;"),
-        ("hindsight", "learner power with corrections of landing error and rotation;"),
+        (
+            "model_based",
+            "learner model_based with corrections of landing error, pitch at the catch, rotation;",
+        ),
+        (
+            "hindsight",
+            "learner power with corrections of landing error, pitch at the catch, rotation;",
+        ),
         ("return_only", "learner power without corrections;"),
-        ("corrections_only", "learner corrections_only with corrections of landing error and"),
+        ("corrections_only", "learner corrections_only with corrections of landing error, pitch"),
     ):
         settings = preset("flip", name)
         header = found.header.model_copy(update={"settings": settings})

@@ -25,7 +25,9 @@ def test_rows_differ_only_in_the_learner_and_its_information() -> None:
         assert settings.practice.budget == plain.practice.budget
         assert settings.practice.retests == plain.practice.retests
         task = settings.task_settings
-        blind = not any((task.landing_gain, task.turn_gain, task.vigour_gain, task.tempo_gain))
+        blind = not any(
+            (task.landing_gain, task.level_gain, task.turn_gain, task.vigour_gain, task.tempo_gain)
+        )
         assert ("rotation" in novice.ROWS[job.study.removeprefix("novice-")].told) == (not blind)
 
 

@@ -22,7 +22,7 @@ from wam_power_ros.learning.power import Power
 
 UNKNOWN = 8.0  # [tolerances] assumed of an error without a value
 GOOD = 0.5  # [tolerances] of an expected error that needs no better plan
-FINE = 2.0  # [tolerances] of a rollout's error that needs no progress
+FINE = 1.25  # [tolerances] of a rollout's error that needs no progress
 PROGRESS = 0.8  # share of an earlier squared error, below which there is progress
 CAUTION = 0.02  # weight of the variance of an expected error
 EXCESS = 0.02  # excess that weighs as much as an error of a tolerance, see `Prediction`

@@ -156,7 +156,7 @@ class Improvement:
         self.parametrization = parametrization
         self.practised = practised
         self._settings, self._task, self._arm, self._rng = settings, task, arm, rng
-        self._rule = StoppingRule(settings.practice, task.margins)
+        self._rule = StoppingRule(settings.practice, task.margins, task.margin_scatter)
         self._error_model = task.error_model(parametrization, arm.foresee)
         self.learn_again(records)
 

@@ -5,9 +5,10 @@ A number of successes in a row shows, with a confidence of 95 %, that a further 
 with at least some probability: 10 of 10 one of 0.74, 29 of 29 one of 0.9. A row is run once for a
 mean and ends with its first failure, so the number is exact however often one looks. Margins show
 the same with fewer rollouts: if they are normally distributed, a one-sided tolerance interval
-bounds the share of rollouts that are inside a limit. It is looked at after every success, and only
-while there is no failure, which selects rows that look better than they are. Hence a single look
-must show more (`LOOK_CONFIDENCE`).
+bounds the share of rollouts that are inside a limit. Their standard deviation is that of the row,
+weighed against the one which the task expects, if it does. The interval is looked at after every
+success, and only while there is no failure, which selects rows that look better than they are.
+Hence a single look must show more (`LOOK_CONFIDENCE`).
 """
 
 from __future__ import annotations
@@ -24,11 +25,11 @@ from wam_power_ros.practice.settings import PracticeSettings
 from wam_power_ros.tasks.task import LoggedRollout
 
 CONFIDENCE = 0.95
-# Of a single look at one margin. Of simulated rows with normal margins, all inside with a
-# probability of 0.9, the rule then confirms 4.7 % if one of them decides and 3.2 % if three do
-# alike; with 0.95 here, 20 %.
-LOOK_CONFIDENCE = 0.998
-ROW_MIN = 4  # successes before margins count
+LOOK_CONFIDENCE = 0.995  # of a single look at one margin
+# Successes before margins count: they do not show what fails now and then for another reason, such
+# as a body that was not where it should have been.
+ROW_MIN = 6
+EXPECTED = 4  # observations that the expected standard deviation of a margin counts as
 
 
 def rate_shown(count: int) -> float:
@@ -37,15 +38,16 @@ def rate_shown(count: int) -> float:
 
 
 @cache
-def tolerance_factor(count: int, rate: float) -> float:
+def tolerance_factor(count: int, freedom: int, rate: float) -> float:
     """Mean margin, in standard deviations, that shows a share of positive margins.
 
     Args:
-        count: Number of independent, normally distributed margins, at least 2.
+        count: Number of independent, normally distributed margins.
+        freedom: Degrees of freedom of their standard deviation, at least 1.
         rate: Share to be shown, with `LOOK_CONFIDENCE`.
     """
     root = math.sqrt(count)
-    return float(nctdtrit(count - 1, root * ndtri(rate), LOOK_CONFIDENCE)) / root
+    return float(nctdtrit(freedom, root * ndtri(rate), LOOK_CONFIDENCE)) / root
 
 
 class StoppingRule:
@@ -61,12 +63,17 @@ class StoppingRule:
         settings: Settings; `confirm` is the number of successes that is enough whatever their
             margins, 0 disables the rule.
         margins: Margins of a success, see `Task.margins`.
+        scatter: Their expected standard deviations, see `Task.margin_scatter`.
     """
 
     def __init__(
-        self, settings: PracticeSettings, margins: Callable[[LoggedRollout], Sequence[float]]
+        self,
+        settings: PracticeSettings,
+        margins: Callable[[LoggedRollout], Sequence[float]],
+        scatter: Sequence[float] = (),
     ) -> None:
         self._settings = settings
+        self._scatter = scatter
         self._margins_of = margins
         self._margins: list[Sequence[float]] = []  # one row for each success
         self.z: np.ndarray | None = None
@@ -119,8 +126,11 @@ class StoppingRule:
         if count < ROW_MIN or not size or any(len(each) != size for each in self._margins):
             return said
         rows = np.array(self._margins)
-        mean, sd, rate = rows.mean(axis=0), rows.std(axis=0, ddof=1), rate_shown(enough)
-        if (mean > tolerance_factor(count, rate) * sd).all():
+        freedom, squares = count - 1, count * rows.var(axis=0)
+        if len(self._scatter) == size:
+            freedom, squares = freedom + EXPECTED, squares + EXPECTED * np.square(self._scatter)
+        mean, sd, rate = rows.mean(axis=0), np.sqrt(squares / freedom), rate_shown(enough)
+        if (mean > tolerance_factor(count, freedom, rate) * sd).all():
             least = float((mean / np.maximum(sd, 1e-12)).min())
             self.complete = f"{said}, margins of {least:.2g} sd or more: {_shown(enough)}"
             return said

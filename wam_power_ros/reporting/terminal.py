@@ -95,7 +95,7 @@ def rollout_table(
 
 def method(settings: SessionSettings, task: Task) -> str:
     """Task, learner and the hindsight corrections that it is given, in a few words."""
-    given = f"with corrections of {' and '.join(task.corrections)}"
+    given = f"with corrections of {', '.join(task.corrections)}"
     corrected = given if task.corrections else "without corrections"
     return f"task {settings.task}, learner {settings.learner} {corrected}"
 

@@ -150,6 +150,8 @@ class Task(ABC):
         presets: Name -> settings of a session: fields of `Settings`, fields of
             `practice.settings.PracticeSettings`, and `learner`, a mapping with a learner's name and
             settings. The first preset is the default.
+        margin_scatter: Standard deviations of `margins` to be expected of one policy, in doubt
+            larger ones; empty if unknown. The stopping rule counts them as four observations.
         rest_time: Time for which the body must have been `ready` before a rollout [s].
         goal: What is to be achieved, in the words of the reports.
         published: What a publication reports on the task, None for nothing.
@@ -169,6 +171,7 @@ class Task(ABC):
     fit_settings: ClassVar[FitSettings]
     Settings: ClassVar[type[BaseModel]]
     presets: ClassVar[Mapping[str, Mapping[str, Any]]]
+    margin_scatter: ClassVar[Sequence[float]] = ()
     rest_time: ClassVar[float] = 0.0
     goal: ClassVar[Goal] = Goal()
     published: ClassVar[Published | None] = None

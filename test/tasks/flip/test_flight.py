@@ -88,6 +88,17 @@ def test_drag_biases_the_result_by_less_than_a_millimetre_and_half_a_degree() ->
     assert np.abs(np.mean(along, axis=0)).max() < 0.001
 
 
+def test_the_pitch_of_the_pan_at_the_catch_is_positive_with_its_front_edge_up() -> None:
+    truth = toss(np.random.default_rng(3), vz=2.3, half_turns=1.0)
+    seen = capture(truth, np.random.default_rng(3))
+    for pitch in (-0.2, 0.3):  # a turn about y lowers the front, which is along x
+        fixed = rotations.quat_of_vector([0.0, -pitch, 0.0])
+        quat = rotations.multiply(np.tile(fixed, (len(truth.pan.t), 1)), truth.pan.quat_xyzw)
+        level = observe_flight(truth.pan, seen).catch_pitch
+        tilted = observe_flight(replace(truth.pan, quat_xyzw=quat), seen).catch_pitch
+        assert tilted - level == pytest.approx(pitch, abs=0.02)
+
+
 def test_angles_beyond_half_a_turn_are_unfolded() -> None:
     rng = np.random.default_rng(2)
     for half_turns in (0.3, 0.9, 1.3, 1.6):

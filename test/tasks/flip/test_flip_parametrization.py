@@ -42,6 +42,14 @@ def test_the_side_shift_moves_the_last_three_attractors_aside() -> None:
     np.testing.assert_array_equal(after.rotation_attractors, before.rotation_attractors)
 
 
+def test_the_catch_pitch_lowers_the_front_of_the_pan_that_catches() -> None:
+    before, after = moved("catch_pitch", 2.0)  # 0.1 rad
+    turn = after.rotation_attractors - before.rotation_attractors
+    np.testing.assert_allclose(turn[:, 1], [0, 0, 0, 0, 0, 0.05, 0.1, 0.1], atol=1e-12)
+    assert not turn[:, [0, 2]].any()
+    np.testing.assert_array_equal(after.attractors, before.attractors)
+
+
 def test_the_flick_enlarges_the_demonstrated_turn() -> None:
     before, after = moved("flick", 5.0)  # 0.15
     old, new = before.rotation_attractors, after.rotation_attractors
@@ -109,7 +117,7 @@ def test_only_the_planar_variant_has_a_tempo_and_parameters_of_its_own() -> None
         same = [q.policy(np.ones(q.size), "a")[0] for q in (p, plain)]
         assert to_json(same[0]) == to_json(same[1])
     p = flip_parametrization(policy, "planar", NOISE)
-    own = ["side_shift", "vigour", "flick", "catch_shift", "tempo"]
+    own = ["side_shift", "catch_pitch", "vigour", "flick", "catch_shift", "tempo"]
     assert list(p.groups) == ["stiffness", "attractors", "rotation", *own]
     assert p.size == 6 * policy.basis.count + len(own)
     unchanged = p.policy(np.zeros(p.size), policy.id)[0]

@@ -14,16 +14,22 @@ from wam_power_ros.tasks.task import Assessment
 
 SETTINGS = preset("flip").task_settings
 PLANAR = flip_parametrization(lift("lift"), "planar", SETTINGS.noise)
-GAINS = ("landing_gain", "turn_gain", "vigour_gain", "tempo_gain")
+GAINS = ("landing_gain", "level_gain", "turn_gain", "vigour_gain", "tempo_gain")
 
 
 def shifts(
-    angle: float, error: float = 0.0, tossed: bool = True, seen: bool = True, aside: float = 0.0
+    angle: float,
+    error: float = 0.0,
+    tossed: bool = True,
+    seen: bool = True,
+    aside: float = 0.0,
+    pitch: float = 0.0,
 ) -> dict[str, float]:
     """Corrections in the units of their parameters; one shift for each parameter."""
-    flight = {"tossed": tossed, "seen": seen, "angle": angle, "landing_error": [error, aside, 9.0]}
+    landing = {"landing_error": [error, aside, 9.0], "catch_pitch": pitch}
+    flight = {"tossed": tossed, "seen": seen, "angle": angle, **landing}
     found = landing_correction(Assessment(0.5, observation=flight), PLANAR, SETTINGS)
-    groups = ("catch_shift", "side_shift", "flick", "vigour", "tempo")
+    groups = ("catch_shift", "side_shift", "catch_pitch", "flick", "vigour", "tempo")
     names = {PLANAR.groups[name].start: name for name in groups}
     corrected = {}
     for shift in found:
@@ -39,6 +45,17 @@ def test_the_catch_goes_to_where_the_pancake_came_down_up_to_a_limit(sign: float
     assert shifts(math.pi, sign * 0.9) == pytest.approx({"catch_shift": sign * 0.25})
     aside = shifts(math.pi, aside=sign * 0.1)
     assert aside == pytest.approx({"side_shift": sign * 0.7 * 0.1})
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_the_pan_that_catches_is_levelled_up_to_a_limit(sign: float) -> None:
+    assert shifts(math.pi, pitch=sign * 0.1) == pytest.approx({"catch_pitch": sign * 0.7 * 0.1})
+    assert shifts(math.pi, pitch=sign * 0.9) == pytest.approx({"catch_pitch": sign * 0.2})
+
+
+def test_a_pan_that_is_still_in_its_flick_is_not_levelled() -> None:
+    assert "catch_pitch" not in shifts(math.radians(140.0), pitch=0.3)
+    assert "catch_pitch" in shifts(math.radians(160.0), pitch=0.3)
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
@@ -61,7 +78,8 @@ def test_a_pancake_that_was_not_thrown_misses_all_of_the_turn_and_one_not_seen_t
 @pytest.mark.parametrize("kept", GAINS)
 def test_only_what_has_a_gain_is_corrected(kept: str) -> None:
     off = dict.fromkeys(set(GAINS) - {kept}, 0.0)
-    flight = {"tossed": True, "seen": True, "angle": 2.0, "landing_error": [0.1, 0.0, 0.0]}
+    landing = {"landing_error": [0.1, 0.0, 0.0], "catch_pitch": 0.1}
+    flight = {"tossed": True, "seen": True, "angle": 2.7, **landing}
     settings = SETTINGS.model_copy(update=off)
     (shift,) = landing_correction(Assessment(0.5, observation=flight), PLANAR, settings)
     assert np.count_nonzero(shift) == 1

@@ -24,6 +24,8 @@ from wam_power_ros.tasks.flip.frames import (
     Frames,
     frames_from_pan,
     interpolate,
+    pan_normal,
+    pitch_of,
     unit,
 )
 from wam_power_ros.tasks.flip.spin_fit import angle_between, axis_between, fit_spin
@@ -64,6 +66,8 @@ class Flight:
         frames: Number of frames of the free flight that were used.
         climb: Largest height above the pan's floor after the fall, see `Frames.climb` [m]; 0 if
             not tossed.
+        catch_pitch: Pitch of the pan at t_f, positive with its front edge up [rad]; 0 if not
+            tossed.
     """
 
     tossed: bool
@@ -86,6 +90,7 @@ class Flight:
     flipped: bool
     frames: int
     climb: float = 0.0
+    catch_pitch: float = 0.0
 
 
 def observe_flight(pan: EndEffectorPath, pancake: BodyPath, delta_h: float = DELTA_H) -> Flight:
@@ -154,6 +159,7 @@ def _flight_on_arc(pan: EndEffectorPath, frames: Frames, arc: Arc, crossing: Cro
         flipped=flipped,
         frames=len(arc.t),
         climb=frames.climb(crossing.t),
+        catch_pitch=pitch_of(pan_normal(pan, np.array([crossing.t])))[0],
     )
 
 

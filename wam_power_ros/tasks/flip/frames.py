@@ -124,6 +124,11 @@ def pan_normal(pan: EndEffectorPath, t: np.ndarray) -> np.ndarray:
     return rotations.matrix(rotations.interpolate(t, pan.t, quat))[:, :, 2]
 
 
+def pitch_of(normal: np.ndarray) -> np.ndarray:
+    """Pitch of a pan with these normals (m, 3), positive with its front up [rad]. Shape (m,)."""
+    return np.arctan2(-normal[:, 0], normal[:, 2])
+
+
 def interpolate(t: np.ndarray | float, times: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Interpolate linearly between the rows of `values`. Shape (m, 3), or (3,) for one time."""
     return np.stack([np.interp(t, times, column) for column in values.T], axis=-1)

@@ -19,7 +19,7 @@ from wam_power_ros.learning.parametrization import (
 from wam_power_ros.learning.policy import Policy
 
 PLANE = (0, 2)  # axes of the movement
-CATCH_PROFILE = (0.5, 1.0, 1.0)  # shift of the last three attractors per unit of catch shift [1]
+CATCH_PROFILE = (0.5, 1.0, 1.0)  # of the last three attractors, per unit of shift or pitch [1]
 TURN_OF_FLICK = 2.0  # additional rotation per unit of flick, measured on wrist flicks [rad]
 TURN_OF_VIGOUR = 3.0  # additional rotation per unit of vigour [rad]
 # Additional rotation per unit of log tempo [rad]: both spin and time of flight, whose product is a
@@ -47,12 +47,14 @@ def flip_parametrization(policy: Policy, variant: str, noise: FlipNoise) -> Para
     """Parametrization of a toss around a demonstrated policy.
 
     The variant "planar" is of a movement in the x-z plane: K_xx, K_zz and K_xz, mu_x and mu_z, the
-    rotation attractor about y (pitch), the tempo, and four more parameters:
+    rotation attractor about y (pitch), the tempo, and five more parameters:
         vigour: Scales the demonstrated movement in the plane, mu_i - mu_1 and r_i - r_1, by
             1 + vigour [1]. Eq. 1 is linear in its attractors, so all speeds and accelerations grow
             by the same factor, in the same time.
         flick: Scales the demonstrated rotation of the pan about y, r_i - r_1, by 1 + flick [1].
         catch_shift: Moves mu_x of the last three attractors by 0.5, 1 and 1 times this [m].
+        catch_pitch: Turns the last three r_i about y by 0.5, 1 and 1 times this [rad]: the pan that
+            catches is lower in front.
         side_shift: Moves mu_y of the last three attractors in the same way [m]: a pan that is not
             level, or a tilted base, tosses to the side.
 
@@ -67,16 +69,18 @@ def flip_parametrization(policy: Policy, variant: str, noise: FlipNoise) -> Para
             f"variant {variant!r} shifts the last {len(CATCH_PROFILE)} attractors, "
             f"policy {policy.id!r} has {n}"
         )
-    swing, turn, shift, side, zeros = np.zeros((5, n, 3))
+    swing, turn, shift, side, level, zeros = np.zeros((6, n, 3))
     swing[:, [0, 2]] = (policy.attractors - policy.attractors[0])[:, [0, 2]]
     pitch = policy.rotation_attractors[:, 1]
     turn[:, 1] = pitch - pitch[0]
     shift[-len(CATCH_PROFILE) :, 0] = side[-len(CATCH_PROFILE) :, 1] = CATCH_PROFILE
+    level[-len(CATCH_PROFILE) :, 1] = CATCH_PROFILE
     groups = (
         Stiffness(noise.stiffness, "symmetric", PLANE),
         Attractors(noise.attractor, PLANE),
         Rotation(noise.rotation, (1,)),
         Direction(noise.catch_shift, "side_shift", attractors=side, rotation=zeros),
+        Direction(noise.rotation, "catch_pitch", attractors=zeros, rotation=level),
         Direction(noise.vigour, "vigour", attractors=swing, rotation=turn),
         Direction(noise.flick, "flick", attractors=zeros, rotation=turn),
         Direction(noise.catch_shift, "catch_shift", attractors=shift, rotation=zeros),

@@ -43,6 +43,9 @@ class FlipSettings(BaseModel):
         landing_gain: Fraction of the landing error by which the catch shift of a rollout is
             corrected in hindsight [1]; 0: no correction. Needs the variant "planar".
         landing_limit: Largest correction of the catch shift per rollout [m].
+        level_gain: Fraction of the pan's pitch at the catch by which the catch pitch of a rollout
+            is corrected in hindsight [1]; 0: no correction. Needs the variant "planar".
+        level_limit: Largest correction of the catch pitch per rollout [rad].
         turn_gain: Fraction of the rotation missing to half a turn for which the flick of a rollout
             is corrected in hindsight [1]; 0: no correction. Needs the variant "planar".
         turn_limit: Largest correction of the flick per rollout [1].
@@ -68,6 +71,8 @@ class FlipSettings(BaseModel):
     landing_weights: LandingWeights = LandingWeights()
     landing_gain: float = Field(ge=0.0, le=1.0)
     landing_limit: float = Field(default=0.25, gt=0.0, le=1.0)
+    level_gain: float = Field(default=0.0, ge=0.0, le=1.0)
+    level_limit: float = Field(default=0.2, gt=0.0, le=1.0)
     turn_gain: float = Field(default=0.0, ge=0.0, le=1.0)
     turn_limit: float = Field(default=0.1, gt=0.0, le=1.0)
     vigour_gain: float = Field(default=0.0, ge=0.0, le=1.0)
@@ -107,6 +112,7 @@ _HINDSIGHT: Mapping[str, Any] = {
     "budget": 60,
     "mean_every": 5,
     "landing_gain": 0.7,
+    "level_gain": 0.7,
     "turn_gain": 0.5,
     "vigour_gain": 0.3,
     "tempo_gain": 0.3,
@@ -116,7 +122,7 @@ _HINDSIGHT: Mapping[str, Any] = {
     "confirm": 29,  # a success rate of 0.9
     "retests": 10,
 }
-_GAINS = ("landing_gain", "turn_gain", "vigour_gain", "tempo_gain")
+_GAINS = ("landing_gain", "level_gain", "turn_gain", "vigour_gain", "tempo_gain")
 PRESETS: Mapping[str, Mapping[str, Any]] = {
     "hindsight": _HINDSIGHT,
     # Plans on a model of the toss, and falls back on the learner of `hindsight`.

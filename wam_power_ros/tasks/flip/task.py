@@ -63,6 +63,7 @@ class Flip(Task):
     body: ClassVar[str] = "pancake"
     single_policy: ClassVar[bool] = False
     fit_settings = FLIP_FIT
+    margin_scatter: ClassVar[Sequence[float]] = (math.radians(5.0), math.radians(5.0), 0.015, 0.004)
     Settings: ClassVar[type[FlipSettings]] = FlipSettings
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = PRESETS
     goal = Goal(
@@ -105,15 +106,19 @@ class Flip(Task):
     def hindsight(
         self, assessment: Assessment, parametrization: Parametrization
     ) -> Sequence[np.ndarray]:
-        """Correct catch shift, flick, vigour and tempo; see `landing_correction`."""
+        """Correct shifts, pitch, flick, vigour and tempo; see `landing_correction`."""
         return landing_correction(assessment, parametrization, self.settings)
 
     @property
     def corrections(self) -> Sequence[str]:
-        """Landing error and rotation, as far as they are corrected; see `Task`."""
+        """Landing error, pitch and rotation, as far as they are corrected; see `Task`."""
         settings = self.settings
         turned = (settings.turn_gain, settings.vigour_gain, settings.tempo_gain)
-        gains = {"landing error": settings.landing_gain, "rotation": max(turned)}
+        gains = {
+            "landing error": settings.landing_gain,
+            "pitch at the catch": settings.level_gain,
+            "rotation": max(turned),
+        }
         return [name for name, gain in gains.items() if gain > 0.0]
 
     def margins(self, record: LoggedRollout) -> Sequence[float]:
