@@ -160,28 +160,28 @@ def test_clear_margins_confirm_with_few_rollouts_and_narrow_ones_end_the_row() -
     spread = np.array([[0.99, 5.0], [1.01, 5.1], [1.0, 4.9]] * 2)
     clear = confirmed(spread)
     assert clear.count == ROW_MIN
-    assert "margins of 56 sd or more: p > 0.9 with 95% confidence" in clear.complete
+    assert "margins of 60 sd or more: p > 0.9 with 95% confidence" in clear.complete
     narrow = rule(29)
-    barely = [[0.002, 5.0], [0.05, 5.0], [0.002, 5.1]] * 2
+    barely = [[0.002, 5.0], [0.05, 5.0], [0.002, 5.1], [0.05, 5.0], [0.002, 5.1]]
     said = [narrow.add(rollout(True, margins=row)) for row in barely]
-    assert said[-1] == "6 successes in a row, but with too small margins: learning goes on"
+    assert said[-1] == "5 successes in a row, but with too small margins: learning goes on"
     assert (narrow.z, narrow.count, narrow.complete) == (None, 0, "")
 
 
 def test_a_row_ends_when_the_rest_of_it_would_more_likely_fail_than_not() -> None:
-    """Margins of r sd: 23 further successes have the probability Phi(r)^23, one more Phi(r)."""
+    """Margins of r sd: 24 further successes have the probability Phi(r)^24, 2 more Phi(r)^2."""
     for mean, goes_on in ((1.8, False), (2.0, True)):
-        rows = [[mean + each] for each in (-1.0, 1.0) * 3]
+        rows = [[mean + each] for each in (-1.0, 1.0, 0.0, 1.0, -1.0)]
         sd = float(np.std(rows, ddof=1))
-        assert (norm.cdf(mean) ** 23 > 0.5) == goes_on
+        assert (norm.cdf(mean) ** 24 > 0.5) == goes_on
         narrow = rule(29)
         for row in rows:
             narrow.add(rollout(True, margins=[row[0] - mean + mean * sd]))
-        assert (narrow.count == 6) == goes_on
+        assert (narrow.count == 5) == goes_on
         last = rule(7)
         for row in rows:
             last.add(rollout(True, margins=[row[0] - mean + mean * sd]))
-        assert last.count == 6
+        assert last.count == 5
 
 
 def test_margins_that_scatter_as_expected_confirm_sooner_and_never_by_a_lucky_row() -> None:
@@ -194,6 +194,20 @@ def test_margins_that_scatter_as_expected_confirm_sooner_and_never_by_a_lucky_ro
     assert confirmed(alike).complete and not confirmed(alike, scatter=[1.0]).complete
 
 
+def test_each_row_that_a_failure_has_ended_asks_one_success_more_of_the_next() -> None:
+    stopping = rule(29)
+    stopping.add(rollout(False))  # no row
+    for failed in range(3):
+        for k in range(ROW_MIN + failed - 1):
+            stopping.add(rollout(True, margins=[5.0 + 0.1 * (k % 3)]))
+            assert not stopping.complete and stopping.count == k + 1
+        stopping.add(rollout(False))
+    for k in range(ROW_MIN + 3):
+        assert not stopping.complete
+        stopping.add(rollout(True, margins=[5.0 + 0.1 * (k % 3)]))
+    assert "margins" in stopping.complete
+
+
 def test_margins_that_are_not_known_of_every_success_do_not_count() -> None:
     stopping = rule(confirm=6)
     for k in range(5):
@@ -204,7 +218,7 @@ def test_margins_that_are_not_known_of_every_success_do_not_count() -> None:
 
 
 def test_a_row_of_the_whole_count_confirms_whatever_its_margins() -> None:
-    wide = np.array([[1.18], [3.18]] * 15)
+    wide = np.array([[3.2], [1.2]] * 15)
     stopping = confirmed(wide)
     assert stopping.count == 29 and "margins" not in stopping.complete
 

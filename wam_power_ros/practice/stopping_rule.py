@@ -26,9 +26,9 @@ from wam_power_ros.tasks.task import LoggedRollout
 
 CONFIDENCE = 0.95
 LOOK_CONFIDENCE = 0.995  # of a single look at one margin
-# Successes before margins count: they do not show what fails now and then for another reason, such
-# as a body that was not where it should have been.
-ROW_MIN = 6
+# Successes before margins count, and one more for each row that a failure has ended: margins do not
+# show what fails now and then for another reason, such as a body that lay elsewhere.
+ROW_MIN = 5
 EXPECTED = 4  # observations that the expected standard deviation of a margin counts as
 
 
@@ -76,6 +76,7 @@ class StoppingRule:
         self._scatter = scatter
         self._margins_of = margins
         self._margins: list[Sequence[float]] = []  # one row for each success
+        self._failed = 0  # rows that a failure has ended
         self.z: np.ndarray | None = None
         self.complete = ""
         self.mean_is_due = False
@@ -105,6 +106,7 @@ class StoppingRule:
         self.mean_is_due, before = False, self.count
         if not record.success:
             self._end()
+            self._failed += before > 0
             return f"ended after {before} successes in a row" if before else ""
         if self.z is None or record.z != self.z.tolist():
             self._end()
@@ -123,7 +125,8 @@ class StoppingRule:
             self.complete = f"{said}: {_shown(count)}"
             return said
         size = len(self._margins[0])
-        if count < ROW_MIN or not size or any(len(each) != size for each in self._margins):
+        few = count < ROW_MIN + self._failed
+        if few or not size or any(len(each) != size for each in self._margins):
             return said
         rows = np.array(self._margins)
         freedom, squares = count - 1, count * rows.var(axis=0)
