@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reaching to goals that were never tried: predicted from a session, carried over, taught afresh.
 
-    python -m reproduction.studies.new_goals [--folder DIR] [--seeds N]
+    python -m reproduction.studies.new_goals [--arm] [--folder DIR] [--seeds N] [--ways WAY ...]
 
 prints a row for each way to begin. Demonstrations are drawn as those of the stand-in; a rollout is
-the path of Eq. 1, with noise at its end, stopped at the obstacle. Every arm can follow.
+the path of Eq. 1, with noise at its end, stopped at the obstacle, and every arm can follow. With
+`--arm` both are executed on the simulated arm, by the controller and with its limits.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import argparse
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -23,9 +24,12 @@ from hardware_sim.settings import REACH_GOAL
 from reproduction import jobs as job_cache
 from reproduction.jobs import Job
 from wam_power_ros.faults import Fault
+from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.learning.demonstration import Demonstration, from_positions
 from wam_power_ros.learning.policy import Policy, with_id
 from wam_power_ros.learning.rollout import EndEffectorPath, Rollout
+from wam_power_ros.params import overlay
+from wam_power_ros.practice.improvement import ArmModel
 from wam_power_ros.practice.new_goal import policy_for
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.settings import preset
@@ -49,6 +53,19 @@ GOALS: tuple[Mapping[str, float], ...] = (  # 8 to 11 cm from the demonstrated o
 WAYS = ("predicted", "carried over", "demonstrated before", "taught afresh")
 
 
+class Place(Protocol):
+    """Where demonstrations and rollouts of a session take place."""
+
+    model: ArmModel
+    obstacle: Region | None  # None for one around the middle of the demonstrations
+
+    def taught(self, seed: int, goal: Sequence[float]) -> list[Demonstration]:
+        """Demonstrations of a reach."""
+
+    def executed(self, task: Reach, policy: Policy, rng: np.random.Generator) -> Rollout:
+        """Rollout of a policy."""
+
+
 class AnyArm:
     """A `practice.ArmModel` that follows every policy."""
 
@@ -64,37 +81,64 @@ class AnyArm:
         return START
 
 
-def taught(seed: int, goal: Sequence[float] = REACH_GOAL) -> list[Demonstration]:
-    """Demonstrations of a reach."""
-    found = []
-    for number in range(DEMONSTRATIONS):
-        script = reach(np.random.default_rng([seed, number]), goal)
-        t = np.arange(PAUSE, script.end, PERIOD)
-        positions = np.stack([script.target(at, START, np.eye(3)).position for at in t])
-        found.append(from_positions(positions, PERIOD))
-    return found
+class Equation:
+    """Paths of Eq. 1; see the module."""
+
+    model = AnyArm()
+    obstacle: Region | None = None
+
+    def taught(self, seed: int, goal: Sequence[float]) -> list[Demonstration]:
+        """See `Place`."""
+        found = []
+        for number in range(DEMONSTRATIONS):
+            script = reach(np.random.default_rng([seed, number]), goal)
+            t = np.arange(PAUSE, script.end, PERIOD)
+            positions = np.stack([script.target(at, START, np.eye(3)).position for at in t])
+            found.append(from_positions(positions, PERIOD))
+        return found
+
+    def executed(self, task: Reach, policy: Policy, rng: np.random.Generator) -> Rollout:
+        """See `Place`."""
+        scenario = task._scenario(policy, START)
+        path = scenario.free_paths(policy.stiffness[np.newaxis], policy.attractors[np.newaxis])
+        share = np.linspace(0.0, 1.0, scenario.steps)[:, np.newaxis]
+        stopped, touched = scenario.stopped_paths(path + share * rng.normal(0.0, NOISE, 3))
+        t = np.arange(scenario.steps) * scenario.period
+        t = np.append(t, policy.basis.duration + task.settle_time)
+        position = np.vstack([stopped[0], stopped[0, -1:]])
+        level = np.tile([0.0, 0.0, 0.0, 1.0], (len(t), 1))
+        tool = EndEffectorPath(policy.id, t, position, level)
+        return Rollout(tool, None, None, "obstacle" if touched[0] else "")
 
 
-def executed(task: Reach, policy: Policy, rng: np.random.Generator) -> Rollout:
-    """Rollout of a policy; see the module."""
-    scenario = task._scenario(policy, START)
-    path = scenario.free_paths(policy.stiffness[np.newaxis], policy.attractors[np.newaxis])
-    share = np.linspace(0.0, 1.0, scenario.steps)[:, np.newaxis]
-    stopped, touched = scenario.stopped_paths(path + share * rng.normal(0.0, NOISE, 3))
-    t = np.arange(scenario.steps) * scenario.period
-    t = np.append(t, policy.basis.duration + task.settle_time)
-    position = np.vstack([stopped[0], stopped[0, -1:]])
-    level = np.tile([0.0, 0.0, 0.0, 1.0], (len(t), 1))
-    tool = EndEffectorPath(policy.id, t, position, level)
-    return Rollout(tool, None, None, "obstacle" if touched[0] else "")
+class SimulatedArm:
+    """The simulated arm, with its own noise, controller and limits."""
+
+    def __init__(self, seed: int) -> None:
+        setup = overlay.setup(task=Reach.name).changed({"wam_sim": {"seed": seed}})
+        self.model = Environment.of(setup)
+        self.obstacle = self.model.controller.settings.region
+
+    def taught(self, seed: int, goal: Sequence[float]) -> list[Demonstration]:
+        """See `Place`."""
+        found = []
+        for number in range(DEMONSTRATIONS):
+            script = reach(np.random.default_rng([seed, number]), goal)
+            recorded = self.model.demonstrate(script, f"demonstration-{number}")
+            found.append(Reach.demonstration_of(self.model.arm, *recorded))
+        return found
+
+    def executed(self, task: Reach, policy: Policy, rng: np.random.Generator) -> Rollout:
+        """See `Place`."""
+        return self.model.run(policy)[0]
 
 
-def practised(context: Mapping[str, Any], policy: Policy, seed: int) -> Practice:
+def practised(place: Place, context: Mapping[str, Any], policy: Policy, seed: int) -> Practice:
     """A finished session of the default preset."""
-    practice = Practice(preset("reach", retests=RETESTS), context, [policy], seed, AnyArm())
+    practice = Practice(preset("reach", retests=RETESTS), context, [policy], seed, place.model)
     rng = np.random.default_rng([seed, 1])
     while (trial := practice.next_trial()) is not None:
-        practice.learn(trial, executed(practice.task, trial.policy, rng))
+        practice.learn(trial, place.executed(practice.task, trial.policy, rng))
     return practice
 
 
@@ -109,18 +153,19 @@ def outcome(practice: Practice) -> dict[str, Any]:
     }
 
 
-def session(seed: int) -> dict[str, Any]:
+def session(seed: int, ways: Sequence[str] = WAYS, on_the_arm: bool = False) -> dict[str, Any]:
     """A session, and others with new goals by every way to begin; None where it predicts none."""
-    shown = taught(seed)
+    place: Place = SimulatedArm(seed) if on_the_arm else Equation()
+    shown = place.taught(seed, REACH_GOAL)
     centre = tuple(midpoint(resampled(shown)).tolist())
-    obstacle = Region("obstacle", centre, RADIUS)
+    obstacle = place.obstacle or Region("obstacle", centre, RADIUS)
     context, fitted = Reach.context_of(shown, obstacle), Reach.policy_of(shown, "demonstration-1")
-    known = practised(context, fitted, seed)
-    result: dict[str, Any] = {"origin": outcome(known), **{way: [] for way in WAYS}}
+    known = practised(place, context, fitted, seed)
+    result: dict[str, Any] = {"origin": outcome(known), **{way: [] for way in ways}}
     for number, goal in enumerate(GOALS, start=1):
         moved, again = known.task.with_goal(context, goal), 100 * seed + number
         wanted = [goal.get(axis, at) for axis, at in zip("xyz", REACH_GOAL, strict=True)]
-        new = taught(again, wanted)
+        new = place.taught(again, wanted)
         begins = {
             "carried over": (moved, None if known.best is None else known.best.policy),
             "demonstrated before": (moved, fitted),
@@ -128,13 +173,16 @@ def session(seed: int) -> dict[str, Any]:
         }
         try:
             policy, _ = policy_for(
-                known.task, known.candidates, known.records, goal, AnyArm(), "predicted"
+                known.task, known.candidates, known.records, goal, place.model, "predicted"
             )
             begins["predicted"] = (moved, policy)
         except ValueError:  # the session never passed the obstacle
             begins["predicted"] = (moved, None)
-        for way, (there, policy) in begins.items():
-            begun = None if policy is None else practised(there, with_id(policy, "begun"), again)
+        for way in ways:
+            there, policy = begins[way]
+            begun = None
+            if policy is not None:
+                begun = practised(place, there, with_id(policy, "begun"), again)
             result[way].append(None if begun is None else outcome(begun))
     return result
 
@@ -159,11 +207,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("--folder", type=Path, default=Path("new_goals"))
     parser.add_argument("--seeds", type=int, default=len(HELD_OUT))
+    parser.add_argument("--arm", action="store_true", help="execute on the simulated arm")
+    parser.add_argument("--ways", nargs="+", choices=WAYS, default=list(WAYS))
+    parser.add_argument("--workers", type=int, default=1)
     args = parser.parse_args()
-    wanted = [Job("goals", f"seed-{s}", session, {"seed": s}) for s in HELD_OUT[: args.seeds]]
-    results = list(job_cache.run(wanted, args.folder, workers=1)["goals"].values())
+    name, own = "arm" if args.arm else "goals", {"ways": args.ways, "on_the_arm": args.arm}
+    seeds = HELD_OUT[: args.seeds]
+    wanted = [Job(name, f"seed-{s}", session, {"seed": s, **own}) for s in seeds]
+    results = list(job_cache.run(wanted, args.folder, workers=args.workers)[name].values())
     sys.stdout.write(f"origin: {line([each['origin'] for each in results])}\n")
-    for way in WAYS:
+    for way in args.ways:
         sys.stdout.write(f"{way}: {line([one for each in results for one in each[way]])}\n")
 
 

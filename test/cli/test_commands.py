@@ -298,8 +298,8 @@ def test_a_session_from_another_one_is_refused_where_that_does_not_fit(
 @pytest.mark.parametrize(
     ("name", "learner", "words"),
     [
-        ("hindsight", "", []),
-        ("model_based", "", ["--preset", "model_based"]),
+        ("model_based", "", []),
+        ("hindsight", "", ["--preset", "hindsight"]),
         ("paper", "", ["--preset", "paper"]),
         ("return_only", "cma_es", ["--preset", "return_only", "--learner", "cma_es"]),
         ("corrections_only", "", ["--preset", "corrections_only"]),

@@ -194,9 +194,21 @@ def test_margins_that_scatter_as_expected_confirm_sooner_and_never_by_a_lucky_ro
     assert confirmed(alike).complete and not confirmed(alike, scatter=[1.0]).complete
 
 
+def test_a_first_success_with_less_margin_than_is_expected_to_last_ends_its_row_at_once() -> None:
+    """28 further successes at r expected standard deviations have the probability Phi(r)^28."""
+    for margin, goes_on in ((1.8, False), (2.1, True)):
+        assert (norm.cdf(margin) ** 28 > 0.5) == goes_on
+        stopping = rule(29, scatter=[1.0])
+        said = stopping.add(rollout(True, margins=[margin]))
+        assert (stopping.count == 1) == goes_on != ("too small margins" in said)
+        unknown = rule(29)
+        unknown.add(rollout(True, margins=[margin]))
+        assert unknown.count == 1
+
+
 def test_each_row_that_a_failure_has_ended_asks_one_success_more_of_the_next() -> None:
     stopping = rule(29)
-    stopping.add(rollout(False))  # no row
+    stopping.add(rollout(False))  # ends no row
     for failed in range(3):
         for k in range(ROW_MIN + failed - 1):
             stopping.add(rollout(True, margins=[5.0 + 0.1 * (k % 3)]))

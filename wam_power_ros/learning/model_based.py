@@ -95,7 +95,7 @@ class ModelBased(GaussianLearner):
             fallback: Settings of PoWER.
         """
 
-        simulations: int = Field(default=8, ge=1)
+        simulations: int = Field(default=40, ge=1)
         length: float = Field(default=10.0, gt=0.0, allow_inf_nan=False)
         patience: int = Field(default=8, ge=1)
         planned: int = Field(default=24, ge=1)

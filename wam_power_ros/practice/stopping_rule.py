@@ -125,15 +125,18 @@ class StoppingRule:
             self.complete = f"{said}: {_shown(count)}"
             return said
         size = len(self._margins[0])
-        few = count < ROW_MIN + self._failed
-        if few or not size or any(len(each) != size for each in self._margins):
+        expected = len(self._scatter) == size
+        if not size or any(len(each) != size for each in self._margins):
+            return said
+        if count < ROW_MIN and not expected:
             return said
         rows = np.array(self._margins)
         freedom, squares = count - 1, count * rows.var(axis=0)
-        if len(self._scatter) == size:
+        if expected:
             freedom, squares = freedom + EXPECTED, squares + EXPECTED * np.square(self._scatter)
         mean, sd, rate = rows.mean(axis=0), np.sqrt(squares / freedom), rate_shown(enough)
-        if (mean > tolerance_factor(count, freedom, rate) * sd).all():
+        many = count >= ROW_MIN + self._failed
+        if many and (mean > tolerance_factor(count, freedom, rate) * sd).all():
             least = float((mean / np.maximum(sd, 1e-12)).min())
             self.complete = f"{said}, margins of {least:.2g} sd or more: {_shown(enough)}"
             return said

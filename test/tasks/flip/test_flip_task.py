@@ -60,8 +60,8 @@ def judged(observation: dict[str, Any] | None, **fields: object) -> SimpleNamesp
 @pytest.mark.parametrize(
     ("degrees", "error", "climb", "outside"),
     [
-        (151.0, [0.09, 0.0, 0.5], 0.003, None),
-        (-151.0, [0.0, -0.09, 0.5], 0.024, None),
+        (151.0, [0.07, 0.0, 0.5], 0.003, None),
+        (-151.0, [0.0, -0.07, 0.5], 0.024, None),
         (149.0, [0.0, 0.0, 0.1], 0.003, 0),
         (-149.0, [0.0, 0.0, 0.1], 0.0, 0),
         (239.0, [0.045, 0.045, 0.1], 0.0, None),

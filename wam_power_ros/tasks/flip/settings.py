@@ -124,9 +124,9 @@ _HINDSIGHT: Mapping[str, Any] = {
 }
 _GAINS = ("landing_gain", "level_gain", "turn_gain", "vigour_gain", "tempo_gain")
 PRESETS: Mapping[str, Mapping[str, Any]] = {
-    "hindsight": _HINDSIGHT,
     # Plans on a model of the toss, and falls back on the learner of `hindsight`.
     "model_based": {**_HINDSIGHT, "learner": {"name": "model_based"}},
+    "hindsight": _HINDSIGHT,
     # For comparison: what the returns, or the corrections, reach alone.
     "return_only": {**_HINDSIGHT, **dict.fromkeys(_GAINS, 0.0)},
     "corrections_only": {
