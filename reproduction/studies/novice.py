@@ -59,7 +59,7 @@ CASES: Mapping[str, Mapping[str, Any]] = {
     "unknown": {"pitch_rate": NOVICE, "condition": {"unknown": "session"}},
     "varied": {"pitch_rate": NOVICE, "condition": {"unknown": "rollout"}},
 }
-# Final policies of the preset are run again in as many other worlds as there are re-tests.
+# Final policies of the default are run again in as many other worlds as there are re-tests.
 ELSEWHERE = {"carried": {"elsewhere": {"unknown": "rollout"}}, "repeats": RETESTS}
 
 
@@ -83,7 +83,7 @@ def jobs(
                 "demonstrations": 1,
                 "changes": {"budget": BUDGET, "retests": RETESTS, **ROWS[name].changes},
                 **CASES[case],
-                **(ELSEWHERE if name == "hindsight" else {}),
+                **(ELSEWHERE if name == "model_based" else {}),
             },
         )
         for seed in seeds
