@@ -195,9 +195,9 @@ def test_margins_that_scatter_as_expected_confirm_sooner_and_never_by_a_lucky_ro
 
 
 def test_a_first_success_with_less_margin_than_is_expected_to_last_ends_its_row_at_once() -> None:
-    """28 further successes at r expected standard deviations have the probability Phi(r)^28."""
-    for margin, goes_on in ((1.8, False), (2.1, True)):
-        assert (norm.cdf(margin) ** 28 > 0.5) == goes_on
+    """The row shows something from its fifth success on: 4 more have the probability Phi(r)^4."""
+    for margin, goes_on in ((0.9, False), (1.1, True)):
+        assert (norm.cdf(margin) ** (ROW_MIN - 1) > 0.5) == goes_on
         stopping = rule(29, scatter=[1.0])
         said = stopping.add(rollout(True, margins=[margin]))
         assert (stopping.count == 1) == goes_on != ("too small margins" in said)

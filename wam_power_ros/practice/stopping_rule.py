@@ -135,13 +135,13 @@ class StoppingRule:
         if expected:
             freedom, squares = freedom + EXPECTED, squares + EXPECTED * np.square(self._scatter)
         mean, sd, rate = rows.mean(axis=0), np.sqrt(squares / freedom), rate_shown(enough)
-        many = count >= ROW_MIN + self._failed
-        if many and (mean > tolerance_factor(count, freedom, rate) * sd).all():
+        few = max(ROW_MIN + self._failed - count, 0)
+        if not few and (mean > tolerance_factor(count, freedom, rate) * sd).all():
             least = float((mean / np.maximum(sd, 1e-12)).min())
             self.complete = f"{said}, margins of {least:.2g} sd or more: {_shown(enough)}"
             return said
         # Of this success rate, the rest of the row would more likely fail than not.
-        if (mean < float(ndtri(0.5 ** (1.0 / (enough - count)))) * sd).any():
+        if (mean < float(ndtri(0.5 ** (1.0 / (few or enough - count)))) * sd).any():
             self._end()
             return f"{said}, but with too small margins: learning goes on"
         return said
