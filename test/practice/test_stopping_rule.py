@@ -12,7 +12,9 @@ from wam_power_ros.practice.settings import PracticeSettings, preset
 from wam_power_ros.practice.stopping_rule import (
     CONFIDENCE,
     LOOK_CONFIDENCE,
+    RECENT,
     ROW_MIN,
+    UNEXPLAINED,
     StoppingRule,
     rate_shown,
     tolerance_factor,
@@ -218,6 +220,25 @@ def test_each_row_that_a_failure_has_ended_asks_one_success_more_of_the_next() -
         assert not stopping.complete
         stopping.add(rollout(True, margins=[5.0 + 0.1 * (k % 3)]))
     assert "margins" in stopping.complete
+
+
+def test_a_failure_that_no_margin_explains_asks_for_two_more_successes_until_it_is_long_past() -> (
+    None
+):
+    def needed(failures: Sequence[Sequence[float] | None]) -> int:
+        stopping = rule(29)
+        for margins in failures:
+            stopping.add(rollout(False, margins=margins))
+        for k in range(28):
+            stopping.add(rollout(True, margins=[5.0 + 0.1 * (k % 3), 3.0 + 0.1 * (k % 2)]))
+            if stopping.complete:
+                return stopping.count
+        return 29
+
+    assert needed([]) == needed([[-0.1, 3.0]]) == needed([None]) == ROW_MIN
+    assert needed([[4.0, 3.0]]) == ROW_MIN + UNEXPLAINED
+    assert needed([[4.0, 3.0]] * 2) == ROW_MIN + 2 * UNEXPLAINED
+    assert ROW_MIN + 2 * UNEXPLAINED < needed([[4.0, 3.0]] * 20) <= RECENT
 
 
 def test_margins_that_are_not_known_of_every_success_do_not_count() -> None:

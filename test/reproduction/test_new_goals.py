@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 
 from reproduction.studies import new_goals
+from wam_power_ros.practice.settings import preset
+from wam_power_ros.tasks.reach.task import Reach
 
 
 def test_every_goal_is_begun_in_every_way_and_a_prediction_needs_fewer_rollouts(
@@ -25,3 +27,17 @@ def test_a_session_without_a_success_counts_as_one_that_never_succeeded() -> Non
     assert (found["sessions"], found["begun"]) == (3, 2)
     assert found["first success"] == [3.0, 3.0, np.inf]
     assert (found["confirmed"], found["robust"], found["first rollout succeeds"]) == (1, 1, 0)
+
+
+def test_on_the_arm_a_reach_is_taught_to_its_goal_and_executed_as_far_as_the_obstacle() -> None:
+    place = new_goals.SimulatedArm(2)
+    goal = (0.78, 0.35, 0.6)
+    shown = place.taught(2, goal)
+    ends = np.array([each.position[-1] for each in shown])
+    assert len(ends) == new_goals.DEMONSTRATIONS
+    np.testing.assert_allclose(ends.mean(axis=0), goal, atol=0.03)
+    task = Reach(preset("reach").task_settings, Reach.context_of(shown, place.obstacle))
+    policy = Reach.policy_of(shown, "demonstration-1")
+    rollout = place.executed(task, policy, np.random.default_rng(0))
+    assert rollout.fault is None and rollout.stopped_in == place.obstacle.name == "obstacle"
+    assert task.assess(policy, rollout).observation["touched"]

@@ -14,6 +14,7 @@ Hence a single look must show more (`LOOK_CONFIDENCE`).
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Sequence
 from functools import cache
 
@@ -26,9 +27,12 @@ from wam_power_ros.tasks.task import LoggedRollout
 
 CONFIDENCE = 0.95
 LOOK_CONFIDENCE = 0.995  # of a single look at one margin
-# Successes before margins count, and one more for each row that a failure has ended: margins do not
-# show what fails now and then for another reason, such as a body that lay elsewhere.
+# Successes before margins count. They do not show what fails now and then for another reason, like a
+# body that lay elsewhere. Hence one more for each row that a failure has ended, and two for each of
+# the latest runs of a mean that failed although all its margins were positive.
 ROW_MIN = 5
+UNEXPLAINED = 2
+RECENT = 12  # runs of a mean
 EXPECTED = 4  # observations that the expected standard deviation of a margin counts as
 
 
@@ -77,6 +81,7 @@ class StoppingRule:
         self._margins_of = margins
         self._margins: list[Sequence[float]] = []  # one row for each success
         self._failed = 0  # rows that a failure has ended
+        self._unexplained: deque[bool] = deque(maxlen=RECENT)  # failures that no margin explains
         self.z: np.ndarray | None = None
         self.complete = ""
         self.mean_is_due = False
@@ -107,9 +112,11 @@ class StoppingRule:
         if not record.success:
             self._end()
             self._failed += before > 0
+            self._unexplained.append(min(self._margins_of(record), default=0.0) > 0.0)
             return f"ended after {before} successes in a row" if before else ""
         if self.z is None or record.z != self.z.tolist():
             self._end()
+        self._unexplained.append(False)
         self.z = np.array(record.z)
         self._margins.append(tuple(self._margins_of(record)))
         return self._judge()
@@ -135,7 +142,8 @@ class StoppingRule:
         if expected:
             freedom, squares = freedom + EXPECTED, squares + EXPECTED * np.square(self._scatter)
         mean, sd, rate = rows.mean(axis=0), np.sqrt(squares / freedom), rate_shown(enough)
-        few = max(ROW_MIN + self._failed - count, 0)
+        needed = ROW_MIN + self._failed + UNEXPLAINED * sum(self._unexplained)
+        few = max(needed - count, 0)
         if not few and (mean > tolerance_factor(count, freedom, rate) * sd).all():
             least = float((mean / np.maximum(sd, 1e-12)).min())
             self.complete = f"{said}, margins of {least:.2g} sd or more: {_shown(enough)}"
