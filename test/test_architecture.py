@@ -98,7 +98,7 @@ BUDGET = {
     "commissioning": 1030,
     "tracking": 620,
     "tasks": 3800,
-    "practice": 2360,
+    "practice": 2370,
     "conformance": 1120,
     "bags": 2660,
     "params": 1140,

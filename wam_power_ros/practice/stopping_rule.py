@@ -27,9 +27,9 @@ from wam_power_ros.tasks.task import LoggedRollout
 
 CONFIDENCE = 0.95
 LOOK_CONFIDENCE = 0.995  # of a single look at one margin
-# Successes before margins count. They do not show what fails now and then for another reason, like a
-# body that lay elsewhere. Hence one more for each row that a failure has ended, and two for each of
-# the latest runs of a mean that failed although all its margins were positive.
+# Successes before margins count. They do not show what fails now and then for another reason, like
+# a body that lay elsewhere. Hence one more for each row that a failure has ended, and two for each
+# of the latest runs of a mean that failed although all its margins were positive.
 ROW_MIN = 5
 UNEXPLAINED = 2
 RECENT = 12  # runs of a mean
