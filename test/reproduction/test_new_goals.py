@@ -1,12 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """The study of new goals: every way begins with the same goals, and its statistics."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from reproduction.studies import new_goals
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.reach.task import Reach
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_every_goal_is_begun_in_every_way_and_a_prediction_needs_fewer_rollouts(
@@ -27,6 +33,14 @@ def test_a_session_without_a_success_counts_as_one_that_never_succeeded() -> Non
     assert (found["sessions"], found["begun"]) == (3, 2)
     assert found["first success"] == [3.0, 3.0, np.inf]
     assert (found["confirmed"], found["robust"], found["first rollout succeeds"]) == (1, 1, 0)
+
+
+def test_a_study_run_as_a_module_finds_its_sessions_in_every_worker(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "reproduction.studies.new_goals", "--folder", str(tmp_path)]
+    asked = ["--seeds", "1", "--ways", "predicted", "--workers", "2"]
+    said = subprocess.run([*command, *asked], cwd=ROOT, capture_output=True, text=True)
+    assert said.returncode == 0, said.stderr
+    assert "predicted: {'sessions': 5" in said.stdout
 
 
 def test_on_the_arm_a_reach_is_taught_to_its_goal_and_executed_as_far_as_the_obstacle() -> None:
