@@ -66,7 +66,7 @@ class StoppingRule:
     Args:
         settings: Settings; `confirm` is the number of successes that is enough whatever their
             margins, 0 disables the rule.
-        margins: Margins of a success, see `Task.margins`.
+        margins: Margins of a rollout, see `Task.margins`.
         scatter: Their expected standard deviations, see `Task.margin_scatter`.
     """
 
@@ -148,7 +148,7 @@ class StoppingRule:
             least = float((mean / np.maximum(sd, 1e-12)).min())
             self.complete = f"{said}, margins of {least:.2g} sd or more: {_shown(enough)}"
             return said
-        # Of this success rate, the rest of the row would more likely fail than not.
+        # It would more likely fail than not before it shows something.
         if (mean < float(ndtri(0.5 ** (1.0 / (few or enough - count)))) * sd).any():
             self._end()
             return f"{said}, but with too small margins: learning goes on"

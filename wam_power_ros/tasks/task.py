@@ -289,7 +289,10 @@ class Task(ABC):
         return ()
 
     def margins(self, record: LoggedRollout) -> Sequence[float]:
-        """How far inside each of its limits a successful rollout was, for the stopping rule.
+        """How far inside each of its limits a rollout was, for the stopping rule.
+
+        It is also asked of rollouts that failed: one with positive margins failed for a reason that
+        no margin shows.
 
         Returns:
             Positive numbers inside, negative ones outside, in any units but the same for every
