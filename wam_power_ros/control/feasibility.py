@@ -1,31 +1,36 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulate a policy on the rigid-body model of the arm before executing it.
 
-The controller drives the model, friction included, so that a motion limit that would end the
-rollout is found without moving the arm. Torques act with the delay of the arm, because the delay
-can drive a fast policy beyond a limit. A tracked body is left out: its weight is negligible.
+The controller's rollout drives the model, friction included, so that a motion limit that would end
+it is found without moving the arm; whether states are plausible is no question there. Torques act
+with the delay of the arm, because the delay can drive a fast policy beyond a limit. A tracked body
+is left out: its weight is negligible.
 """
 
 from __future__ import annotations
 
-from collections import deque
+import math
+from collections import Counter, deque
 from dataclasses import dataclass, replace
+from itertools import count
 
 import numpy as np
 
 from wam_power_ros import rotations
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.estimate import TORQUE_DELAY
+from wam_power_ros.control.joint_control import TrackingLost
 from wam_power_ros.control.modes import ControllerError, Mode
-from wam_power_ros.control.safety import Limits, limits_of
-from wam_power_ros.control.state_checks import at_rate
+from wam_power_ros.control.policy_execution import Execution
+from wam_power_ros.control.prepared_policy import prepare
+from wam_power_ros.control.safety import Limits, LimitSprings, MotionCheck, limits_of
+from wam_power_ros.control.state_checks import JointState, at_rate
+from wam_power_ros.control.torque_output import TorqueOutput
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import EndEffectorPath, Foreseen
 
-_REST_TICKS = 60  # periods at rest, at 500 Hz, until the controller reaches its fixed point
 _STEP = 0.001  # [s] of the integration of the model
 POSITION_MARGIN = 0.05  # [rad] smallest distance from a position limit
 SPEED_SHARE = 0.9  # usable share of the speed limits: the arm differs from the model
@@ -83,49 +88,54 @@ def simulate_policy(
             `POSITION_MARGIN` within the position limits.
     """
     limits = settings.limits or limits_of(arm)
-    speeds = ("qd_max", "elbow_speed", "tool_speed")
-    tight = replace(limits, **{name: margin * getattr(limits, name) for name in speeds})
-    model = {"limits": tight, "driver_compensates_gravity": False, "hold_to_run": False}
-    whole = {"region": None}  # the whole movement must be feasible
-    controller = Controller(arm, settings.model_copy(update=model | whole))
-    period_ns = round(settings.period * 1e9)
-    substeps = max(1, round(settings.period / _STEP))
-    dt = settings.period / substeps
-    q, qd, stamp_ns = policy.q_start.copy(), np.zeros(arm.n), period_ns
-
-    def rest() -> np.ndarray:
-        """Step the controller with the arm at rest; returns the torque."""
-        nonlocal stamp_ns
-        tau = controller.step(stamp_ns, q, qd)
-        stamp_ns += period_ns
-        return tau
-
-    rest()
-    controller.hold()
+    limited = ("qd_max", "elbow_speed", "tool_speed")
+    tight = replace(limits, **{name: margin * getattr(limits, name) for name in limited})
+    # The whole movement must be feasible.
+    settings = settings.model_copy(update={"limits": tight, "region": None})
     try:
-        controller.load(policy)
-        controller.move_to_start()
+        prepared = prepare(policy, arm.n, tight, settings)
     except ControllerError as error:
         refusal = Fault(FaultKind.COMPUTATION, str(error))
         return Feasibility(refusal, np.zeros(arm.n), 0.0, 0.0, np.empty((0, arm.n)))
-    while not controller.ready:
-        rest()
-    rests, delay = (at_rate(count, settings.period) for count in (_REST_TICKS, TORQUE_DELAY))
+    execution = Execution(prepared, arm, settings)
+    output = TorqueOutput(arm, tight, False, Counter())
+    check, springs = MotionCheck(tight, arm.guarded, settings.period), LimitSprings(tight)
+    period, period_ns = settings.period, round(settings.period * 1e9)
+    substeps = max(1, round(period / _STEP))
+    dt = period / substeps
+    delay = at_rate(TORQUE_DELAY, period)
     if settings.loop_delay:
-        delay = round(settings.loop_delay / settings.period) + _FILTER_STATES
+        delay = round(settings.loop_delay / period) + _FILTER_STATES
     # What the motors of this arm give for the torques that they are sent.
     scales = 1.0 if arm.torque_scales is None else arm.torque_scales
-    acting = deque((scales * rest() for _ in range(rests)), maxlen=delay + 1)
-    controller.execute()
-    qd_peak, elbow_peak, tool_peak = np.zeros(arm.n), 0.0, 0.0
-    lowest, highest, path = q, q, []
+    q, qd = policy.q_start.copy(), np.zeros(arm.n)
+    held = output.send(arm.gravity(q), q, None)
+    acting = deque([scales * held] * (delay + 1), maxlen=delay + 1)
+    elbow_peak = tool_peak = 0.0
+    positions, speeds = [], []  # of the joints
     change = np.zeros(arm.n)  # of the speeds in the last step, expected again in the next
-    while True:
-        tau = controller.step(stamp_ns, q, qd)
-        if controller.mode is not Mode.ROLLOUT:
+    fault: Fault | None = None
+    for tick in count():
+        state = JointState(tick * period_ns, q, qd, period, period)
+        motion = arm.motion(q, qd)
+        positions.append(q)
+        speeds.append(qd)
+        elbow_peak = max(elbow_peak, *motion.guarded_speeds)
+        tool_peak = max(tool_peak, motion.tool_speed)
+        if (fault := check.fault(Mode.ROLLOUT, state, motion)) is not None:
             break
-        acting.append(scales * tau)
-        path.append(q)
+        try:
+            tau = execution.torque(state, motion)
+        except TrackingLost as error:
+            fault = Fault(FaultKind.TRACKING, str(error))
+            break
+        if tau is None:
+            break
+        if not math.isfinite(sum(tau.tolist())):
+            fault = Fault(FaultKind.COMPUTATION, "the torque was not finite")
+            break
+        spring = springs.torque(q, period)
+        acting.append(scales * output.send(tau if spring is None else tau + spring, q, period))
         for _ in range(substeps):
             # Implicit: explicit friction would shake joints of less than 0.0015 kg m^2.
             speed = np.maximum(np.abs(qd + change), _FRICTION_SPEED)
@@ -133,13 +143,10 @@ def simulate_policy(
             change = dt * arm.resisted_dynamics(q, qd, acting[0], resistance, dt)
             qd = qd + change
             q = q + dt * qd
-        stamp_ns += period_ns
-        lowest, highest = np.minimum(lowest, q), np.maximum(highest, q)
-        guarded, tool = arm.speeds(q, qd)
-        np.maximum(qd_peak, np.abs(qd), out=qd_peak)
-        elbow_peak, tool_peak = max(elbow_peak, *guarded), max(tool_peak, tool)
-    fault = controller.latched or _margin_fault(lowest, highest, limits)
-    return Feasibility(fault, qd_peak, elbow_peak, tool_peak, np.array(path))
+    path = np.array(positions)
+    fault = fault or _margin_fault(path.min(axis=0), path.max(axis=0), limits)
+    qd_peak = np.abs(speeds).max(axis=0)
+    return Feasibility(fault, qd_peak, elbow_peak, tool_peak, path[:-1])
 
 
 def foresee(arm: Arm, settings: ControllerSettings, policy: Policy) -> Foreseen | None:
