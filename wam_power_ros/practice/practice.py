@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from wam_power_ros import plain_json
+from wam_power_ros.faults import FaultKind
 from wam_power_ros.learning.learner import Learner, generator_state
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy, check_id, to_json
@@ -80,7 +81,9 @@ class Practice:
     * A rollout without a return is no evidence about its policy: nothing is learnt from it and the
       same z is executed again, up to `attempts` times, then dropped. So a transient failure does
       not change the course of learning.
-    * A rollout ended by a motion limit is learnt from with return 0: the policy caused it.
+    * A rollout ended by a motion limit is learnt from with return 0: the policy caused it. So is a
+      second one that is ended by a torque which is not explained: a contact may be chance, but a
+      policy may also want more than the motors give at their speed.
     * An infeasible policy is not executed, see `improvement.sample`.
     * If the chosen reproduction succeeded, the mean is run next.
     * A mean that succeeds is run again, unchanged, until it fails or `StoppingRule` is satisfied;
@@ -241,8 +244,11 @@ class Practice:
         """
         if rollout.tool.id != trial.id:
             raise ValueError(f"paths are of rollout {rollout.tool.id!r}, expected {trial.id!r}")
-        assessment = self.task.assess(trial.policy, rollout)
-        fault = "" if rollout.fault is None else rollout.fault.text
+        assessment, fault = self.task.assess(trial.policy, rollout), ""
+        if rollout.fault is not None:
+            fault, before = rollout.fault.text, self._retried
+            if rollout.fault.kind is FaultKind.EXTERNAL_TORQUE and before and before.fault:
+                assessment = Assessment(0.0, why=f"{fault}, again: counts as return 0")
         return self.learn_assessed(trial, assessment, fault=fault, **logged)
 
     def learn_assessed(
