@@ -425,6 +425,26 @@ def test_a_pancake_that_stays_in_the_pan_is_a_poor_but_usable_rollout() -> None:
         ) == pytest.approx(record.ret)
 
 
+def test_a_torque_that_stays_unexplained_when_a_policy_is_run_again_is_the_policys_doing() -> None:
+    practice = started("hindsight")
+    run(practice, rollouts=3)
+    hopeless, usable = practice.next_trial(), practice.used
+
+    def learn(kind: FaultKind) -> Record:
+        trial = practice.next_trial()
+        pan, pancake = paths(trial, 0.5, np.arange(0.01, 0.5, 1 / 30))
+        return practice.learn(trial, Rollout(pan, pancake, Fault(kind, "38 N m at joint 2")))
+
+    lost, first = learn(FaultKind.STATES_LOST), learn(FaultKind.STATES_LOST)
+    assert (lost.ret, first.ret) == (None, None)  # says nothing about the policy, however often
+    third = learn(FaultKind.EXTERNAL_TORQUE)
+    assert third.ret == 0.0 and third.learnt and third.z == hopeless.z.tolist()
+    assert "again" in third.why and practice.used == usable + 1
+    first, second = learn(FaultKind.EXTERNAL_TORQUE), learn(FaultKind.EXTERNAL_TORQUE)
+    assert first.ret is None and not first.learnt and "tried again" in first.note
+    assert second.ret == 0.0 and second.learnt and second.z == first.z
+
+
 def test_paths_and_trials_that_are_not_due_are_refused_without_a_trace() -> None:
     practice = started("hindsight")
     trial = practice.next_trial()

@@ -81,9 +81,9 @@ class Practice:
     * A rollout without a return is no evidence about its policy: nothing is learnt from it and the
       same z is executed again, up to `attempts` times, then dropped. So a transient failure does
       not change the course of learning.
-    * A rollout ended by a motion limit is learnt from with return 0: the policy caused it. So is a
-      second one that is ended by a torque which is not explained: a contact may be chance, but a
-      policy may also want more than the motors give at their speed.
+    * A rollout ended by a motion limit is learnt from with return 0: the policy caused it. So is
+      one that a fault ended, if the next attempt ends by a torque which is not explained: a contact
+      may be chance, but a policy may also want more than motors give at their speed.
     * An infeasible policy is not executed, see `improvement.sample`.
     * If the chosen reproduction succeeded, the mean is run next.
     * A mean that succeeds is run again, unchanged, until it fails or `StoppingRule` is satisfied;
