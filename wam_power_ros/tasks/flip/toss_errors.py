@@ -36,7 +36,7 @@ FRICTION = 0.2  # between pancake and pan [1]
 # Group, size of a step, and additional rotation [rad] and landing error [m] per unit of it.
 DIRECTIONS = (
     ("vigour", 0.3, TURN_OF_VIGOUR, (0.0, 0.0)),
-    ("tempo", 0.2, TURN_OF_TEMPO, (0.0, 0.0)),
+    ("tempo", 0.15, TURN_OF_TEMPO, (0.0, 0.0)),
     ("flick", 0.3, TURN_OF_FLICK, (0.0, 0.0)),
     ("catch_shift", 0.25, 0.0, (-1.0, 0.0)),
     ("side_shift", 0.25, 0.0, (0.0, -1.0)),
