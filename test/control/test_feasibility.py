@@ -228,6 +228,17 @@ def test_a_policy_the_controller_refuses_is_not_simulated(arm: Arm) -> None:
     assert (refused.qd_peak.tolist(), refused.elbow_peak, refused.tool_peak) == ([0.0] * 7, 0, 0)
 
 
+@pytest.mark.parametrize(("angle", "kind"), [(1.0, None), (2.6, FaultKind.TRACKING)])
+def test_a_tool_that_turns_too_far_from_its_reference_ends_the_simulation(
+    arm: Arm, angle: float, kind: FaultKind | None
+) -> None:
+    axis = arm.tool_pose(START)[1][:, 0]  # about which the arm has room to turn
+    turning = np.outer([0.0, 0.5, 1.0, 1.0], angle * axis)
+    policy = replace(lift(arm, 0.0), rotation_attractors=turning)
+    fault = simulate_policy(arm, SETTINGS, policy, margin=10.0).fault
+    assert (fault and fault.kind) is kind
+
+
 def test_a_driver_that_compensates_gravity_does_not_change_the_simulation(arm: Arm) -> None:
     policy = lift(arm, 0.2)
     compensating = ControllerSettings(driver_compensates_gravity=True)
