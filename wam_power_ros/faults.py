@@ -17,7 +17,7 @@ class FaultKind(str, enum.Enum):
     TOOL_SPEED = "tool_speed"
     WORKSPACE = "workspace"  # the tool left its box
     PLANE = "plane"  # a guarded point or the tool is behind the keep-out plane
-    # Not caused by the policy: the rollout is not learnt from.
+    # Not known to be caused by the policy: the rollout is not learnt from, see `Practice`.
     TRACKING = "tracking"  # a joint is far from its reference
     COMPUTATION = "computation"  # computed torque missing or not finite
     STATES_LOST = "states_lost"  # no joint state for too long

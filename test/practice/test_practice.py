@@ -440,6 +440,7 @@ def test_a_torque_that_stays_unexplained_when_a_policy_is_run_again_is_the_polic
     third = learn(FaultKind.EXTERNAL_TORQUE)
     assert third.ret == 0.0 and third.learnt and third.z == hopeless.z.tolist()
     assert "again" in third.why and practice.used == usable + 1
+    practice.learn_assessed(practice.next_trial(), Assessment(None, why="the pancake was not seen"))
     first, second = learn(FaultKind.EXTERNAL_TORQUE), learn(FaultKind.EXTERNAL_TORQUE)
     assert first.ret is None and not first.learnt and "tried again" in first.note
     assert second.ret == 0.0 and second.learnt and second.z == first.z
