@@ -66,8 +66,7 @@ class Past:
     def add(self, record: Record) -> None:
         """Append a rollout."""
         self.records.append(record)
-        # A fault with return 0 is a limit that the model had kept, of motion or of what the motors
-        # give; others leave no return.
+        # A fault with return 0 is a limit that the model had kept; others leave no return.
         self.overruns += bool(record.fault) and record.ret is not None
         ret, name = record.rated_return, record.demonstration
         if ret is None:
