@@ -98,7 +98,7 @@ BUDGET = {
     "commissioning": 1030,
     "tracking": 620,
     "tasks": 3800,
-    "practice": 2370,
+    "practice": 2400,
     "conformance": 1120,
     "bags": 2660,
     "params": 1140,

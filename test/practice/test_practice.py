@@ -650,6 +650,26 @@ def test_when_everything_is_infeasible_only_what_ran_before_is_run_again() -> No
 
 
 @pytest.mark.requirement("S-31")
+@pytest.mark.parametrize("on_model", ["", "no"])
+def test_a_policy_that_a_limit_of_the_arm_has_ended_is_not_run_again(on_model: str) -> None:
+    settings = preset("flip", "hindsight", budget=30, retests=0, mean_every=2, confirm=0)
+    said = [""]
+    practice = practice_of(CANDIDATES[:1], settings, 3, arm=AnyArm(lambda policy: said[0]))
+    run(practice, rollouts=8)
+    said[0] = on_model
+    ended: list[list[float]] = []
+    fault = fault_assessment(Fault(FaultKind.JOINT_SPEED, "too fast"))
+    while (trial := practice.next_trial()) is not None:
+        assert trial.z.tolist() not in ended
+        if len(ended) < 5 and trial.number % 2:  # as at a limit: it may have run before
+            ended.append(trial.z.tolist())
+            practice.learn_assessed(trial, fault, fault=fault.why)
+        else:
+            practice.learn_assessed(trial, toss(trial, practice.task.settings))
+    assert len(ended) == 5
+
+
+@pytest.mark.requirement("S-31")
 def test_an_infeasible_mean_or_answer_is_shrunk_to_what_ran_without_a_fault() -> None:
     settings = preset("flip", "hindsight", budget=24, retests=1, mean_every=4, confirm=0)
     shrunk = 0

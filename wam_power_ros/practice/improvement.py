@@ -246,7 +246,13 @@ class Improvement:
         self.learner.tell(np.array(record.learnt_as), float(record.rated_return or 0.0))
 
     def _feasible(self, past: Past) -> tuple[np.ndarray, Callable[[np.ndarray], bool]]:
-        """Coordinates of the fault-free rollout with the highest return, else 0; `feasibility`."""
+        """Coordinates of the best policy without a fault, else 0; whether others are feasible."""
         best = past.best_without_fault(self.demonstration)
-        z = np.zeros(self.parametrization.size) if best is None else np.array(best.z)
-        return z, feasibility(self.parametrization, self._arm, past.overruns, "sample")
+        ran = np.zeros(self.parametrization.size) if best is None else np.array(best.z)
+        on_model = feasibility(self.parametrization, self._arm, past.overruns, "sample")
+
+        def is_feasible(z: np.ndarray) -> bool:
+            # The arm may exceed a limit that its model keeps, whatever margin is left there.
+            return not past.ended_in_fault(self.demonstration, z.tolist()) and on_model(z)
+
+        return ran, is_feasible

@@ -60,6 +60,7 @@ class Past:
         self.overruns = 0
         self._runs: dict[tuple[str, bytes], Runs] = {}  # in the order of first runs
         self._best: dict[str, Record] = {}
+        self._faulted: set[tuple[str, tuple[float, ...]]] = set()  # demonstrations, coordinates
         for record in records:
             self.add(record)
 
@@ -71,9 +72,11 @@ class Past:
         ret, name = record.rated_return, record.demonstration
         if ret is None:
             return
-        best = self._best.get(name)
-        if not record.fault and (best is None or ret > (best.rated_return or 0.0)):
-            self._best[name] = record
+        if record.fault:
+            self._faulted.add((name, tuple(record.z)))
+            self._best.pop(name, None)  # it may have been the policy of the best
+        for each in self.records if record.fault else (record,):
+            self._compare(each)
         if record.kind != "explore":
             z = np.array(record.z)
             runs = self._runs.setdefault((name, z.tobytes()), Runs(record.id, name, z))
@@ -86,8 +89,24 @@ class Past:
         return Past(records)
 
     def best_without_fault(self, demonstration: str) -> Record | None:
-        """Rollout of a demonstration with the highest return and no fault, the first of equals."""
+        """Rollout with the highest return of a demonstration, the first of equals.
+
+        Only of policies that no fault has ended: one that is just within a limit of the arm would
+        be executed again and again, and end in a fault every second time.
+        """
         return self._best.get(demonstration)
+
+    def ended_in_fault(self, demonstration: str, z: Sequence[float]) -> bool:
+        """Whether a fault, by which the policy was judged, has ended a rollout at z (size,)."""
+        return (demonstration, tuple(z)) in self._faulted
+
+    def _compare(self, record: Record) -> None:
+        name, ret = record.demonstration, record.rated_return
+        if ret is None or self.ended_in_fault(name, record.z):
+            return
+        best = self._best.get(name)
+        if best is None or ret > (best.rated_return or 0.0):
+            self._best[name] = record
 
     def runs_without_exploration(self, demonstration: str | None) -> list[Runs]:
         """Runs by policy, of one demonstration or of all, in the order of first runs."""
