@@ -93,11 +93,11 @@ ALLOWED["benchmark"] = {*ALLOWED}
 # what can go; where nothing can, the commit that raises a figure says why.
 BUDGET = {
     "ground": 1330,  # the modules of wam_power_ros/ itself
-    "learning": 3050,
+    "learning": 3070,
     "control": 4510,
     "commissioning": 1030,
     "tracking": 620,
-    "tasks": 3800,
+    "tasks": 3820,
     "practice": 2400,
     "conformance": 1120,
     "bags": 2660,

@@ -159,6 +159,19 @@ def test_a_policy_that_oscillates_under_the_delay_of_the_loop_is_infeasible(
     assert simulate_policy(arm, SETTINGS, policy).fault is None
 
 
+def test_the_low_pass_of_the_reported_speeds_is_simulated(arm: Arm) -> None:
+    # A lag makes damping stiffness, and leaves too little of it.
+    policy = replace(
+        lift(arm, 0.05), stiffness=np.tile(2400.0 * np.eye(3), (4, 1, 1)), damping=16.0
+    )
+    slow = ControllerSettings(velocity_cutoff=20.0)
+    assert simulate_policy(arm, slow, policy).fault is not None
+    fast = simulate_policy(arm, ControllerSettings(velocity_cutoff=1500.0), policy)
+    assert fast.fault is None
+    late = simulate_policy(arm, ControllerSettings(velocity_cutoff=180.0), policy)
+    assert late.fault is None and not np.array_equal(late.qd_peak, fast.qd_peak)
+
+
 @pytest.mark.parametrize(("q_max", "kind"), [(0.72, None), (0.67, FaultKind.JOINT_POSITION)])
 def test_a_margin_to_the_position_limits_is_kept(
     arm: Arm, q_max: float, kind: FaultKind | None

@@ -3,8 +3,8 @@
 
 The controller's rollout drives the model, friction included, so that a motion limit that would end
 it is found without moving the arm; whether states are plausible is no question there. Torques act
-with the delay of the arm, because the delay can drive a fast policy beyond a limit. A tracked body
-is left out: its weight is negligible.
+with the delay of the arm, and speeds are reported through a low-pass as drivers have: both lags can
+drive a fast policy beyond a limit. A tracked body is left out: its weight is negligible.
 """
 
 from __future__ import annotations
@@ -36,7 +36,6 @@ POSITION_MARGIN = 0.05  # [rad] smallest distance from a position limit
 SPEED_SHARE = 0.9  # usable share of the speed limits: the arm differs from the model
 FORESEEN_SHARE = 2.0  # in `foresee`: how far beyond a limit a policy is, not only that it is
 OVERRUN_SHARE = 0.98  # factor on it for each rollout in which the arm was faster than the model
-_FILTER_STATES = 2  # by which the filter of the velocities adds to a measured delay
 _FRICTION_SPEED = 0.01  # [rad/s] below it Coulomb friction falls to zero with the speed
 
 
@@ -47,7 +46,7 @@ class Feasibility:
     Attributes:
         fault: Fault that would end the rollout, None without one. For a policy that the controller
             refuses it holds the refusal.
-        qd_peak: Highest joint speeds [rad/s]. Shape (n,).
+        qd_peak: Highest joint speeds, as reported [rad/s]. Shape (n,).
         elbow_peak: Highest speed of the guarded points, elbow and forearm [m/s].
         tool_peak: Highest speed of the tool [m/s].
         q: Joint positions in every control period of the rollout [rad]. Shape (T, n).
@@ -105,10 +104,11 @@ def simulate_policy(
     dt = period / substeps
     delay = at_rate(TORQUE_DELAY, period)
     if settings.loop_delay:
-        delay = round(settings.loop_delay / period) + _FILTER_STATES
+        delay = round(settings.loop_delay / period)
     # What the motors of this arm give for the torques that they are sent.
     scales = 1.0 if arm.torque_scales is None else arm.torque_scales
-    q, qd = policy.q_start.copy(), np.zeros(arm.n)
+    q, qd, seen = policy.q_start.copy(), np.zeros(arm.n), np.zeros(arm.n)
+    low_pass = -math.expm1(-settings.velocity_cutoff * period)
     held = output.send(arm.gravity(q), q, None)
     acting = deque([scales * held] * (delay + 1), maxlen=delay + 1)
     elbow_peak = tool_peak = 0.0
@@ -116,10 +116,11 @@ def simulate_policy(
     change = np.zeros(arm.n)  # of the speeds in the last step, expected again in the next
     fault: Fault | None = None
     for tick in count():
-        state = JointState(tick * period_ns, q, qd, period, period)
-        motion = arm.motion(q, qd)
+        seen = seen + low_pass * (qd - seen)
+        state = JointState(tick * period_ns, q, seen, period, period)
+        motion = arm.motion(q, seen)
         positions.append(q)
-        speeds.append(qd)
+        speeds.append(seen)
         elbow_peak = max(elbow_peak, *motion.guarded_speeds)
         tool_peak = max(tool_peak, motion.tool_speed)
         if (fault := check.fault(Mode.ROLLOUT, state, motion)) is not None:

@@ -4,35 +4,45 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
+
+from wam_power_ros.learning.learner import Prediction
 
 NOISE = 0.5  # standard deviation of a measured error [tolerances]
 VAGUE = 2.0  # the same of one beside a component without a value
 CLIP = 6.0  # [tolerances] largest unexplained part that is believed of such a rollout
 AMPLITUDES = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # [tolerances] that an unexplained part may have
-MISSED = 4.0  # log-likelihood of a component that the model predicted to have no value
+MISSED = 1.0  # log-likelihood of a component that the model predicted to have no value
 LOCAL = 0.5  # standard deviation of its change, relative to that of its mean
 
 
 class _Process:
     """Gaussian process of the unexplained part of one component.
 
-    Its kernel is that of an unknown mean and of a smooth change about it; the amplitude of both is
-    that of the highest likelihood.
+    Its kernel is that of an unknown mean and of a smooth change about it, of which the amplitude is
+    that of the highest likelihood, and of the numbers that a model only assumes.
     """
 
-    def __init__(self, z: np.ndarray, rest: np.ndarray, noise: np.ndarray, length: float) -> None:
-        self._z, self._length = z, length
+    def __init__(
+        self,
+        z: np.ndarray,
+        uncertain: np.ndarray,
+        rest: np.ndarray,
+        noise: np.ndarray,
+        length: float,
+    ) -> None:
+        self._z, self._uncertain, self._length = z, uncertain, length
         self.evidence, self.amplitude = 0.0, 1.0
         self._solved = np.empty(0)
         if len(rest) == 0:
             return
         self.evidence = -math.inf
-        shape = self._kernel(z)
+        shape, assumed = self._kernel(z), uncertain @ uncertain.T
         for amplitude in AMPLITUDES:
-            factor = cho_factor(amplitude**2 * shape + np.diag(noise**2))
+            factor = cho_factor(amplitude**2 * shape + assumed + np.diag(noise**2))
             solved = cho_solve(factor, rest)
             evidence = -0.5 * float(rest @ solved) - float(np.log(np.diag(factor[0])).sum())
             if evidence > self.evidence:
@@ -43,12 +53,12 @@ class _Process:
         square = ((z[:, np.newaxis] - self._z) ** 2).sum(axis=2)
         return 1.0 + LOCAL**2 * np.exp(-0.5 * square / self._length**2)
 
-    def at(self, z: np.ndarray) -> tuple[float, float]:
-        """Mean and variance at z (size,)."""
-        variance = self.amplitude**2 * (1.0 + LOCAL**2)
+    def at(self, z: np.ndarray, uncertain: np.ndarray) -> tuple[float, float]:
+        """Mean and variance at z (size,), where the numbers of a model matter by (k,)."""
+        variance = self.amplitude**2 * (1.0 + LOCAL**2) + float(uncertain @ uncertain)
         if len(self._solved) == 0:
             return 0.0, variance
-        k = self.amplitude**2 * self._kernel(z[np.newaxis])[0]
+        k = self.amplitude**2 * self._kernel(z[np.newaxis])[0] + self._uncertain @ uncertain
         return float(k @ self._solved), variance - float(k @ cho_solve(self._factor, k))
 
 
@@ -63,7 +73,7 @@ class Discrepancy:
         self,
         z: np.ndarray,
         errors: np.ndarray,
-        predicted: np.ndarray,
+        predictions: Sequence[Prediction | None],
         rough: np.ndarray,
         length: float,
     ) -> None:
@@ -72,21 +82,28 @@ class Discrepancy:
         Args:
             z: Coordinates of the rollouts. Shape (n, size).
             errors: Measured errors [tolerances], NaN where there is none. Shape (n, m).
-            predicted: Errors that the model predicted, NaN where it did not. Shape (n, m).
+            predictions: What the model predicted for each, None where it did not.
             rough: Errors that a rough linear description predicts. Shape (n, m).
             length: Distance over which the unexplained part changes.
         """
-        known = ~np.isnan(errors)
+        predicted, known = np.full_like(errors, math.nan), ~np.isnan(errors)
+        numbers = max(
+            (len(each.uncertain.T) for each in predictions if each is not None), default=0
+        )
+        uncertain = np.zeros((*errors.shape, numbers))
+        for row, each in enumerate(predictions):
+            if each is not None:
+                predicted[row], uncertain[row] = each.error, each.uncertain
         vague = ~known.all(axis=1)
         noise = np.where(vague, VAGUE, NOISE)
         self._processes: list[list[_Process]] = []
-        for given in (predicted, rough):
+        for given, assumed in ((predicted, uncertain), (rough, uncertain[..., :0])):
             rest = errors - given
             rest = np.where(vague[:, np.newaxis], np.clip(rest, -CLIP, CLIP), rest)
             usable = ~np.isnan(rest)
             self._processes.append(
                 [
-                    _Process(z[use], rest[use, k], noise[use], length)
+                    _Process(z[use], assumed[use, k], rest[use, k], noise[use], length)
                     for k, use in enumerate(usable.T)
                 ]
             )
@@ -97,23 +114,27 @@ class Discrepancy:
         self.weight = 1.0 / (1.0 + math.exp(min(max(-ratio, -50.0), 50.0)))
 
     def expected(
-        self, z: np.ndarray, predicted: np.ndarray | None, rough: np.ndarray
+        self, z: np.ndarray, prediction: Prediction | None, rough: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Mean and variance of the error at z.
 
         Args:
             z: Coordinates. Shape (size,).
-            predicted: Error that the model predicts, None to ignore it. Shape (m,).
+            prediction: What the model predicts, None to ignore it.
             rough: Error that the rough description predicts. Shape (m,).
         """
+        descriptions = [Prediction(rough, np.empty(0))]
+        if prediction is not None:
+            descriptions.insert(0, prediction)
         means, variances = [], []
-        for given, processes in zip((predicted, rough), self._processes, strict=True):
-            if given is None:
-                continue
-            rest = np.array([process.at(z) for process in processes])
-            means.append(given + rest[:, 0])
+        for (error, _, uncertain), processes in zip(
+            descriptions, self._processes[-len(descriptions) :], strict=True
+        ):
+            rows = np.broadcast_to(uncertain, (len(error), uncertain.shape[1]))
+            rest = np.array([each.at(z, row) for each, row in zip(processes, rows, strict=True)])
+            means.append(error + rest[:, 0])
             variances.append(rest[:, 1])
-        if predicted is None:
+        if prediction is None:
             return means[0], variances[0]
         w = self.weight
         mean = w * means[0] + (1.0 - w) * means[1]

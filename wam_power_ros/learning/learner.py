@@ -68,10 +68,13 @@ class Prediction(NamedTuple):
     Attributes:
         error: Error in units of its tolerances. Shape (m,).
         excess: Share by which each limit is exceeded, below 0 if it is kept. Shape (c,).
+        uncertain: Change of the error by one standard deviation of each number that the model only
+            assumes, such as a friction. Shape (m, k), or (1, 0) for none.
     """
 
     error: np.ndarray
     excess: np.ndarray
+    uncertain: np.ndarray = np.empty((1, 0))
 
 
 class ErrorModel(Protocol):

@@ -227,11 +227,8 @@ class ModelBased(GaussianLearner):
         m = len(self._model.slopes)
         z = np.array([z for z, _ in self._measured]).reshape(-1, self.size)
         errors = np.array([e for _, e in self._measured]).reshape(-1, m)
-        predicted = np.full_like(errors, math.nan)
-        for k, each in enumerate(z):
-            if (prediction := self._predicted(each)) is not None:
-                predicted[k] = prediction.error
-        return Discrepancy(z, errors, predicted, self._rough(z), self.settings.length)
+        predictions = [self._predicted(each) for each in z]
+        return Discrepancy(z, errors, predictions, self._rough(z), self.settings.length)
 
     def _search(self) -> np.ndarray | None:
         """Gauss-Newton steps from the best known coordinates to a small expected error."""
@@ -285,10 +282,8 @@ class ModelBased(GaussianLearner):
         predicted = self._predicted(z) if trusted else None
         if trusted and predicted is None:
             return _Point(z, np.full(len(rough), math.nan), False, math.inf)
-        if predicted is None:
-            error, variance = discrepancy.expected(z, None, rough)
-        else:
-            error, variance = discrepancy.expected(z, predicted.error, rough)
+        error, variance = discrepancy.expected(z, predicted, rough)
+        if predicted is not None:
             excess = predicted.excess
         excess = excess + EXCESS * self._faults  # the arm exceeds a limit that its model keeps
         over = np.maximum(excess + SLACK, 0.0) / EXCESS

@@ -64,21 +64,33 @@ def time_of_flight(speed: float) -> float:
 
 def test_a_pan_at_rest_or_lowered_gently_does_not_toss() -> None:
     still = np.zeros(500)
-    assert predict_toss(path(still, still)) == (False, 0.0, (0.0, 0.0))
+    assert predict_toss(path(still, still)) == (False, 0.0, (0.0, 0.0), 0.0)
     lowered = 0.1 * np.cos(np.linspace(0.0, math.pi, 500))
     assert not predict_toss(path(lowered, still)).tossed
 
 
+@pytest.mark.parametrize("rate", [0.5, -0.5])
 @pytest.mark.parametrize("speed", [2.0, 3.0])
-def test_the_pancake_turns_with_the_pan_and_then_by_its_share_for_a_free_flight(
-    speed: float,
+def test_the_pancake_turns_with_the_pan_and_then_freely_slowed_by_drag(
+    speed: float, rate: float
 ) -> None:
-    rate = 0.5  # so slow that the point of the pan below the pancake moves straight up
-    whole, half = (predict_toss(thrown(speed, rate=rate), spin_share=share) for share in (1.0, 0.5))
-    flight = time_of_flight(speed)
-    assert whole.tossed
-    assert whole.angle == pytest.approx(0.5 * rate * RISE + rate * flight, rel=0.05)
-    assert whole.angle - half.angle == pytest.approx(0.5 * rate * flight, rel=0.05)
+    # So slow that the point of the pan below the pancake moves straight up.
+    free, slowed = (predict_toss(thrown(speed, rate=rate), spin_decay=k) for k in (1e-9, 4.0))
+    flight, spin = time_of_flight(speed), rate
+    assert free.tossed and slowed.tossed
+    assert free.angle == pytest.approx(0.5 * rate * RISE + rate * flight, rel=0.05)
+    turned, dt = 0.0, 1e-5
+    for _ in range(round(flight / dt)):  # d spin / dt = -4 spin |spin|
+        turned, spin = turned + dt * spin, spin - dt * 4.0 * spin * abs(spin)
+    assert slowed.angle == pytest.approx(0.5 * rate * RISE + turned, rel=0.05)
+
+
+@pytest.mark.parametrize("rate", [3.0, -3.0])
+def test_the_derivative_by_the_decay_is_that_of_the_rotation(rate: float) -> None:
+    pan = thrown(2.5, rate=rate)
+    low, here, high = (predict_toss(pan, spin_decay=k) for k in (0.399, 0.4, 0.401))
+    assert here.angle_by_decay == pytest.approx((high.angle - low.angle) / 0.002, rel=1e-3)
+    assert here.angle_by_decay * rate < 0.0
 
 
 def test_a_toss_that_does_not_reach_delta_h_is_none() -> None:

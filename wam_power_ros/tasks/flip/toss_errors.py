@@ -3,9 +3,10 @@
 
 The simulated arm carries the pan along a path. On it the pancake is a point that slides with
 friction as far as the rim and leaves the pan where that accelerates downwards faster than gravity.
-It then flies without drag, with a share of the pan's angular velocity. Fallen back before it was
-tossed, as in a dip, it slides on. What the model leaves out (drag, the pancake's size, how its edge
-leaves the rim) is for a learner to find from its rollouts.
+It then flies with the pan's angular velocity, which drag slows. Fallen back before it was tossed,
+as in a dip, it slides on. How much drag slows the spin is a number that rollouts tell, see
+`learner.Prediction`; what the model leaves out (the pancake's size, how its edge leaves the rim) is
+for a learner to find from them, too.
 """
 
 from __future__ import annotations
@@ -26,11 +27,13 @@ from wam_power_ros.tasks.flip.ballistic_fit import GRAVITY
 from wam_power_ros.tasks.flip.flight import DELTA_H
 from wam_power_ros.tasks.flip.frames import PAN_RADIUS, PANCAKE_RADIUS
 from wam_power_ros.tasks.flip.parametrization import TURN_OF_FLICK, TURN_OF_TEMPO, TURN_OF_VIGOUR
-from wam_power_ros.tasks.flip.planned_toss import SPIN_SHARE
 from wam_power_ros.tasks.flip.settings import FlipSettings
 
 TURN_TOLERANCE = math.radians(15.0)  # [rad]
 LANDING_TOLERANCE = 0.03  # [m]
+# Drag slows the spin of a pancake, d omega / dt = -SPIN_DECAY omega^2 [1/rad], the more the larger
+# and lighter it is: mean and standard deviation.
+SPIN_DECAY, SPIN_DECAY_SD = 0.4, 0.3
 SLACK = PAN_RADIUS - PANCAKE_RADIUS  # between the pancake in the middle of the pan and its rim [m]
 FRICTION = 0.2  # between pancake and pan [1]
 # Group, size of a step, and additional rotation [rad] and landing error [m] per unit of it.
@@ -51,22 +54,24 @@ class Toss(NamedTuple):
         angle: Rotation when it falls through that height [rad]; 0 if not tossed.
         landing_error: Position of pancake minus pan along x and y at that time [m]; 0 if not
             tossed.
+        angle_by_decay: Derivative of the rotation by the decay of the spin [rad^2].
     """
 
     tossed: bool
     angle: float = 0.0
     landing_error: tuple[float, float] = (0.0, 0.0)
+    angle_by_decay: float = 0.0
 
 
 def predict_toss(
-    pan: EndEffectorPath, delta_h: float = DELTA_H, spin_share: float = SPIN_SHARE
+    pan: EndEffectorPath, delta_h: float = DELTA_H, spin_decay: float = SPIN_DECAY
 ) -> Toss:
     """Predict the toss of a pan that moves along a path in the x-z plane.
 
     Args:
         pan: Path of the pan, evenly sampled.
         delta_h: Height above the pan at which the flight ends [m].
-        spin_share: Share of the pan's angular velocity that the pancake leaves with [1].
+        spin_decay: Decay of the pancake's spin, above 0 [1/rad].
     """
     dt = float(pan.t[1] - pan.t[0])
     normal = rotations.matrix(pan.quat_xyzw)[:, :, 2]
@@ -85,7 +90,7 @@ def predict_toss(
     ).tolist()
     tilted = abs(math.tan(pitch[0])) > FRICTION
     s, sliding = (-math.copysign(SLACK, pitch[0]) if tilted else 0.0), 0.0  # along the pan's x
-    x = y = z = vx = vz = turned = spin = 0.0  # of the pancake in flight
+    x = y = z = vx = vz = left = spin = turned = 0.0  # of the pancake in flight
     flying = tossed = False
     for now, after in itertools.pairwise(samples):
         px, pz, pvx, pvz, ax, az, c, sn, angle, omega, alpha, aside = now
@@ -98,7 +103,7 @@ def predict_toss(
                 flying = True
                 x, y, z = px + s * c, aside, pz + s * sn
                 vx, vz = pvx - omega * s * sn + sliding * c, pvz + omega * s * c + sliding * sn
-                turned, spin = angle - samples[0][8], spin_share * omega
+                left, spin, turned = angle - samples[0][8], omega, 0.0
             else:
                 pulled = sliding + dt * (gx * c + gz * sn)
                 sliding = math.copysign(max(abs(pulled) - dt * FRICTION * pressed, 0.0), pulled)
@@ -107,17 +112,24 @@ def predict_toss(
                     s, sliding = math.copysign(SLACK, s), 0.0
         if flying:
             vz -= dt * GRAVITY
-            x, z, turned = x + dt * vx, z + dt * vz, turned + dt * spin
+            x, z, turned = x + dt * vx, z + dt * vz, turned + dt * spin  # without drag
             dx, dz, c, sn = x - after[0], z - after[1], after[6], after[7]
             if dz > delta_h:
                 tossed = True
             elif tossed:
-                return Toss(True, turned, (dx, y - after[11]))
+                slowed, by_decay = _slowed(turned, spin_decay)
+                return Toss(True, left + slowed, (dx, y - after[11]), by_decay)
             elif dz * c - dx * sn < 0.0:  # fallen back into the pan
                 flying = False
                 s = min(max(dx * c + dz * sn, -SLACK), SLACK)
                 sliding = (vx - after[2]) * c + (vz - after[3]) * sn
     return Toss(False)
+
+
+def _slowed(turned: float, decay: float) -> tuple[float, float]:
+    """Rotation that is `turned` without drag [rad], and its derivative by the decay [rad^2]."""
+    slowed = math.copysign(math.log1p(decay * abs(turned)) / decay, turned)
+    return slowed, (turned / (1.0 + decay * abs(turned)) - slowed) / decay
 
 
 def measured_error(flight: Mapping[str, Any] | None) -> np.ndarray | None:
@@ -170,6 +182,9 @@ class TossErrors:
             foreseen, prediction = self._foresee(policy), None
             if foreseen is not None:
                 toss = predict_toss(foreseen.tool, self._settings.delta_h)
-                prediction = Prediction(_error(*toss), foreseen.excess)
+                by_decay = SPIN_DECAY_SD * toss.angle_by_decay / TURN_TOLERANCE
+                error = _error(toss.tossed, toss.angle, toss.landing_error)
+                uncertain = np.array([[by_decay], [0.0], [0.0]])
+                prediction = Prediction(error, foreseen.excess, uncertain)
             self._known[key] = prediction
         return self._known[key]
