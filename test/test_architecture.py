@@ -113,7 +113,7 @@ BUDGET = {
     "hardware_sim": 3380,
     "launch": 260,
     "examples": 380,
-    "reproduction": 4000,
+    "reproduction": 4100,
     "benchmark": 5260,
 }
 PURE = (

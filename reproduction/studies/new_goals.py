@@ -187,8 +187,15 @@ def session(seed: int, ways: Sequence[str] = WAYS, on_the_arm: bool = False) -> 
     return result
 
 
-def line(outcomes: Sequence[Mapping[str, Any] | None]) -> dict[str, Any]:
-    """Statistics of sessions: their number, first successes, rollouts and the share confirmed."""
+def line(
+    outcomes: Sequence[Mapping[str, Any] | None], robust: float = 0.9 * RETESTS
+) -> dict[str, Any]:
+    """Statistics of sessions: their number, first successes, rollouts and the share confirmed.
+
+    Args:
+        outcomes: See `outcome`; None for a session that could not begin.
+        robust: Successes among its re-tests from which on an answer is robust.
+    """
     found = [each for each in outcomes if each is not None]
     first = [each["first"] or np.inf for each in found]
     return {
@@ -198,7 +205,7 @@ def line(outcomes: Sequence[Mapping[str, Any] | None]) -> dict[str, Any]:
         "first success": [float(q) for q in np.quantile(first, (0.0, 0.5, 1.0), method="lower")],
         "confirmed": sum(each["confirmed"] > 0 for each in found),
         "rollouts": float(np.median([each["used"] for each in found])),
-        "robust": sum(each["successes"] >= 0.9 * RETESTS for each in found),
+        "robust": sum(each["successes"] >= robust for each in found),
     }
 
 
