@@ -95,7 +95,7 @@ BUDGET = {
     "ground": 1330,  # the modules of wam_power_ros/ itself
     "learning": 3070,
     "control": 4510,
-    "commissioning": 1030,
+    "commissioning": 1040,
     "tracking": 620,
     "tasks": 3820,
     "practice": 2400,

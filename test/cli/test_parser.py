@@ -86,3 +86,10 @@ def test_a_name_without_a_command_prints_the_commands(
 ) -> None:
     assert main.main(words) == 0
     assert "COMMAND" in capsys.readouterr().out
+
+
+def test_no_command_waits_for_libraries_that_only_measuring_an_arm_needs() -> None:
+    code = "import sys, wam_power_ros.cli.parser; print(*sys.modules)"
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    slow = ("scipy.signal", "scipy.optimize", "scipy.stats", "mujoco", "matplotlib")
+    assert not set(slow) & set(said.stdout.split())

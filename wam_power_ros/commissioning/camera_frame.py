@@ -12,12 +12,15 @@ either, unless the body is known to lie flat in the tool.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.optimize import OptimizeResult, least_squares
 
 from wam_power_ros import rotations
 from wam_power_ros.control.arm import Arm
+
+if TYPE_CHECKING:
+    from scipy.optimize import OptimizeResult
 
 POSITION_NOISE = 5e-4  # [m] of a pose averaged at rest, per axis
 ROTATION_NOISE = np.deg2rad(0.2)  # [rad] per axis
@@ -169,6 +172,9 @@ def _solve(
     arm: Arm, q: np.ndarray, position: np.ndarray, rotation: np.ndarray, flat: bool
 ) -> OptimizeResult:
     """Least squares on Y, X and the zeros, from the closed-form solution without zeros."""
+    # Imported here: the import is slow, and every command of `wam-power` would wait for it.
+    from scipy.optimize import least_squares
+
     base, body = closed_form([Pose(*arm.tool_pose(each)) for each in q], position, rotation)
 
     def residuals(x: np.ndarray) -> np.ndarray:

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
-from scipy.signal import savgol_filter
 
 from wam_power_ros.commissioning.excitation import Excitation
 from wam_power_ros.control.arm import STRIBECK_SPEED, Arm
@@ -92,6 +91,9 @@ def sweep(
     window = 2 * round(0.5 * WINDOW / period) + 1
     part = slice(*np.searchsorted(t, between).tolist())
     commanded = np.roll(tau, round(delay / period), axis=0)
+    # Imported here: the import is slow, and every command of `wam-power` would wait for it.
+    from scipy.signal import savgol_filter
+
     rows = [savgol_filter(q[part], window, 3, order, period, axis=0) for order in range(3)]
     rows.append(savgol_filter(commanded[part], window, 3, 0, period, axis=0))
     inner = slice(window, -window, max(1, round(SAMPLING / period)))
