@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The stopping rule states what it shows; clear margins show it with fewer rollouts."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 import pytest
 from scipy.stats import nct, norm
 
+from wam_power_ros.practice import stopping_rule
 from wam_power_ros.practice.session_log import Record
 from wam_power_ros.practice.settings import PracticeSettings, preset
 from wam_power_ros.practice.stopping_rule import (
@@ -19,6 +21,12 @@ from wam_power_ros.practice.stopping_rule import (
     rate_shown,
     tolerance_factor,
 )
+
+
+@pytest.fixture
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A rule that ends no row for being long."""
+    monkeypatch.setattr(stopping_rule, "SEARCH", 100)
 
 
 def rollout(
@@ -158,6 +166,7 @@ def confirmed(
     return stopping
 
 
+@pytest.mark.usefixtures("patient")
 def test_clear_margins_confirm_with_few_rollouts_and_narrow_ones_end_the_row() -> None:
     spread = np.array([[0.99, 5.0], [1.01, 5.1], [1.0, 4.9]] * 2)
     clear = confirmed(spread)
@@ -170,6 +179,7 @@ def test_clear_margins_confirm_with_few_rollouts_and_narrow_ones_end_the_row() -
     assert (narrow.z, narrow.count, narrow.complete) == (None, 0, "")
 
 
+@pytest.mark.usefixtures("patient")
 def test_a_row_ends_when_the_rest_of_it_would_more_likely_fail_than_not() -> None:
     """Margins of r sd: 24 further successes have the probability Phi(r)^24, 2 more Phi(r)^2."""
     for mean, goes_on in ((1.8, False), (2.0, True)):
@@ -196,6 +206,7 @@ def test_margins_that_scatter_as_expected_confirm_sooner_and_never_by_a_lucky_ro
     assert confirmed(alike).complete and not confirmed(alike, scatter=[1.0]).complete
 
 
+@pytest.mark.usefixtures("patient")
 def test_a_first_success_with_less_margin_than_is_expected_to_last_ends_its_row_at_once() -> None:
     """The row shows something from its fifth success on: 4 more have the probability Phi(r)^4."""
     for margin, goes_on in ((0.9, False), (1.1, True)):
@@ -250,6 +261,35 @@ def test_margins_that_are_not_known_of_every_success_do_not_count() -> None:
     assert stopping.complete == "6 successes in a row: p > 0.61 with 95% confidence"
 
 
+def test_a_row_that_would_be_much_longer_than_that_of_a_better_mean_ends() -> None:
+    said = "1 success in a row, but margins that need many more: learning goes on"
+    assert rule(29, scatter=[1.0]).add(rollout(True, margins=[4.0])) == "1 success in a row"
+    stopping, ended = rule(29, scatter=[1.0]), 0
+    for z in range(20):
+        if stopping.add(rollout(True, z=z, margins=[2.0])) != said:
+            break
+        assert stopping.z is None
+        ended += 1
+    needed = next((n for n in range(2, 29) if tolerance_factor(n, n + 3, rate_shown(29)) < 2.0), 29)
+    # Each that has ended lets the next be longer: the arm may not be able to do better.
+    assert ended == math.ceil((needed - 1 - ROW_MIN) / stopping_rule.SEARCH) - 1 > 0
+
+
+@pytest.mark.parametrize("expected", [1.0, 0.7])
+def test_sessions_of_a_policy_below_the_rate_are_rarely_confirmed_in_any_of_their_rows(
+    expected: float,
+) -> None:
+    """60 rollouts of a policy of 0.9 with three margins; scattering as expected, or 1.4 times."""
+    rng, wrong, runs = np.random.default_rng(3), 0, 500
+    for _ in range(runs):
+        stopping = rule(29, scatter=(expected,) * 3)
+        for margins in norm.ppf(0.9 ** (1.0 / 3.0)) + rng.standard_normal((60, 3)):
+            stopping.add(rollout(bool(margins.min() > 0.0), margins=margins.tolist()))
+        wrong += bool(stopping.complete)
+    assert wrong / runs < (0.06 if expected == 1.0 else 0.16)
+
+
+@pytest.mark.usefixtures("patient")
 def test_a_row_of_the_whole_count_confirms_whatever_its_margins() -> None:
     wide = np.array([[3.2], [1.2]] * 15)
     stopping = confirmed(wide)

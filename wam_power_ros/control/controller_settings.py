@@ -24,7 +24,7 @@ class MotionSettings(BaseModel):
         start_tolerance: Largest joint error at which a rollout may start [rad].
         settle_time: Time that a rollout continues after the end of its movement [s].
         velocity_cutoff: Cut-off of the low-pass for differentiated positions when a driver sends
-            no velocity [rad/s]; libbarrett uses 180.
+            no velocity, and in the simulation of a policy [rad/s]; libbarrett uses 180.
         stiffness_max: Largest stiffness of a policy [1/s^2]. With a damping of 32 1/s the loop is
             stable up to about 2800 with a delay of 8 ms, up to about 4800 with 4 ms.
         damping_max: Largest damping of a policy [1/s]. Its product with the delay of the loop must

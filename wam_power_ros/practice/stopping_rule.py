@@ -34,6 +34,10 @@ ROW_MIN = 5
 UNEXPLAINED = 2
 RECENT = 12  # runs of a mean
 EXPECTED = 4  # observations that the expected standard deviation of a margin counts as
+# A row ends when its margins would need more further successes than clear ones of another mean, and
+# this many rollouts to find it; this many more for each row that has ended so, because the arm may
+# not be able to do better.
+SEARCH = 3
 
 
 def rate_shown(count: int) -> float:
@@ -81,6 +85,7 @@ class StoppingRule:
         self._margins_of = margins
         self._margins: list[Sequence[float]] = []  # one row for each success
         self._failed = 0  # rows that a failure has ended
+        self._long = 0  # rows that have ended because they would have been long
         self._unexplained: deque[bool] = deque(maxlen=RECENT)  # failures that no margin explains
         self.z: np.ndarray | None = None
         self.complete = ""
@@ -152,6 +157,16 @@ class StoppingRule:
         if (mean < float(ndtri(0.5 ** (1.0 / (few or enough - count)))) * sd).any():
             self._end()
             return f"{said}, but with too small margins: learning goes on"
+        free = freedom - count
+        ends = (
+            n
+            for n in range(max(needed, count + 1), enough)
+            if (mean > tolerance_factor(n, n + free, rate) * sd).all()
+        )
+        if next(ends, enough) - count > needed + SEARCH * (1 + self._long):
+            self._long += 1
+            self._end()
+            return f"{said}, but margins that need many more: learning goes on"
         return said
 
 
