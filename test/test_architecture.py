@@ -98,7 +98,7 @@ BUDGET = {
     "commissioning": 1040,
     "tracking": 620,
     "tasks": 3820,
-    "practice": 2410,
+    "practice": 2420,
     "conformance": 1120,
     "bags": 2660,
     "params": 1140,

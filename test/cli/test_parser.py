@@ -89,7 +89,7 @@ def test_a_name_without_a_command_prints_the_commands(
 
 
 def test_no_command_waits_for_libraries_that_only_measuring_an_arm_needs() -> None:
-    code = "import sys, wam_power_ros.cli.parser; print(*sys.modules)"
+    code = "import sys, wam_power_ros.cli.main; print(*sys.modules)"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     slow = ("scipy.signal", "scipy.optimize", "scipy.stats", "mujoco", "matplotlib")
     assert not set(slow) & set(said.stdout.split())

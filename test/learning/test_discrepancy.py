@@ -76,6 +76,17 @@ def test_rollouts_without_a_prediction_leave_the_others_what_they_say() -> None:
     assert np.isfinite(mean).all() and spread[0] > assumed(FAR)[0, 0] ** 2 / 4.0
 
 
+def test_one_toss_that_was_not_foreseen_is_outweighed_by_rollouts_foreseen_rightly() -> None:
+    z = rng(5).normal(size=(4, SIZE))
+    errors = np.array([predicted(each).error for each in z])
+    said = [predicted(each) for each in z]
+    missed = [said[0]._replace(error=np.full(2, math.nan)), *said[1:]]
+    all_foreseen, one_missed = (
+        Discrepancy(z, errors, each, np.zeros_like(errors), 10.0).weight for each in (said, missed)
+    )
+    assert 0.1 < one_missed < all_foreseen
+
+
 def test_without_a_model_the_rough_description_is_expected() -> None:
     mean, spread = after(0).expected(FAR, None, np.array([1.0, math.pi]))
     assert mean.tolist() == [1.0, math.pi] and (spread > 0.0).all()

@@ -669,6 +669,19 @@ def test_a_policy_that_a_limit_of_the_arm_has_ended_is_not_run_again(on_model: s
     assert len(ended) == 5
 
 
+def test_all_re_tests_are_of_one_policy_though_a_limit_of_the_arm_ends_one_of_them() -> None:
+    practice = started("hindsight", budget=12, retests=4)
+    run(practice, rollouts=12)
+    fault = fault_assessment(Fault(FaultKind.JOINT_SPEED, "too fast"))
+    tested = []
+    while (trial := practice.next_trial()) is not None:
+        assert trial.kind == "retest"
+        tested.append(trial.z.tolist())
+        judged = fault if len(tested) == 2 else toss(trial, practice.task.settings)
+        practice.learn_assessed(trial, judged, fault=judged.why if judged is fault else "")
+    assert len(tested) == 4 and tested == tested[:1] * 4
+
+
 @pytest.mark.requirement("S-31")
 def test_an_infeasible_mean_or_answer_is_shrunk_to_what_ran_without_a_fault() -> None:
     settings = preset("flip", "hindsight", budget=24, retests=1, mean_every=4, confirm=0)

@@ -82,13 +82,13 @@ class Discrepancy:
         Args:
             z: Coordinates of the rollouts. Shape (n, size).
             errors: Measured errors [tolerances], NaN where there is none. Shape (n, m).
-            predictions: What the model predicted for each, None where it did not.
+            predictions: Prediction of each rollout by the model, None where it had none. Length n.
             rough: Errors that a rough linear description predicts. Shape (n, m).
             length: Distance over which the unexplained part changes.
         """
         predicted, known = np.full_like(errors, math.nan), ~np.isnan(errors)
         numbers = max(
-            (len(each.uncertain.T) for each in predictions if each is not None), default=0
+            (each.uncertain.shape[1] for each in predictions if each is not None), default=0
         )
         uncertain = np.zeros((*errors.shape, numbers))
         for row, each in enumerate(predictions):
@@ -120,7 +120,7 @@ class Discrepancy:
 
         Args:
             z: Coordinates. Shape (size,).
-            prediction: What the model predicts, None to ignore it.
+            prediction: Prediction at z by the model, None to ignore the model.
             rough: Error that the rough description predicts. Shape (m,).
         """
         descriptions = [Prediction(rough, np.empty(0))]

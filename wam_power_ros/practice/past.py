@@ -72,10 +72,12 @@ class Past:
         ret, name = record.rated_return, record.demonstration
         if ret is None:
             return
-        if record.fault:
+        # All re-tests are of one policy, so a fault in one of them changes none of the others.
+        ended = bool(record.fault) and record.kind != "retest"
+        if ended:
             self._faulted.add((name, tuple(record.z)))
             self._best.pop(name, None)  # it may have been the policy of the best
-        for each in self.records if record.fault else (record,):
+        for each in self.records if ended else (record,):
             self._compare(each)
         if record.kind != "explore":
             z = np.array(record.z)
@@ -97,12 +99,12 @@ class Past:
         return self._best.get(demonstration)
 
     def ended_in_fault(self, demonstration: str, z: Sequence[float]) -> bool:
-        """Whether a fault, by which the policy was judged, has ended a rollout at z (size,)."""
+        """Whether a fault ended a rollout at z (size,) in practice, and gave it the return 0."""
         return (demonstration, tuple(z)) in self._faulted
 
     def _compare(self, record: Record) -> None:
         name, ret = record.demonstration, record.rated_return
-        if ret is None or self.ended_in_fault(name, record.z):
+        if ret is None or record.fault or self.ended_in_fault(name, record.z):
             return
         best = self._best.get(name)
         if best is None or ret > (best.rated_return or 0.0):

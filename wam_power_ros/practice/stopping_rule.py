@@ -160,7 +160,7 @@ class StoppingRule:
         free = freedom - count
         ends = (
             n
-            for n in range(max(needed, count + 1), enough)
+            for n in range(count + 1, enough)
             if (mean > tolerance_factor(n, n + free, rate) * sd).all()
         )
         if next(ends, enough) - count > needed + SEARCH * (1 + self._long):

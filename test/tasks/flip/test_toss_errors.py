@@ -18,6 +18,8 @@ from wam_power_ros.tasks.flip.task import Flip
 from wam_power_ros.tasks.flip.toss_errors import (
     LANDING_TOLERANCE,
     SLACK,
+    SPIN_DECAY,
+    SPIN_DECAY_SD,
     TURN_TOLERANCE,
     measured_error,
     predict_toss,
@@ -156,6 +158,10 @@ def test_the_model_of_the_task_predicts_the_toss_of_the_foreseen_path_and_its_ex
     wanted = [(toss.angle - math.pi) / TURN_TOLERANCE, *landing]
     np.testing.assert_allclose(prediction.error, wanted)
     np.testing.assert_array_equal(prediction.excess, excess)
+    more = predict_toss(pan, spin_decay=SPIN_DECAY + 0.01 * SPIN_DECAY_SD).angle
+    by_decay = (more - toss.angle) / (0.01 * TURN_TOLERANCE)
+    assert prediction.uncertain.shape == (3, 1)
+    np.testing.assert_allclose(prediction.uncertain[:, 0], [by_decay, 0.0, 0.0], rtol=0.02)
     none = task.error_model(parametrization, lambda policy: None)
     assert none.predict(np.zeros(parametrization.size)) is None
 
