@@ -195,6 +195,15 @@ def test_a_margin_to_the_lower_position_limits_is_kept(
     assert fault is None or fault.text.startswith("joint 4 comes within 0.0")
 
 
+def test_the_springs_at_the_position_limits_are_simulated(arm: Arm) -> None:
+    limits = limits_of(arm, q_max=np.where(np.arange(7) == 1, 0.72, arm.q_max))
+    highest = [
+        simulate_policy(arm, ControllerSettings(limits=each), lift(arm, -0.2)).q[:, 1].max()
+        for each in (limits, replace(limits, spring_torque=np.full(7, 1e-9)))
+    ]
+    assert highest[0] < highest[1] - 0.002
+
+
 def test_the_fastest_of_the_guarded_points_is_reported(arm: Arm, free: Feasibility) -> None:
     peaks = []
     for guarded in (WAM_GUARDED_POINTS[:1], WAM_GUARDED_POINTS[1:]):
