@@ -39,6 +39,7 @@ from wam_power_ros.client.requests import Requests
 from wam_power_ros.params import overlay
 from wam_power_ros.practice import session
 from wam_power_ros.ros import interface
+from wam_power_ros.ros.answers import ServiceError
 from wam_power_ros.ros.domain import private_domain
 
 NODES = ("wam_sim", "torque_controller", "pancake_tracker", "demonstration_recorder")
@@ -90,8 +91,11 @@ class Room:
         asked, self._read = ASKED in text[self._read :], len(text)
         if asked:
             policy = (self._session / "policy.json").read_text()
-            self._scene.ask("reset", policy=policy)
-            print("  a person puts the body back", flush=True)
+            try:
+                self._scene.ask("reset", policy=policy)
+                print("  a person puts the body back", flush=True)
+            except ServiceError as error:  # when the learner says it again
+                print(f"  a person cannot put the body back: {error}", flush=True)
 
 
 class Lab:
