@@ -27,6 +27,7 @@ from pathlib import Path
 
 import numpy as np
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import PointCloud2
@@ -40,6 +41,7 @@ from wam_power_ros.params import overlay
 from wam_power_ros.practice import session
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import ServiceError
+from wam_power_ros.ros.diagnostics import LEARNER_STATE
 from wam_power_ros.ros.domain import private_domain
 
 NODES = ("wam_sim", "torque_controller", "pancake_tracker", "demonstration_recorder")
@@ -48,7 +50,7 @@ AWAY = 5.0  # [s] from a kill to the next start
 PATIENCE = 600.0  # [s] for a rollout
 TOPICS = {"pose_topic": PoseStamped, "markers_topic": PointCloud2}  # of cameras and tracker
 SEEN = "cameras/"  # before the name of a topic of the stand-in's cameras
-ASKED = "which a person puts back"  # in the learner's log
+AGAIN = 5.0  # [s] to the next time that a person puts the body back
 DISTURBANCES = ("cameras", "driver", "learner")
 
 
@@ -72,29 +74,34 @@ class Room:
         silent: While it is set, no frame of the stand-in's cameras reaches the tracker.
     """
 
-    def __init__(self, link: Link, setup: overlay.Setup, log: Path, session: Path) -> None:
+    def __init__(self, link: Link, setup: overlay.Setup, session: Path) -> None:
         self.silent = threading.Event()
-        self._log, self._session, self._read = log, session, 0
+        self._session, self._state, self._helped = session, "", -AGAIN
         self._scene = Requests(link, interface.SCENE_REQUEST, interface.SCENE_ANSWER)
         for key, kind in TOPICS.items():
             if name := setup["pancake_tracker"][key]:
                 out = link.node.create_publisher(kind, name, interface.MOCAP)
                 link.listen(kind, SEEN + name, partial(self._pass, out), interface.MOCAP)
+        qos = interface.DIAGNOSTICS_QOS
+        link.listen(DiagnosticArray, interface.DIAGNOSTICS, self._on_report, qos)
+
+    def _on_report(self, message: DiagnosticArray) -> None:
+        values = {each.key: each.value for status in message.status for each in status.values}
+        self._state = values.get(LEARNER_STATE, self._state)
 
     def _pass(self, out: Publisher, frame: object) -> None:
         if not self.silent.is_set():
             out.publish(frame)
 
     def attend(self) -> None:
-        """Put the body back if the learner has said since the last time that a person must."""
-        text = self._log.read_text() if self._log.exists() else ""
-        asked, self._read = ASKED in text[self._read :], len(text)
-        if asked:
+        """Put the body back if the learner says that it waits for a person."""
+        if self._state == "person" and time.monotonic() > self._helped + AGAIN:
+            self._helped = time.monotonic()
             policy = (self._session / "policy.json").read_text()
             try:
                 self._scene.ask("reset", policy=policy)
                 print("  a person puts the body back", flush=True)
-            except ServiceError as error:  # when the learner says it again
+            except ServiceError as error:
                 print(f"  a person cannot put the body back: {error}", flush=True)
 
 
@@ -214,7 +221,7 @@ def main() -> int:
         rclpy.init()
         try:
             with Link(rclpy.create_node("room")) as link:
-                room = Room(link, setup, folder / "logs/learner.log", folder / "session")
+                room = Room(link, setup, folder / "session")
                 for name in (*NODES, "learner"):
                     lab.start(name)
                 disturbed(lab, room, folder / "session", options)

@@ -24,7 +24,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from wam_power_ros.client import link, requests, rollouts
 from wam_power_ros.client.link import Link
-from wam_power_ros.client.rollouts import RolloutError, Rollouts, RolloutSettings
+from wam_power_ros.client.rollouts import Awaited, RolloutError, Rollouts, RolloutSettings
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
@@ -318,6 +318,19 @@ def test_a_body_thrown_off_is_put_back_again_by_the_simulation_or_without_limit_
 LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
 
 
+def awaited_by(client: Rollouts, cell: Cell) -> list[Awaited]:
+    """What a client waits for from now on, each once, as another thread sees it."""
+    seen: list[Awaited] = []
+
+    def look() -> None:
+        now = client.awaited()
+        if now is not None and now not in seen:
+            seen.append(now)
+
+    cell.node.create_timer(0.02, look)
+    return seen
+
+
 class Ball:
     """Body that is off its place until the arm has done a movement, or for a number of states."""
 
@@ -389,11 +402,14 @@ def test_a_fault_while_the_body_is_waited_for_takes_the_arm_to_its_start_again(
 
     cell.node.create_timer(0.1, diagnose)
     client = connect("ball", joint_names=["j1"], reset_faults=False, patience=0.1)
+    seen = awaited_by(client, cell)
     executed = client.execute(
         POLICY, WHOLE, lambda state: "" if state.position[2] > 0.5 else "on the floor"
     )
     assert cell.requests == [MOVE, MOVE, MOVE, EXECUTE]
     assert executed.reset is not None and executed.reset["by"] == "person"
+    assert Awaited("person", "a person to reset the controller: no state for 21 ms") in seen
+    assert client.awaited() is None
     assert "waiting for a person to reset the controller" in capfd.readouterr().err
 
 
@@ -404,9 +420,28 @@ def test_a_body_that_is_not_seen_is_waited_for_without_limit_and_nobody_is_neede
     monkeypatch.setattr(rollouts, "SILENCE", 0.2)
     appears = cell.node.create_timer(2.0, lambda: (appears.cancel(), Ball(cell, states=-1)))
     client = connect("ball", joint_names=["j1"], patience=0.5)
+    seen = awaited_by(client, cell)
     executed = client.execute(POLICY, WHOLE, lambda state: "")
     assert executed.reset is not None and executed.reset["by"] == "none"
+    assert "unseen" in {each.state for each in seen} and client.awaited() is None
     assert "waiting for the ball to be seen: no state of it" in capfd.readouterr().err
+
+
+def test_a_person_is_waited_for_only_where_the_body_has_not_come_to_rest_by_itself(
+    connect: Connect, cell: Cell
+) -> None:
+    client = connect("ball")
+    seen = awaited_by(client, cell)
+    ball = Ball(cell)
+    placed = cell.node.create_timer(4.0, lambda: (placed.cancel(), setattr(ball, "moves", 1)))
+    executed = client.execute(
+        POLICY, WHOLE, lambda state: "" if state.position[2] > 0.5 else "on the floor"
+    )
+    assert executed.reset is not None and executed.reset["by"] == "person"
+    what = "the ball to be ready, which a person puts back: on the floor"
+    asked = [each for each in seen if each.what == what]
+    assert asked == [Awaited("rest", what), Awaited("person", what)]
+    assert client.awaited() is None
 
 
 def test_the_arm_leaves_a_body_alone_that_comes_to_rest_where_a_simulation_has_put_it(

@@ -109,6 +109,7 @@ def test_the_recorder_only_listens_and_the_learner_only_proposes() -> None:
     proposed = (interface.CONTROLLER_REQUEST, interface.REPLAY, interface.SCENE_REQUEST)
     proposes = {f"/{topic}" for topic in proposed}
     assert set(learner.publishes) - proposes == {
+        interface.DIAGNOSTICS,
         f"/{interface.LEARNER_ANSWER}",
         f"/{interface.LEARNER_MARKERS}",
     }

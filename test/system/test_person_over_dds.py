@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 from conftest import ROOT, Probe, Process, Processes
+from diagnostic_msgs.msg import DiagnosticArray
 from std_srvs.srv import SetBool, Trigger
 from test_session_over_dds import JOINTS, SEED, learnt, lines
 from toss_task import practice_of
@@ -27,6 +28,7 @@ from wam_power_ros.practice.session import Session, read
 from wam_power_ros.practice.session_log import Record
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import answers, interface
+from wam_power_ros.ros.diagnostics import LEARNER_STATE
 from wam_power_ros.tasks.flip.settings import FLIP_FIT
 
 TAUGHT, LATER = sorted((ROOT / "bags").glob("demo_*"))[:2]
@@ -78,6 +80,14 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
         probe.until(lambda: told.poll() is not None, "an answer", 300.0)
         return told.returncode, processes.output(told)
 
+    reports = probe.listen(DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS)
+
+    def states() -> list[str]:
+        """What the learner has said of the session."""
+        found = [each for report in reports for each in report.status]
+        found = [each.values for each in found if each.name == "learner: session"]
+        return [each.value for values in found for each in values if each.key == LEARNER_STATE]
+
     first = learner()
     offered = probe.node.get_service_names_and_types
     probe.until(lambda: f"/{interface.LEARNER_REWARD}" in dict(offered()), "the learner", 300.0)
@@ -109,6 +119,7 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
 
     if len(rollouts()) < 5:
         probe.until(paused, "the end of the trial under way", 300.0)
+        probe.until(lambda: states()[-1:] == ["paused"], "its diagnostics", 300.0)
     if len(rollouts()) < 5:
         assert say(interface.LEARNER_PUNISH).startswith(f"{rollouts()[-1].id} punished: ")
         assert read(folder).log[-1].after == len(rollouts())  # nothing was under way
@@ -116,6 +127,7 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
     probe.until(lambda: second.poll() is not None, "the end of the session", 400.0)
     assert second.returncode == 0, processes.output(second)
     assert lines(folder)[: len(kept)] == kept
+    assert "practises" in states()
 
     # The same in one process, undisturbed: what a person did, at the places the log has it.
     bench = Environment(World(scene_type("flip"), WorldSettings(), SEED))

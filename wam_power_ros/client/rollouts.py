@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path as FilePath
-from typing import Any
+from typing import Any, Literal, NamedTuple
 from uuid import uuid4
 
 from nav_msgs.msg import Odometry, Path
@@ -47,6 +47,19 @@ NO_ANSWER = Answer(Code.UNKNOWN, "no answer")
 INACTIVE_MODES = ("", "unconfigured", Mode.INACTIVE.value)  # the first before any is known
 Ready = Callable[[BodyState | None], str]  # what is missing before a rollout, empty if nothing
 PutBack = Callable[[BodyState | None], Action]  # what is to be done then
+
+
+class Awaited(NamedTuple):
+    """What is waited for, without limit, before a rollout goes on.
+
+    Attributes:
+        state: "rest": the body comes to rest by itself; "unseen": no state of it comes; "person":
+            somebody must do something.
+        what: Noun phrase.
+    """
+
+    state: Literal["rest", "unseen", "person"]
+    what: str
 
 
 class RolloutError(ServiceError):
@@ -99,6 +112,7 @@ class Rollouts:
 
     Attributes:
         controller: Requests to the controller.
+        awaited: Returns what is waited for without limit, None if nothing; for every thread.
 
     Args:
         link: Link in whose namespace the nodes run.
@@ -116,6 +130,7 @@ class Rollouts:
         self._resetting = Resetting(lambda state: "no rollout is prepared", lambda state: "wait")
         self._seen = time.monotonic()  # when the last state of the body came
         self._joint_names = joint_names
+        self.awaited: Callable[[], Awaited | None] = _nothing
         self.controller = Requests(link, interface.CONTROLLER_REQUEST, interface.CONTROLLER_ANSWER)
         self._scene = Requests(link, interface.SCENE_REQUEST, interface.SCENE_ANSWER)
         self._truth_topic = interface.body_topic(body, "truth")
@@ -237,16 +252,32 @@ class Rollouts:
         end = time.monotonic() + self._settings.service_timeout
         while True:
             answer = self._ask(self.controller, "execute", policy, self._settings.rollout_timeout)
+            if self._await_switch(answer, f"for {policy.id}"):
+                continue
             if answer.success:
                 return RolloutEnd.of(answer)
             if answer.code in NOT_BEGUN_CODES:
                 raise NotBegunError(answer.text)
-            if answer.code is Code.SWITCH:
-                text = f"waiting for the enabling switch to be held, for {policy.id}"
-                self._log.info(text, throttle_duration_sec=SWITCH_LOG_PERIOD)
-            elif time.monotonic() > end:
+            if time.monotonic() > end:
                 raise RolloutError(f"{policy.id} could not be executed: {answer.said}")
             self._link.sleep(RETRY_PERIOD)
+
+    def _await_switch(self, answer: Answer, why: str) -> bool:
+        """Whether a person is to hold the enabling switch; then a moment has been waited for it."""
+        if answer.code is not Code.SWITCH:
+            self.awaited = _nothing
+            return False
+        awaited = Awaited("person", f"the enabling switch to be held, {why}")
+        self.awaited = lambda: awaited
+        self._log.info(f"waiting for {awaited.what}", throttle_duration_sec=SWITCH_LOG_PERIOD)
+        self._link.sleep(RETRY_PERIOD)
+        return True
+
+    def _until(self, condition: Callable[[], object], awaited: Callable[[], Awaited]) -> None:
+        """Wait without limit until a condition holds, and say so."""
+        self.awaited = awaited
+        self.until(condition, lambda: awaited().what, math.inf)
+        self.awaited = _nothing
 
     def _prepare(self, policy: Policy, resetting: Resetting) -> dict[str, Any] | None:
         """Move the arm to the start of the policy, and see to it that the body is ready there.
@@ -267,10 +298,9 @@ class Rollouts:
             resetting.reset = lambda state: "person"
         self._resetting = resetting
         while True:
-            self.until(
+            self._until(
                 lambda: self._resetting.done or self._resetting.move or self._reports.fault,
-                self._awaited,
-                math.inf,
+                self._awaited_body,
             )
             resetting = self._resetting
             if self._reports.fault is not None:  # the arm may have left the start
@@ -287,13 +317,16 @@ class Rollouts:
         seconds = (self._node.get_clock().now() - begun).nanoseconds * 1e-9
         return {"by": "person" if by_person else resetting.by, "seconds": round(seconds, 3)}
 
-    def _awaited(self) -> str:
-        """What is waited for before a rollout may begin."""
+    def _awaited_body(self) -> Awaited:
+        """What the body lacks before a rollout may begin."""
         resetting, silent = self._resetting, time.monotonic() - self._seen
         if silent > SILENCE:
-            return f"the {self._body} to be seen: no state of it for {silent:.0f} s"
-        what = "come to rest" if resetting.waits else "be ready, which a person puts back"
-        return f"the {self._body} to {what}: {resetting.missing}"
+            what = f"the {self._body} to be seen: no state of it for {silent:.0f} s"
+            return Awaited("unseen", what)
+        if resetting.waits:
+            return Awaited("rest", f"the {self._body} to come to rest: {resetting.missing}")
+        what = f"the {self._body} to be ready, which a person puts back: {resetting.missing}"
+        return Awaited("person" if resetting.by == "person" else "rest", what)
 
     def _do(self, move: Move) -> None:
         """Execute a movement that puts the body back; a refusal is logged, and a person asked."""
@@ -304,11 +337,8 @@ class Rollouts:
             if asked.answers:
                 self.until(lambda: asked.answer, "the end of a movement", self._settings.patience)  # noqa: B023
             answer = asked.answer or NO_ANSWER
-            if answer.code is not Code.SWITCH:
+            if not self._await_switch(answer, f"to put the {self._body} back"):
                 break
-            text = f"waiting for the enabling switch to be held, to put the {self._body} back"
-            self._log.info(text, throttle_duration_sec=SWITCH_LOG_PERIOD)
-            self._link.sleep(RETRY_PERIOD)
         if not answer.success:
             self._log.warning(f"the {self._body} is not put back: {answer}")
             self._link.sleep(RETRY_PERIOD)
@@ -373,19 +403,17 @@ class Rollouts:
     def _await_reset(self, refused: Answer) -> None:
         """Wait until the diagnostics say that the controller has no fault."""
         count = self._reports.count  # the last one may be out of date
-        self.until(
-            lambda: self._reports.count > count + 1 and self._reports.fault is None,
-            f"a person to reset the controller: {refused.said}",
-            math.inf,
+        awaited = Awaited("person", f"a person to reset the controller: {refused.said}")
+        self._until(
+            lambda: self._reports.count > count + 1 and self._reports.fault is None, lambda: awaited
         )
 
     def _await_activation(self) -> None:
         """Wait until the diagnostics say that the controller is active."""
         self._reports.mode = ""  # the last one may be out of date
-        self.until(
-            lambda: self._reports.mode not in INACTIVE_MODES,
-            "the torque controller to be active (ros2 lifecycle set)",
-            math.inf,
+        what = "the torque controller to be active (ros2 lifecycle set)"
+        self._until(
+            lambda: self._reports.mode not in INACTIVE_MODES, lambda: Awaited("person", what)
         )
 
     def _collect(self, policy: Policy, duration: float, end: RolloutEnd) -> Executed:
@@ -424,3 +452,7 @@ class Rollouts:
                 self._log.warning(f"{policy.id} has no ground truth: {error}")
         fault = end.fault if tool.t[-1] < duration - MISSING_MAX else None
         return Executed(Rollout(tool, body, fault, end.stopped_in), bag, truth)
+
+
+def _nothing() -> None:
+    return None

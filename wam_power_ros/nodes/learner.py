@@ -22,7 +22,9 @@ from pathlib import Path as FilePath
 from typing import Any
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from pydantic import Field, model_validator
+from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
@@ -47,6 +49,7 @@ from wam_power_ros.practice.session_log import KIND_NAMES, Event, Record, Trial
 from wam_power_ros.practice.settings import SessionSettings, preset
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer, Code, ServiceError
+from wam_power_ros.ros.diagnostics import LEARNER_STATE, component, diagnostics_message
 from wam_power_ros.ros.node_runner import (
     end,
     interrupt_on_signals,
@@ -138,6 +141,30 @@ class Learner(Node):
         names = params.joint_names
         self._rollouts = Rollouts(self._link, settings, self._kind.body, names)
         self._markers = Markers(self, params.base_frame, self._kind.body, self._arm.region)
+        qos = interface.DIAGNOSTICS_QOS
+        self._diagnostics = self.create_publisher(DiagnosticArray, interface.DIAGNOSTICS, qos)
+        self.create_timer(1.0, self._report, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def _report(self) -> None:
+        """Publish what the session does or waits for: a person may have to help.
+
+        Without the lock, which a plan holds for seconds.
+        """
+        session, level = self._session, "ok"
+        if awaited := self._rollouts.awaited():
+            state, text = awaited.state, f"waits for {awaited.what}"
+            level = "ok" if state == "rest" else "warn"
+        elif self._paused and not self._under_way:
+            state, text = "paused", "paused"
+        else:
+            state, text = "practises", "practises"
+        records = () if session is None else session.records
+        resets = [record.clock.get("reset") or {} for record in records]
+        helped = sum(reset.get("by") == "person" for reset in resets)
+        now, name = self.get_clock().now().to_msg(), component(self, "session")
+        values = {LEARNER_STATE: state, "rollouts": len(records), "put back by a person": helped}
+        message = diagnostics_message(now, name, self._kind.body, level, text, values)
+        self._diagnostics.publish(message)
 
     # Requests of a person
 

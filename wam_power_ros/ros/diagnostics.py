@@ -10,6 +10,9 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
 FAULT_KIND = "fault kind"  # key that only the status of a controller has
+# Key that only the status of a learner has: "practises", "paused", or what it waits for, the
+# states of `client.rollouts.Awaited`.
+LEARNER_STATE = "session state"
 
 
 def component(node: Node, part: str) -> str:

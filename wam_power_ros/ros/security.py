@@ -62,7 +62,8 @@ TABLE: dict[str, dict[str, str]] = {
         "subscribes": "mocap ROLLOUT_END_EFFECTOR",
     },
     "learner": {
-        "publishes": "CONTROLLER_REQUEST REPLAY SCENE_REQUEST LEARNER_ANSWER LEARNER_MARKERS",
+        "publishes": "CONTROLLER_REQUEST REPLAY SCENE_REQUEST LEARNER_ANSWER LEARNER_MARKERS "
+        "DIAGNOSTICS",
         "subscribes": "CONTROLLER_ANSWER SCENE_ANSWER LEARNER_REQUEST ROLLOUT_END_EFFECTOR state "
         "rollout truth DIAGNOSTICS",
         "serves": FEEDBACK,
