@@ -94,8 +94,8 @@ class Room:
             out.publish(frame)
 
     def attend(self) -> None:
-        """Put the body back if the learner says that it waits for a person."""
-        if self._state == "person" and time.monotonic() > self._helped + AGAIN:
+        """Put the body back if the learner says that it waits for that."""
+        if self._state == "put back" and time.monotonic() > self._helped + AGAIN:
             self._helped = time.monotonic()
             policy = (self._session / "policy.json").read_text()
             try:

@@ -408,7 +408,7 @@ def test_a_fault_while_the_body_is_waited_for_takes_the_arm_to_its_start_again(
     )
     assert cell.requests == [MOVE, MOVE, MOVE, EXECUTE]
     assert executed.reset is not None and executed.reset["by"] == "person"
-    assert Awaited("person", "a person to reset the controller: no state for 21 ms") in seen
+    assert Awaited("reset", "a person to reset the controller: no state for 21 ms") in seen
     assert client.awaited() is None
     assert "waiting for a person to reset the controller" in capfd.readouterr().err
 
@@ -440,7 +440,7 @@ def test_a_person_is_waited_for_only_where_the_body_has_not_come_to_rest_by_itse
     assert executed.reset is not None and executed.reset["by"] == "person"
     what = "the ball to be ready, which a person puts back: on the floor"
     asked = [each for each in seen if each.what == what]
-    assert asked == [Awaited("rest", what), Awaited("person", what)]
+    assert asked == [Awaited("rest", what), Awaited("put back", what)]
     assert client.awaited() is None
 
 

@@ -53,12 +53,13 @@ class Awaited(NamedTuple):
     """What is waited for, without limit, before a rollout goes on.
 
     Attributes:
-        state: "rest": the body comes to rest by itself; "unseen": no state of it comes; "person":
-            somebody must do something.
+        state: "rest": the body comes to rest by itself; "unseen": no state of it comes; otherwise
+            what a person must do: put the body back, reset a fault, activate the controller, or
+            hold the enabling switch.
         what: Noun phrase.
     """
 
-    state: Literal["rest", "unseen", "person"]
+    state: Literal["rest", "unseen", "put back", "reset", "activate", "switch"]
     what: str
 
 
@@ -267,7 +268,7 @@ class Rollouts:
         if answer.code is not Code.SWITCH:
             self.awaited = _nothing
             return False
-        awaited = Awaited("person", f"the enabling switch to be held, {why}")
+        awaited = Awaited("switch", f"the enabling switch to be held, {why}")
         self.awaited = lambda: awaited
         self._log.info(f"waiting for {awaited.what}", throttle_duration_sec=SWITCH_LOG_PERIOD)
         self._link.sleep(RETRY_PERIOD)
@@ -326,7 +327,7 @@ class Rollouts:
         if resetting.waits:
             return Awaited("rest", f"the {self._body} to come to rest: {resetting.missing}")
         what = f"the {self._body} to be ready, which a person puts back: {resetting.missing}"
-        return Awaited("person" if resetting.by == "person" else "rest", what)
+        return Awaited("put back" if resetting.by == "person" else "rest", what)
 
     def _do(self, move: Move) -> None:
         """Execute a movement that puts the body back; a refusal is logged, and a person asked."""
@@ -403,7 +404,7 @@ class Rollouts:
     def _await_reset(self, refused: Answer) -> None:
         """Wait until the diagnostics say that the controller has no fault."""
         count = self._reports.count  # the last one may be out of date
-        awaited = Awaited("person", f"a person to reset the controller: {refused.said}")
+        awaited = Awaited("reset", f"a person to reset the controller: {refused.said}")
         self._until(
             lambda: self._reports.count > count + 1 and self._reports.fault is None, lambda: awaited
         )
@@ -413,7 +414,7 @@ class Rollouts:
         self._reports.mode = ""  # the last one may be out of date
         what = "the torque controller to be active (ros2 lifecycle set)"
         self._until(
-            lambda: self._reports.mode not in INACTIVE_MODES, lambda: Awaited("person", what)
+            lambda: self._reports.mode not in INACTIVE_MODES, lambda: Awaited("activate", what)
         )
 
     def _collect(self, policy: Policy, duration: float, end: RolloutEnd) -> Executed:
