@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hill_task import rng
 
-from wam_power_ros.learning import model_based
 from wam_power_ros.learning.learner import Prediction
 from wam_power_ros.learning.model_based import ModelBased
 from wam_power_ros.learning.power import Power
@@ -104,49 +103,6 @@ def test_a_plan_keeps_the_limits_of_the_arm() -> None:
     practise(bound, 4)
     assert np.linalg.norm(free.mean) > 7.0
     assert np.linalg.norm(bound.mean) < 7.0
-
-
-def beyond_the_directions(z: np.ndarray) -> np.ndarray:
-    """Error that the directions alone change too little; another coordinate does the rest."""
-    reach = SLOPES @ np.clip(z[:3] / 5.0, -1.0, 1.0)
-    return START - [3.0, 0.0] + reach + [6.0 * math.tanh(z[5] / 5.0), 0.0]
-
-
-def test_where_steps_fail_a_plan_is_found_among_all_coordinates(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def third() -> float:
-        errors = practise(learner_of(LinearModel(beyond_the_directions)), 3, beyond_the_directions)
-        return abs(errors[-1][0])
-
-    found = third()
-    monkeypatch.setattr(model_based, "STEPS", math.inf)
-    assert found < 0.5 < 3.0 < third()
-
-
-def test_draws_come_nearer_while_none_is_better() -> None:
-    away: list[float] = []  # distances of what is predicted
-
-    def worse(z: np.ndarray) -> np.ndarray:
-        away.append(float(np.linalg.norm(z)))
-        return 9.0 + 0.1 * np.full(2, away[-1])
-
-    learner = learner_of(LinearModel(worse, np.zeros((2, 3))))
-    practise(learner, 1, lambda z: np.array([9.0, 9.0]))
-    learner.ask()
-    assert 3.0 * np.median(away[-15:]) < np.median(away[-55:-40])
-
-
-def test_a_draw_moves_a_few_coordinates_at_a_time() -> None:
-    class Many(LinearModel):
-        directions = 5.0 * np.eye(3, 40)
-
-    learner = ModelBased(40, ModelBased.Settings(), rng(0), Many())
-    first = learner._draw()
-    learner._predicted(np.ones(40))
-    moved = [np.flatnonzero(drawn) for drawn in (first, learner._draw())]
-    assert [len(each) for each in moved] == [model_based.FEW] * 2
-    assert not np.array_equal(*moved), "others after each prediction"
 
 
 def test_a_rollout_that_a_fault_ended_moves_the_plan_away_from_the_limits() -> None:

@@ -36,10 +36,6 @@ SAME = 0.1  # distance along the axes from a rollout below which a plan is not a
 NEAR = 1.0  # distance along the axes over which slopes are alike
 SLOPE_SD = 0.1  # change along an axis whose observation weighs as much as the rough slopes
 ACTIVE_SETS = 8  # rounds in which a step finds the limits that it would exceed
-STEPS = 1  # failed Gauss-Newton steps in a row, after which the search is random
-FEW = 6  # axes along which it draws at a time
-SPREAD = 0.5  # standard deviation of its first draw, along each
-WIDER = 1.2  # factor of the spread after a draw that is better, as in [Auger2009]
 
 
 class _Point(NamedTuple):
@@ -71,10 +67,8 @@ class ModelBased(GaussianLearner):
 
     A plan is found by Gauss-Newton steps on the expected error, with the limits that they would
     exceed, from the best coordinates that were executed or predicted so far. Their slopes are a
-    regression of the predictions near by; the model's few directions are probed for them. Where
-    steps fail, as at limits that bend, the search is a (1+1) evolution strategy with the one-fifth
-    rule [Auger2009] that changes a few of all coordinates at a time, for a limit of one joint
-    leaves most others free. A rollout is executed at the plan, without exploration. Each that
+    regression of the predictions near by. The model's few directions are probed first, then random
+    ones among all coordinates. A rollout is executed at the plan, without exploration. Each that
     had no complete error, as a throw that did not come off or that a fault ended, halves the way of
     the next plan from the best rollout: there is an edge between them.
 
@@ -101,7 +95,7 @@ class ModelBased(GaussianLearner):
             fallback: Settings of PoWER.
         """
 
-        simulations: int = Field(default=60, ge=1)
+        simulations: int = Field(default=40, ge=1)
         length: float = Field(default=10.0, gt=0.0, allow_inf_nan=False)
         patience: int = Field(default=8, ge=1)
         planned: int = Field(default=24, ge=1)
@@ -237,25 +231,22 @@ class ModelBased(GaussianLearner):
         return Discrepancy(z, errors, predictions, self._rough(z), self.settings.length)
 
     def _search(self) -> np.ndarray | None:
-        """Search from the best known coordinates for a small expected error."""
+        """Gauss-Newton steps from the best known coordinates to a small expected error."""
         discrepancy = self._discrepancy()
         trusted = discrepancy.weight >= IGNORED
         starts = [np.zeros(self.size), *(z for z, _ in self._measured)]
         if trusted:
             starts += [np.frombuffer(key) for key in self._known]
         points = {z.tobytes(): self._point(z, discrepancy, trusted) for z in starts}
-        failed, spread = 0, SPREAD
+        failed = 0
         for _ in range(self.settings.simulations):
             known = list(points.values())
             best = _best(known)
             if best.loss < GOOD**2:
                 break
             inside = _best([point for point in known if point.feasible] or known)
-            drawn = trusted and failed > STEPS
-            probe = self._probe(best, known) if trusted and not drawn else None
-            if drawn:
-                z = best.z + spread * self._draw() @ self._axes
-            elif probe is not None:
+            probe = self._probe(best, known, failed > 1) if trusted else None
+            if probe is not None:
                 z = best.z + probe @ self._axes
             elif failed and inside is not best:
                 z = 0.5 * (inside.z + best.z)  # where limits bend, slopes lead astray
@@ -264,11 +255,7 @@ class ModelBased(GaussianLearner):
             if z.tobytes() in points:
                 break
             points[z.tobytes()] = point = self._point(z, discrepancy, trusted)
-            better = point.loss < best.loss
-            if drawn:  # a fifth of the draws that are better keeps the spread
-                spread *= WIDER if better else WIDER**-0.25
-            else:
-                failed = failed + 1 if probe is None and not better else 0
+            failed = failed + 1 if probe is None and point.loss >= best.loss else 0
         feasible = [point for point in points.values() if point.feasible]
         if not feasible:
             return None
@@ -306,32 +293,31 @@ class ModelBased(GaussianLearner):
             loss = math.inf  # whatever is expected there, it has no complete error
         return _Point(z, np.append(error, excess), bool((excess < 0.0).all()), loss)
 
-    def _draw(self) -> np.ndarray:
-        """Standard normal draw along a few axes of the search, 0 along the others. Shape (size,).
-
-        Not from the session's generator, which only `ask` may draw from: a plan is a function of
-        the rollouts.
-        """
-        rng = np.random.Generator(np.random.PCG64(len(self._known)))
-        drawn, few = np.zeros(self.size), min(FEW, self.size)
-        drawn[rng.choice(self.size, few, replace=False)] = rng.standard_normal(few)
-        return drawn
-
-    def _probe(self, best: _Point, points: list[_Point]) -> np.ndarray | None:
-        """Step along a direction of the model near a point, if the changes along it are unknown.
+    def _probe(self, best: _Point, points: list[_Point], beyond: bool) -> np.ndarray | None:
+        """Step along a direction in which the changes near a point are unknown, if there is one.
 
         Args:
             best: The point.
             points: All points.
+            beyond: Whether to leave the model's directions once they are known.
         """
         if not np.isfinite(best.values).all():
             return None
         moved = self._along(np.stack([point.z - best.z for point in points]))
         near = moved[np.sqrt((moved**2).sum(axis=1)) <= 2.0 * NEAR]
-        for unit in np.eye(self.size)[: len(self._model.directions)]:
-            if ((near @ unit) ** 2).sum() < 0.5 * PROBE**2:
+        known = near.T @ near
+        designed = len(self._model.directions)
+        for unit in np.eye(self.size)[:designed]:
+            if unit @ known @ unit < 0.5 * PROBE**2:
                 return PROBE * unit
-        return None
+        if not beyond or np.linalg.matrix_rank(near, tol=0.1 * PROBE) >= self.size:
+            return None
+        # Not from the session's generator, which only `ask` may draw from: a plan is a function of
+        # the rollouts.
+        probes = np.random.Generator(np.random.PCG64(len(self._known)))
+        drawn = probes.standard_normal(self.size)
+        drawn[:designed] = 0.0
+        return 2.0 * PROBE * drawn / np.linalg.norm(drawn)
 
     def _step(self, best: _Point, points: list[_Point]) -> np.ndarray:
         """Damped Gauss-Newton step along the axes of the search. Shape (size,)."""
