@@ -158,7 +158,8 @@ class Learner(Node):
             state, text = "paused", "paused"
         else:
             state, text = "practises", "practises"
-        records = () if session is None else session.records
+        log = () if session is None else tuple(session.log)  # grows in the main thread
+        records = [line for line in log if isinstance(line, Record)]
         resets = [record.clock.get("reset") or {} for record in records]
         helped = sum(reset.get("by") == "person" for reset in resets)
         now, name = self.get_clock().now().to_msg(), component(self, "session")
