@@ -267,6 +267,7 @@ def test_the_enabling_switch_is_waited_for(connect: Connect, cell: Cell) -> None
     cell.answers[EXECUTE] = [Answer(Code.SWITCH, "not held") for _ in range(30)]
     client.execute(POLICY, WHOLE, lambda state: "")
     assert cell.requests == [MOVE, *[EXECUTE] * 31]
+    assert client.awaited() is None
 
 
 def test_a_fault_that_comes_again_and_again_ends_it_by_name(client: Rollouts, cell: Cell) -> None:
@@ -374,13 +375,17 @@ def test_the_arm_puts_the_body_back_once_the_switch_is_held_and_who_did_is_known
     Ball(cell)
     move = Move(np.linspace(0.0, 1.0, 6), np.zeros((6, 7)))
     names = [f"j{number}" for number in range(7)]
-    executed = connect("ball", joint_names=names).execute(
+    client = connect("ball", joint_names=names)
+    seen = awaited_by(client, cell)
+    executed = client.execute(
         POLICY,
         WHOLE,
         lambda state: "" if state.position[2] > 0.5 else "on the floor",
         lambda state: move,
         rest_time=0.2,
     )
+    assert Awaited("switch", "the enabling switch to be held, to put the ball back") in seen
+    assert client.awaited() is None
     assert cell.requests == [MOVE, "replay", "replay", MOVE, EXECUTE]
     assert executed.reset is not None and executed.reset["by"] == "arm"
     assert 0.0 <= executed.reset["seconds"] < 60.0
