@@ -97,7 +97,7 @@ BUDGET = {
     "control": 4510,
     "commissioning": 1040,
     "tracking": 620,
-    "tasks": 3820,
+    "tasks": 3960,
     "practice": 2420,
     "conformance": 1120,
     "bags": 2660,

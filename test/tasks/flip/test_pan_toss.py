@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Toss of a pancake by a pan that moves along a path."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import mujoco
+import numpy as np
+import pytest
+from pan_paths import BRAKE, RISE, path, thrown
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import gaussian_filter1d
+
+from hardware_sim import scene
+from hardware_sim.ground_truth import TOOL_SITE
+from hardware_sim.scenes.flip import BODY, Flip, wrist_flick
+from hardware_sim.settings import WorldSettings
+from wam_power_ros import rotations
+from wam_power_ros.learning.rollout import EndEffectorPath
+from wam_power_ros.tasks.flip.ballistic_fit import GRAVITY
+from wam_power_ros.tasks.flip.flight import DELTA_H
+from wam_power_ros.tasks.flip.frames import PAN_RADIUS, PANCAKE_RADIUS
+from wam_power_ros.tasks.flip.pan_toss import Pancake, predict_toss
+
+SLACK = PAN_RADIUS - PANCAKE_RADIUS  # from the middle of the pan to the rim [m]
+AIRLESS = Pancake(spin_decay=0.0, drag=0.0)
+TILT = math.radians(-25.0)  # [rad] of the pan in which a demonstration begins
+
+
+def time_of_flight(speed: float) -> float:
+    """From the release until it falls through Delta_h above the pan that has stopped [s]."""
+    height = 0.5 * speed**2 / BRAKE + DELTA_H
+    return (speed + math.sqrt(speed**2 - 2.0 * GRAVITY * height)) / GRAVITY
+
+
+def test_a_pan_at_rest_or_lowered_gently_does_not_toss() -> None:
+    still = np.zeros(500)
+    assert predict_toss(path(still, still)) == (False, 0.0, (0.0, 0.0))
+    lowered = 0.1 * np.cos(np.linspace(0.0, math.pi, 500))
+    assert not predict_toss(path(lowered, still)).tossed
+
+
+@pytest.mark.parametrize("rate", [0.5, -0.5])
+@pytest.mark.parametrize("speed", [2.0, 3.0])
+def test_the_pancake_turns_with_the_pan_and_then_freely_slowed_by_drag(
+    speed: float, rate: float
+) -> None:
+    free, slowed = (
+        predict_toss(thrown(speed, rate=rate), pancake=AIRLESS._replace(spin_decay=k))
+        for k in (0.0, 4.0)
+    )
+    flight, spin = time_of_flight(speed), rate
+    assert free.tossed and slowed.tossed
+    assert free.angle == pytest.approx(0.5 * rate * RISE + rate * flight, rel=0.05)
+    turned, dt = 0.0, 1e-5
+    for _ in range(round(flight / dt)):  # d spin / dt = -4 spin |spin|
+        turned, spin = turned + dt * spin, spin - dt * 4.0 * spin * abs(spin)
+    assert slowed.angle == pytest.approx(0.5 * rate * RISE + turned, rel=0.05)
+
+
+def test_a_toss_that_does_not_reach_delta_h_is_none_and_drag_needs_more() -> None:
+    needed = math.sqrt(2.0 * GRAVITY * DELTA_H / (1.0 - GRAVITY / BRAKE))
+    assert not predict_toss(thrown(0.95 * needed), pancake=AIRLESS).tossed
+    assert predict_toss(thrown(1.1 * needed), pancake=AIRLESS).tossed
+    assert not predict_toss(thrown(1.1 * needed), pancake=AIRLESS._replace(drag=3.0)).tossed
+
+
+def test_the_landing_error_is_where_the_pancake_comes_down_in_the_pan() -> None:
+    here, ahead = (predict_toss(thrown(2.5, ahead=shift)) for shift in (0.0, 0.1))
+    assert here.landing_error[0] - ahead.landing_error[0] == pytest.approx(0.1, abs=1e-6)
+    pan = thrown(2.5)
+    moved = pan.position + np.outer(pan.t > RISE + 0.1, [0.0, 0.07, 0.0])
+    aside = predict_toss(dataclasses.replace(pan, position=moved)).landing_error
+    assert np.subtract(aside, here.landing_error) == pytest.approx([0.0, -0.07], abs=1e-6)
+
+
+def test_on_a_tilted_pan_the_pancake_lies_at_the_lower_rim() -> None:
+    forward, back, level = (
+        predict_toss(thrown(2.5, tilt=tilt), pancake=AIRLESS).landing_error[0]
+        for tilt in (-0.25, 0.25, 0.0)
+    )
+    assert forward == pytest.approx(SLACK, rel=0.2) and back == pytest.approx(-SLACK, rel=0.2)
+    assert abs(level) < 0.1 * SLACK
+
+
+@pytest.mark.parametrize(("friction", "left"), [(0.0, -0.03), (0.8, 0.0)])
+def test_friction_takes_the_pancake_along_with_a_pan_that_moves(
+    friction: float, left: float
+) -> None:
+    pancake = AIRLESS._replace(friction=friction)
+    landing = predict_toss(_moved_and_thrown(0.03), pancake=pancake).landing_error[0]
+    assert landing == pytest.approx(left, abs=0.003)
+
+
+@pytest.mark.parametrize("shift", [0.2, -0.2])
+def test_the_rim_takes_along_what_friction_does_not(shift: float) -> None:
+    toss = predict_toss(_moved_and_thrown(shift), pancake=AIRLESS._replace(friction=0.0))
+    assert toss.tossed and abs(toss.landing_error[0]) < 0.1
+
+
+def _moved_and_thrown(shift: float) -> EndEffectorPath:
+    """A pan that moves along x [m] within a second, stops, and throws."""
+    throw = thrown(2.5)
+    aside = shift * 0.5 * (1.0 - np.cos(math.pi * np.linspace(0.0, 1.0, 501)))
+    z = np.concatenate([np.zeros(501), throw.position[:, 2]])
+    return path(z, np.zeros_like(z), np.concatenate([aside, np.full(len(throw.t), shift)]))
+
+
+def test_a_dip_after_which_the_pancake_falls_back_is_not_the_toss() -> None:
+    """The pan drops by 3 cm faster than it could fall, waits, and throws: only that counts."""
+    t = 0.002 * np.arange(200)
+    drop = 0.015 * (np.cos(math.pi * np.clip(t / 0.05, 0.0, 1.0)) - 1.0)
+    throw = thrown(2.5, rate=2.0)
+    z = np.concatenate([drop, throw.position[:, 2] - 0.03])
+    turn = rotations.matrix(throw.quat_xyzw)[:, :, 2]
+    pitch = np.concatenate([np.zeros(200), np.arctan2(-turn[:, 0], turn[:, 2])])
+    alone, after = predict_toss(throw), predict_toss(path(z, pitch))
+    assert after.tossed
+    assert after.angle == pytest.approx(alone.angle, rel=0.02)
+
+
+def test_a_rim_that_is_drawn_back_brakes_the_spin_of_the_pancake_at_it() -> None:
+    """As after a flick: the front of the rim holds the front edge, which then lags."""
+    throw = thrown(2.5, tilt=-0.25, rate=4.0)
+    drawn = throw.position.copy()
+    drawn[:, 0] -= 6.0 * np.clip(throw.t - RISE, 0.0, 0.1) ** 2
+    free, braked = (
+        predict_toss(each, pancake=AIRLESS)
+        for each in (throw, dataclasses.replace(throw, position=drawn))
+    )
+    assert braked.tossed and braked.angle < 0.9 * free.angle
+
+
+@pytest.mark.parametrize("size", [0.9, 1.0, 1.3])
+def test_the_toss_is_that_of_a_simulated_disc(size: float) -> None:
+    """Pans are carried along the flicks of a hand, in MuJoCo and in the model."""
+    pancake = Pancake(radius=size * PANCAKE_RADIUS, spin_decay=0.4 * size**3)
+    turns, landings = [], []
+    for seed in range(4):
+        for pitch_rate in (6.0, 9.0):
+            pan = _flick(seed, pitch_rate)
+            toss, (angle, landing) = predict_toss(pan, pancake=pancake), _simulated(pan, size)
+            assert toss.tossed
+            turns.append(math.degrees(toss.angle - angle))
+            landings.append(toss.landing_error[0] - landing)
+    assert np.median(np.abs(turns)) < 15.0  # degrees
+    assert np.median(np.abs(landings)) < 0.04  # m
+
+
+def _flick(seed: int, pitch_rate: float) -> EndEffectorPath:
+    """Path of a pan that a hand flicks."""
+    script = wrist_flick(np.random.default_rng(seed), pitch_rate=pitch_rate)
+    t = 0.002 * np.arange(round((script.end + 0.8) / 0.002))
+    start = rotations.exp(np.array([0.0, -TILT, 0.0]))
+    targets = [script.target(float(each), np.array([0.6, 0.0, 0.5]), start) for each in t]
+    normal = np.array([each.rotation[:, 2] for each in targets])
+    rows = np.column_stack(
+        [[each.position for each in targets], np.arctan2(-normal[:, 0], normal[:, 2])]
+    )
+    x, _, z, pitch = gaussian_filter1d(rows, 5.0, axis=0, mode="nearest").T
+    return path(z, pitch, x)
+
+
+CART = """<robot name="cart">
+<link name="base"/>{links}
+<joint name="x" type="prismatic"><parent link="base"/><child link="a"/><axis xyz="1 0 0"/>
+<limit lower="-9" upper="9" effort="1" velocity="1"/></joint>
+<joint name="z" type="prismatic"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/>
+<limit lower="-9" upper="9" effort="1" velocity="1"/></joint>
+<joint name="pitch" type="revolute"><parent link="b"/><child link="pan"/><axis xyz="0 -1 0"/>
+<limit lower="-9" upper="9" effort="1" velocity="1"/></joint></robot>"""
+LINK = """<link name="{name}"><inertial><mass value="1000"/>
+<inertia ixx="99" iyy="99" izz="99" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
+
+
+def _simulated(pan: EndEffectorPath, size: float) -> tuple[float, float]:
+    """Rotation [rad] and landing error along x [m] of a pancake in MuJoCo, 0.2 of friction."""
+    settings = WorldSettings().model_copy(
+        update={
+            "model_joint_names": ("x", "z", "pitch"),
+            "tool_frame": "pan",
+            "guarded_names": ("",),
+            "body_size": size,
+        }
+    )
+    flip = Flip(settings)
+    cart = CART.format(links="".join(LINK.format(name=name) for name in ("a", "b", "pan")))
+    model = scene.build(cart, flip, settings)
+    data = mujoco.MjData(model)
+    normal = rotations.matrix(pan.quat_xyzw)[:, :, 2]
+    pose = np.column_stack([pan.position[:, [0, 2]], np.arctan2(-normal[:, 0], normal[:, 2])])
+    spline, mass = CubicSpline(pan.t, pose), np.zeros((model.nv, model.nv))
+    data.qpos[:3] = pose[0]
+    mujoco.mj_forward(model, data)
+    mujoco.mj_fullM(model, data, mass)
+    site = data.site(TOOL_SITE)
+    lowest = PAN_RADIUS - size * PANCAKE_RADIUS
+    flip.place(data, site.xpos.copy(), site.xmat.reshape(3, 3).copy(), np.array([lowest, 0.0]))
+    turned, error, height = [], [], []
+    for t in [0.0] * 300 + list(np.arange(0.0, pan.t[-1], scene.TIMESTEP)):
+        data.qpos[:3], data.qvel[:3] = spline(t), spline(t, 1) * (t > 0.0)
+        mujoco.mj_step1(model, data)
+        needed = mass[:3, :3] @ spline(t, 2) * (t > 0.0)
+        data.qfrc_applied[:3] = needed + data.qfrc_bias[:3]
+        mujoco.mj_step2(model, data)
+        body = data.body(BODY)
+        up = body.xmat.reshape(3, 3)[:, 2]
+        turned.append(math.atan2(-up[0], up[2]))
+        error.append(body.xpos[0] - spline(t)[0])
+        height.append(body.xpos[2] - spline(t)[1])
+    risen = int(np.argmax(np.array(height) > DELTA_H))
+    landed = risen + int(np.argmax(np.array(height[risen:]) < DELTA_H))
+    angle = np.unwrap(turned)
+    return float(angle[landed] - angle[300]), float(error[landed])
