@@ -32,7 +32,7 @@ class RoughTosses(TossErrors):
         turn = TURN_OF_VIGOUR * noise.vigour * z[-4] + TURN_OF_FLICK * noise.flick * z[-3]
         turn += TURN_OF_TEMPO * noise.tempo * z[-1]
         landing = 0.12 - noise.catch_shift * z[-2]
-        error = [(1.9 + turn - math.pi) / TURN_TOLERANCE, landing / LANDING_TOLERANCE, 0.0]
+        error = [(1.9 + turn - math.pi) / TURN_TOLERANCE, landing / LANDING_TOLERANCE, 0.0, 0.0]
         return Prediction(np.array(error), np.array([-0.5]))
 
 

@@ -37,7 +37,7 @@ def time_of_flight(speed: float) -> float:
 
 def test_a_pan_at_rest_or_lowered_gently_does_not_toss() -> None:
     still = np.zeros(500)
-    assert predict_toss(path(still, still)) == (False, 0.0, (0.0, 0.0))
+    assert predict_toss(path(still, still)) == (False, 0.0, (0.0, 0.0), 0.0)
     lowered = 0.1 * np.cos(np.linspace(0.0, math.pi, 500))
     assert not predict_toss(path(lowered, still)).tossed
 
@@ -74,6 +74,12 @@ def test_the_landing_error_is_where_the_pancake_comes_down_in_the_pan() -> None:
     moved = pan.position + np.outer(pan.t > RISE + 0.1, [0.0, 0.07, 0.0])
     aside = predict_toss(dataclasses.replace(pan, position=moved)).landing_error
     assert np.subtract(aside, here.landing_error) == pytest.approx([0.0, -0.07], abs=1e-6)
+
+
+def test_the_catch_pitch_is_that_of_the_pan_at_the_landing() -> None:
+    pan = thrown(2.5, rate=0.3)
+    pitch = predict_toss(pan, pancake=AIRLESS).catch_pitch
+    assert pitch == pytest.approx(0.3 * (0.5 * RISE + time_of_flight(2.5)), rel=0.05)
 
 
 def test_on_a_tilted_pan_the_pancake_lies_at_the_lower_rim() -> None:

@@ -17,6 +17,7 @@ from wam_power_ros.tasks.flip.pan_toss import Pancake, Toss, predict_toss
 from wam_power_ros.tasks.flip.task import Flip
 from wam_power_ros.tasks.flip.toss_errors import (
     LANDING_TOLERANCE,
+    LEVEL_TOLERANCE,
     SPIN_DECAY_SD,
     TURN_TOLERANCE,
     measured_error,
@@ -31,12 +32,14 @@ def test_a_measured_error_is_in_tolerances_and_has_no_landing_without_a_toss() -
         "seen": True,
         "angle": math.pi + TURN_TOLERANCE,
         "landing_error": [2.0 * LANDING_TOLERANCE, 0.5, 0.1],
+        "catch_pitch": -3.0 * LEVEL_TOLERANCE,
     }
-    np.testing.assert_allclose(measured_error(flight), [1.0, 2.0, 0.5 / LANDING_TOLERANCE])
+    wanted = [1.0, 2.0, 0.5 / LANDING_TOLERANCE, -3.0]
+    np.testing.assert_allclose(measured_error(flight), wanted)
     assert measured_error({**flight, "seen": False}) is None
     assert measured_error(None) is None
-    turn, *landing = measured_error({**flight, "tossed": False, "angle": 0.0})
-    assert turn == pytest.approx(-math.pi / TURN_TOLERANCE) and np.isnan(landing).all()
+    turn, *catch = measured_error({**flight, "tossed": False, "angle": 0.0})
+    assert turn == pytest.approx(-math.pi / TURN_TOLERANCE) and np.isnan(catch).all()
 
 
 def test_the_model_of_the_task_predicts_the_toss_of_the_foreseen_path_and_its_excess(
@@ -49,15 +52,17 @@ def test_the_model_of_the_task_predicts_the_toss_of_the_foreseen_path_and_its_ex
     prediction = model.predict(np.zeros(parametrization.size))
     toss = predict_toss(pan)
     landing = np.array(toss.landing_error) / LANDING_TOLERANCE
-    wanted = [(toss.angle - math.pi) / TURN_TOLERANCE, *landing]
+    level = toss.catch_pitch / LEVEL_TOLERANCE
+    wanted = [(toss.angle - math.pi) / TURN_TOLERANCE, *landing, level]
     np.testing.assert_allclose(prediction.error, wanted)
     np.testing.assert_array_equal(prediction.excess, excess)
-    assert prediction.uncertain.shape == (3, 1)
+    assert prediction.uncertain.shape == (4, 1)
     more = Pancake()._replace(spin_decay=Pancake().spin_decay + SPIN_DECAY_SD)
     slowed = predict_toss(pan, pancake=more)
     by_decay = [
         (slowed.angle - toss.angle) / TURN_TOLERANCE,
         *np.subtract(slowed.landing_error, toss.landing_error) / LANDING_TOLERANCE,
+        (slowed.catch_pitch - toss.catch_pitch) / LEVEL_TOLERANCE,
     ]
     assert by_decay[0] < 0.0
     np.testing.assert_allclose(prediction.uncertain[:, 0], by_decay)
@@ -85,12 +90,13 @@ def test_the_directions_are_those_of_the_corrections(demonstrated: Policy) -> No
     task = Flip(SETTINGS, {})
     parametrization = task.parametrization(demonstrated)
     model = task.error_model(parametrization, lambda policy: None)
-    names = ("vigour", "tempo", "flick", "catch_shift", "side_shift")
+    names = ("vigour", "tempo", "flick", "catch_shift", "side_shift", "catch_pitch")
     moved = [int(np.flatnonzero(row)[0]) for row in model.directions]
     assert moved == [parametrization.groups[name].start for name in names]
     assert (np.count_nonzero(model.directions, axis=1) == 1).all()
     assert (model.slopes[0, :3] > 0.0).all() and model.slopes[1, 3] < 0.0
     assert model.slopes[2, 4] < 0.0 == model.slopes[2, 3] == model.slopes[1, 4]
+    assert model.slopes[3, 5] < 0.0 and np.count_nonzero(model.slopes) == 6
 
 
 def test_other_parameters_than_the_planar_ones_have_no_error_model(demonstrated: Policy) -> None:

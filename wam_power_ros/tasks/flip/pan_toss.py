@@ -61,11 +61,14 @@ class Toss(NamedTuple):
         angle: Rotation when it falls through that height [rad]; 0 if not tossed.
         landing_error: Position of pancake minus pan along x and y at that time [m]; 0 if not
             tossed.
+        catch_pitch: Pitch of the pan at that time, positive with its front edge up [rad]; 0 if not
+            tossed.
     """
 
     tossed: bool
     angle: float = 0.0
     landing_error: tuple[float, float] = (0.0, 0.0)
+    catch_pitch: float = 0.0
 
 
 class _Pan(NamedTuple):
@@ -134,7 +137,7 @@ def predict_toss(
         if z - now.z > delta_h:
             tossed = True
         elif tossed:
-            return Toss(True, u / gyration - first.pitch, (x - now.x, y - now.y))
+            return Toss(True, u / gyration - first.pitch, (x - now.x, y - now.y), now.pitch)
     return Toss(False)
 
 

@@ -145,7 +145,7 @@ class Flip(Task):
         return TossModel(parametrization, start, weights, settings.delta_h)
 
     def error(self, record: LoggedRollout) -> np.ndarray | None:
-        """Errors of rotation and landing; see `toss_errors.measured_error`."""
+        """Errors of rotation, landing and catch; see `toss_errors.measured_error`."""
         return measured_error(record.observation)
 
     def error_model(
