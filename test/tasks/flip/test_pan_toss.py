@@ -74,6 +74,9 @@ def test_the_landing_error_is_where_the_pancake_comes_down_in_the_pan() -> None:
     moved = pan.position + np.outer(pan.t > RISE + 0.1, [0.0, 0.07, 0.0])
     aside = predict_toss(dataclasses.replace(pan, position=moved)).landing_error
     assert np.subtract(aside, here.landing_error) == pytest.approx([0.0, -0.07], abs=1e-6)
+    carried = pan.position + np.outer(pan.t > 0.1, [0.0, 0.07, 0.0])  # before the release
+    with_it = predict_toss(dataclasses.replace(pan, position=carried)).landing_error
+    assert with_it == pytest.approx(here.landing_error, abs=1e-6)
 
 
 def test_the_catch_pitch_is_that_of_the_pan_at_the_landing() -> None:
