@@ -25,7 +25,7 @@ from reproduction.studies.flip_sessions import NOVICE, session
 from reproduction.studies.novice import BUDGET, RETESTS, SOLVED
 from wam_power_ros.tasks.flip.frames import PANCAKE_RADIUS
 
-HELD_OUT = range(31080, 31150)  # seeds not used for tuning
+HELD_OUT = range(31105, 31205)  # seeds not used for tuning
 
 
 def _posture(tilt: float, roll: float = 0.0) -> list[float]:
