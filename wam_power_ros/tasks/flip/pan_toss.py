@@ -40,8 +40,8 @@ class Pancake(NamedTuple):
     """Numbers of a pancake that nobody measures.
 
     Attributes:
-        radius: [m].
-        friction: Between pancake and pan [1].
+        radius: Radius of the pancake [m].
+        friction: Coefficient of friction between pancake and pan [1].
         spin_decay: Drag slows the spin by d omega / dt = -spin_decay omega^2 [1/rad], the more the
             larger and lighter it is.
         drag: Drag slows the pancake by dv / dt = -drag v^2 [1/m].
@@ -57,7 +57,7 @@ class Toss(NamedTuple):
     """A predicted toss.
 
     Attributes:
-        tossed: Whether the pancake rises above the pan by more than Delta_h.
+        tossed: True if the pancake rises above the pan by more than Delta_h.
         angle: Rotation when it falls through that height [rad]; 0 if not tossed.
         landing_error: Position of pancake minus pan along x and y at that time [m]; 0 if not
             tossed.
@@ -89,10 +89,11 @@ class _Touch(NamedTuple):
     """A possible contact.
 
     Attributes:
-        name: Of the surface, and which end or side of it.
-        gap: Distance, negative if the bodies overlap [m].
-        lever: Contact minus centre of the pancake, x and z [m].
-        normal: Direction that pushes the pancake away, x and z.
+        name: Name of the pan's surface, and 1 or -1 for the front or rear end of the pancake (or
+            side of the pan, for the rim's top) that touches it.
+        gap: Distance between the bodies, negative if they overlap [m].
+        lever: Position of the contact minus that of the pancake's centre, x and z [m].
+        normal: Unit vector along which the pan pushes the pancake, x and z [1].
     """
 
     name: tuple[str, int]
@@ -196,11 +197,11 @@ def _push(
 
     Args:
         touches: Possible contacts.
-        centre: Of the pancake, x and z [m].
-        velocity: Of the pancake, x, z and radius of gyration times rate [m/s].
+        centre: Position of the pancake's centre, x and z [m].
+        velocity: Velocity of the pancake along x and z, and radius of gyration times rate [m/s].
         pan: Pan at the end of the step.
-        numbers: Radius of gyration [m], friction [1] and length of the step [s].
-        before: Impulses of the step before, along normal and surface, to start from.
+        numbers: Radius of gyration [m], coefficient of friction [1] and length of the step [s].
+        before: Impulses of the step before, along normal and surface, for a mass of 1 [m/s].
     """
     (gyration, friction, dt), (vx, vz, vu) = numbers, velocity
     rows: list[list[float]] = []
