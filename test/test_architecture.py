@@ -94,7 +94,7 @@ ALLOWED["benchmark"] = {*ALLOWED}
 BUDGET = {
     "ground": 1330,  # the modules of wam_power_ros/ itself
     "learning": 3070,
-    "control": 4510,
+    "control": 4530,
     "commissioning": 1040,
     "tracking": 620,
     "tasks": 3960,

@@ -85,6 +85,80 @@ def test_an_older_stamp_is_a_restart_where_restarts_are_allowed() -> None:
     assert states.last.dt == 0.002
 
 
+def interleaved(states: StateChecks, restart: bool, n: int = 100) -> list[bool]:
+    """Which states of a relay were accepted that repeats those of a driver 6 ms late."""
+    accepted = []
+    begin = states.last.stamp_ns // (2 * MS) + 4
+    for k in range(begin, begin + n):
+        assert states.take(k * 2 * MS, Q, ZERO, restart=restart) is not None
+        accepted.append(states.take((k - 3) * 2 * MS + 1, Q, ZERO, restart=restart) is not None)
+    return accepted
+
+
+@pytest.mark.requirement("S-130")
+def test_stamps_that_go_back_again_and_again_are_no_restart() -> None:
+    states = checks()
+    assert interleaved(states, restart=True, n=2000) == [True] + [False] * 1999
+    assert states.counters["older"] == 1999
+
+
+@pytest.mark.requirement("S-130")
+def test_stamps_that_went_back_before_a_fault_go_back_again_in_it() -> None:
+    states = checks()
+    assert not any(interleaved(states, restart=False, n=5))
+    assert states.fault.kind is FaultKind.STATES_REFUSED
+    assert states.fault.text.endswith("within 50; stamp is 6.0 ms older than the last one")
+    assert not any(interleaved(states, restart=True))
+
+
+@pytest.mark.requirement("S-130")
+@pytest.mark.parametrize("late", [False, True])
+def test_a_driver_that_restarts_is_used_again_within_a_second(late: bool) -> None:
+    states = checks()
+    states.take(10**9, Q, ZERO, restart=False)
+    if late:  # a state of the old driver arrives after the first of the new one
+        states.take(MS, Q, ZERO, restart=True)
+        states.take(10**9 + 2 * MS, Q, ZERO, restart=True)
+    taken = [states.take(k * 2 * MS, Q, ZERO, restart=True) is not None for k in range(1, 601)]
+    assert taken == [not late or k >= 498 for k in range(600)]
+
+
+def test_a_driver_may_restart_every_second() -> None:
+    states = checks()
+    for _ in range(3):
+        taken = [states.take(k * 2 * MS, Q, ZERO, restart=True) for k in range(1, 502)]
+        assert None not in taken
+
+
+@pytest.mark.requirement("S-11")
+@pytest.mark.parametrize(
+    ("q", "qd", "reason"),
+    [
+        (np.rad2deg(Q), ZERO, "position of joint 4 is 115, allowed is 20 rad: degrees?"),
+        (np.rad2deg(Q), None, "position of joint 4 is 115, allowed is 20 rad: degrees?"),
+        (Q * math.nan, ZERO, "position of joint 1 is nan, allowed is 20 rad: degrees?"),
+        (Q, ZERO - 1e3, "velocity of joint 1 is -1000, allowed is 500 rad/s"),
+        (Q[:6], ZERO, "position has shape (6,), the arm 7 joints"),
+        (Q, "still", "could not convert string to float: 'still'"),
+    ],
+)
+def test_a_refused_state_says_why(q: object, qd: object, reason: str) -> None:
+    states = StateChecks(7, 0.002, 180.0)
+    assert states.refusal == ""
+    assert states.take(0, q, qd, restart=False) is None
+    assert states.refusal == reason
+
+
+def test_an_older_and_an_unreadable_state_say_why_too() -> None:
+    states = checks()
+    states.take(-6 * MS, Q, ZERO, restart=False)
+    assert states.refusal == "stamp is 6.0 ms older than the last one"
+    states.take(0.5, Q, ZERO, restart=False)
+    assert states.refusal == "stamp 0.5 is no number of nanoseconds"
+    states.refuse()
+    assert states.refusal == ""  # its reader knows
+
+
 def test_the_fifth_refusal_within_fifty_states_is_a_fault_and_a_slower_one_is_not() -> None:
     for spacing, kind in ((12, FaultKind.STATES_REFUSED), (13, None)):
         states = checks()

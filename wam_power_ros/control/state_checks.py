@@ -16,6 +16,7 @@ IMPLAUSIBLE_Q = 20.0  # [rad] positions from here on are refused: no joint turns
 IMPLAUSIBLE_QD = 500.0  # [rad/s] speeds from here on are refused
 Q_JUMP = 0.1  # [rad] larger change in one period is a jump: the encoder's zero has changed
 _REFUSALS_TO_FAULT, _REFUSAL_WINDOW = 5, 50  # refused states within 0.1 s, at 500 Hz: a fault
+_RESTART_WINDOW = 500  # states, at 500 Hz, within which a driver restarts once: 1 s
 _INTEGERS = (int, np.integer)
 
 
@@ -82,6 +83,8 @@ class StateChecks:
         before: State accepted before `last`; None without one, or after a gap.
         fault: Fault that the last state caused, None without one.
         refused_in_row: Number of states refused since the last accepted one.
+        refusal: Why the last refused state was refused, with the value and what is allowed; empty
+            before the first, and for one that was unreadable.
 
     Args:
         n: Number of joints.
@@ -94,12 +97,16 @@ class StateChecks:
         self.last: JointState | None = None
         self.before: JointState | None = None
         self.fault: Fault | None = None
-        self.refused_in_row = 0
+        self.refused_in_row, self.refusal = 0, ""
         self._n, self._period, self._cutoff = n, period, velocity_cutoff
         self._gap_ns = 3 * round(period * 1e9)  # positions are not differentiated across a gap
         self._window = at_rate(_REFUSAL_WINDOW, period)
         self._count = 0  # states so far
         self._refusals: deque[int] = deque(maxlen=_REFUSALS_TO_FAULT)  # values of _count
+        self._restart_window = at_rate(_RESTART_WINDOW, period)
+        self._stamp_ns = 0  # of the last state, also if it was refused
+        # Values of _count at the last two states whose stamp was older than the one before.
+        self._backs = deque([-self._restart_window] * 2, maxlen=2)
 
     def take(
         self, stamp_ns: object, q: object, qd: object, restart: bool, elapsed: float | None = None
@@ -110,32 +117,35 @@ class StateChecks:
             stamp_ns: Stamp of the driver's header [ns].
             q: Joint positions [rad]. Shape (n,).
             qd: Joint speeds, None when the driver does not send them [rad/s]. Shape (n,).
-            restart: Whether an older stamp means that the driver has restarted.
+            restart: Whether an older stamp means that the driver has restarted. Stamps that go back
+                twice within a second do not: two publishers send states in turn.
             elapsed: Time since the last accepted state by the caller's clock, None to use the
                 stamps [s].
         """
         self._count += 1
         self.fault = None
         if not isinstance(stamp_ns, _INTEGERS):
-            self._refuse("rejected")
+            self._refuse("rejected", f"stamp {stamp_ns} is no number of nanoseconds")
             return None
         stamp_ns, last = int(stamp_ns), self.last
+        if stamp_ns < self._stamp_ns:
+            self._backs.append(self._count)
+        self._stamp_ns = stamp_ns
         if last is not None and stamp_ns == last.stamp_ns:
             self.counters["repeated"] += 1
             return None
         if last is not None and stamp_ns < last.stamp_ns:
-            if not restart:
-                self._refuse("older")
+            if not restart or self._count - self._backs[0] < self._restart_window:
+                age = (last.stamp_ns - stamp_ns) * 1e-6
+                self._refuse("older", f"stamp is {age:.1f} ms older than the last one")
                 return None
             last = None
-        positions = self._read(q, IMPLAUSIBLE_Q)
-        if positions is None:
-            self._refuse("rejected")
-            return None
-        given = self._velocity(last, stamp_ns, positions) if qd is None else qd
-        speeds = self._read(given, IMPLAUSIBLE_QD)
-        if speeds is None:
-            self._refuse("rejected")
+        try:
+            positions = self._read("position", q, IMPLAUSIBLE_Q)
+            given = self._velocity(last, stamp_ns, positions) if qd is None else qd
+            speeds = self._read("velocity", given, IMPLAUSIBLE_QD)
+        except (TypeError, ValueError) as error:
+            self._refuse("rejected", str(error))
             return None
         self.counters["accepted"] += 1
         self.refused_in_row = 0
@@ -153,25 +163,27 @@ class StateChecks:
         """Count an unreadable joint state as refused."""
         self._count += 1
         self.fault = None
-        self._refuse("rejected")
+        self._refuse("rejected", "")
 
-    def _refuse(self, counter: str) -> None:
+    def _refuse(self, counter: str, reason: str) -> None:
         self.counters[counter] += 1
+        self.refusal = reason
         self.refused_in_row += 1
         refusals = self._refusals
         refusals.append(self._count)
         if len(refusals) == _REFUSALS_TO_FAULT and self._count - refusals[0] < self._window:
-            text = f"five joint states refused within {self._window}"
+            text = f"five joint states refused within {self._window}{reason and f'; {reason}'}"
             self.fault = Fault(FaultKind.STATES_REFUSED, text)
 
-    def _read(self, values: object, bound: float) -> np.ndarray | None:
-        """Copy a joint vector; None when its shape is wrong or a value is not plausible."""
-        try:
-            array = np.array(values, dtype=float)
-        except (TypeError, ValueError):
-            return None
-        if array.shape != (self._n,) or not plausible(array.tolist(), bound):
-            return None
+    def _read(self, quantity: str, values: object, bound: float) -> np.ndarray:
+        """Copy a joint vector; ValueError when its shape is wrong or a value is not plausible."""
+        array = np.array(values, dtype=float)
+        if array.shape != (self._n,):
+            raise ValueError(f"{quantity} has shape {array.shape}, the arm {self._n} joints")
+        if not plausible(array.tolist(), bound):
+            joint = int(np.argmax(np.abs(array)))  # of a NaN, if there is one
+            text = f"{quantity} of joint {joint + 1} is {array[joint]:.4g}, allowed is {bound:g}"
+            raise ValueError(f"{text} {'rad: degrees?' if bound == IMPLAUSIBLE_Q else 'rad/s'}")
         return array
 
     def _velocity(self, last: JointState | None, stamp_ns: int, q: np.ndarray) -> np.ndarray:
