@@ -49,10 +49,10 @@ class TimedController(TorqueController):
         super()._send(tau, label)
         self._marks.append(self._watchdog.sent_ns)
 
-    def _on_state(self, message: object) -> None:
+    def _on_state(self, message: object, info: object) -> None:
         entered = now()
         self._marks.clear()
-        super()._on_state(message)
+        super()._on_state(message, info)
         if len(self._marks) == 7:  # a complete answer
             self._rows.append((entered, *self._marks, now()))
 

@@ -17,7 +17,17 @@ from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.tracking.tracker import Y_UP
 
 SILENT = "silent"  # no more states, which a check notices as soon as it waits for one
-FAULTS = ("none", "wrong order", "no velocity", "100 Hz", "frozen", "Y-up", "no watchdog", SILENT)
+FAULTS = (
+    "none",
+    "wrong order",
+    "no velocity",
+    "100 Hz",
+    "two publishers",
+    "frozen",
+    "Y-up",
+    "no watchdog",
+    SILENT,
+)
 Z_UP = Y_UP.T  # from z up to y up
 
 
@@ -34,6 +44,9 @@ class BrokenWam(wam_node.WamSim):
         super().__init__()
         self._count = 0
         self._held: joint_messages.TorqueReading | None = None
+        self._second = self.create_publisher(
+            JointState, interface.JOINT_STATES, interface.STATE_OUT
+        )
         self.create_subscription(String, "/fault", self._on_fault, interface.LATCHED)
 
     def _on_fault(self, message: String) -> None:
@@ -49,6 +62,8 @@ class BrokenWam(wam_node.WamSim):
         if _Fault.name == "no velocity":
             message.velocity = array("d")
         super().publish(message)
+        if _Fault.name == "two publishers" and self._count % 50 == 0:
+            self._second.publish(message)
 
     def tick(self, reading: joint_messages.TorqueReading | None) -> JointState:
         """Step once; without a watchdog the last torque is held for ever."""

@@ -28,6 +28,7 @@ class FaultKind(str, enum.Enum):
     STAMPS = "stamps"  # the stamps do not advance with real time
     RELEASED = "released"  # the enabling switch was released
     SECOND_COMMANDER = "second_commander"  # another node publishes torques
+    SECOND_PUBLISHER = "second_publisher"  # another node publishes states of these joints
     OVERLOAD = "overload"  # too many control periods missed
     SOFTWARE = "software"  # a callback raised an exception
 

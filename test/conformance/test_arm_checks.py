@@ -88,6 +88,12 @@ def test_states_without_every_joint_once_do_not_conform(
     assert arm_checks.positions(found, model()).verdict is Verdict.UNCHECKED
 
 
+def test_several_publishers_of_the_same_joints_do_not_conform() -> None:
+    assert arm_checks.one_publisher("/states", "").verdict is Verdict.OK
+    row = arm_checks.one_publisher("/states", "/driver, /zeros")
+    assert (row.verdict, row.found) == (Verdict.FAIL, "/driver, /zeros")
+
+
 def test_positions_are_radians_within_the_limits() -> None:
     assert arm_checks.positions(record(at_rest()), model()).verdict is Verdict.OK
     degrees = [s._replace(q=np.rad2deg(s.q)) for s in at_rest()]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""check_driver over real DDS, against the stand-in and seven that are broken."""
+"""check_driver over real DDS, against the stand-in and eight that are broken."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ BROKEN = {  # fault -> the one row that fails, and part of its text
     "wrong order": ("gravity", "wrong order of joints: wam_j2, wam_j6"),
     "no velocity": ("velocity", "no velocity"),
     "100 Hz": ("state rate", "100.0 Hz"),
+    "two publishers": ("state publisher", "on /joint_states: /wam_sim, /wam_sim"),
     "frozen": ("mocap frozen", "frozen"),
     "Y-up": ("mocap axes", "Y-up: set up_axis: y"),
     "no watchdog": ("watchdog", "no watchdog"),
@@ -132,6 +133,7 @@ def test_the_stand_in_conforms(bench: Bench) -> None:
     assert "own torque after" in table["rows"]["watchdog"]["found"]
 
 
+@pytest.mark.requirement("S-130")
 @pytest.mark.parametrize("fault", FAULTS[1:])
 def test_a_broken_driver_does_not_conform_and_is_named_for_what_it_is(
     bench: Bench, fault: str

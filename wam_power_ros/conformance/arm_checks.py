@@ -138,6 +138,14 @@ def _names(
     return row(f"{'as expected' if order else 'in another order, matched by name'}{also}", OK)
 
 
+def one_publisher(topic: str, second: str) -> Row:
+    """Whether one publisher sends the states of the arm; `second` is a sentence on several."""
+    row = partial(Row, "state publisher", f"one sends the states of the arm on {topic}")
+    if second:
+        return row(second, FAIL, "end the other, or give it a topic or joint names of its own")
+    return row("one", OK)
+
+
 def positions(record: ArmRecord, arm: Arm) -> Row:
     """Whether positions are radians within the joints' limits."""
     row, q = partial(Row, "positions", "rad, within the limits of the URDF"), record.q

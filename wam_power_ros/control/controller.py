@@ -142,6 +142,11 @@ class Controller:
         return None if self._states.last is None else self._states.last.stamp_ns
 
     @property
+    def refusal(self) -> str:
+        """Why the last state that was refused for its values was refused; empty before it."""
+        return self._states.refusal
+
+    @property
     def policy_id(self) -> str | None:
         """Id of the loaded policy, None before the first."""
         return None if self._rollouts.policy is None else self._rollouts.policy.id

@@ -54,6 +54,7 @@ from wam_power_ros.ros import (
 )
 from wam_power_ros.ros.interface import is_latched, is_reliable
 from wam_power_ros.ros.stamps import nanoseconds
+from wam_power_ros.ros.state_guard import Info, StateGuard, with_info
 
 Input = tuple[str, tuple[str, ...], QoSProfile]  # topic, expected type, and QoS
 OWN_NODES = {"torque_controller", "demonstration_recorder", "check_driver"}  # not to be checked
@@ -73,6 +74,9 @@ class CheckDriver(Node):
         self._arm_params, self._mocap, self._console = arm, mocap, console
         self._recording = self._input_ended = False
         self._read = joint_messages.JointStateReader(arm.joint_names)
+        self._state_guard = StateGuard(self, arm.state_topic)
+        self._velocity_guard = StateGuard(self, arm.velocity_topic or arm.state_topic)
+        self._second = ""  # sentence on publishers of the same states or velocities
         self.states: list[StateSample] = []
         self.velocities: list[tuple[int, np.ndarray]] = []
         self.frames: list[FrameSample] = []
@@ -104,12 +108,18 @@ class CheckDriver(Node):
 
     # Callbacks, of the link's thread; messages count only while the check waits
 
-    def _subscribe(self, kind: type, topic: str, then: Callable[[Any], None]) -> Input:
-        counted = lambda message: self._recording and then(message)  # noqa: E731
-        self.create_subscription(kind, topic, counted, interface.DEEP_IN)
+    def _subscribe(self, kind: type, topic: str, then: Callable[[Any, Info], None]) -> Input:
+        counted = lambda message, info: self._recording and then(message, info)  # noqa: E731
+        self.create_subscription(kind, topic, with_info(counted), interface.DEEP_IN)
         return topic, (endpoints.type_name(kind),), interface.DEEP_IN
 
-    def _on_state(self, message: JointState) -> None:
+    def _follow(self, guard: StateGuard, info: Info) -> None:
+        if not guard.follows(info):
+            self._second = guard.second_publisher() or ""
+
+    def _on_state(self, message: JointState, info: Info) -> None:
+        if not set(message.name).isdisjoint(self._arm_params.joint_names):
+            self._follow(self._state_guard, info)
         q, qd, tau = (np.array(v) for v in (message.position, message.velocity, message.effort))
         stamp_ns = nanoseconds(message.header.stamp)
         sample = StateSample(time.time_ns(), stamp_ns, tuple(message.name), q, qd, tau)
@@ -117,21 +127,22 @@ class CheckDriver(Node):
         if self._send_torque is not None:
             self._send_torque(sample)
 
-    def _on_velocity(self, message: JointState) -> None:
+    def _on_velocity(self, message: JointState, info: Info) -> None:
         try:
             qd = self._read.velocity(message)
         except ValueError:
             return
         if qd is not None:
+            self._follow(self._velocity_guard, info)
             self.velocities.append((time.time_ns(), qd))
 
-    def _on_pose(self, message: PoseStamped) -> None:
+    def _on_pose(self, message: PoseStamped, _: Info) -> None:
         stamp_ns = nanoseconds(message.header.stamp)
         p, o = message.pose.position, message.pose.orientation
         position, quat_xyzw = np.array([p.x, p.y, p.z]), np.array([o.x, o.y, o.z, o.w])
         self.frames.append(FrameSample(time.time_ns(), stamp_ns, position, quat_xyzw))
 
-    def _on_cloud(self, message: PointCloud2) -> None:
+    def _on_cloud(self, message: PointCloud2, _: Info) -> None:
         try:
             stamp_ns, _, points = pose_messages.markers(message)
         except ValueError as error:
@@ -218,6 +229,7 @@ class CheckDriver(Node):
             received[0],
             names,
             received[1],
+            arm_checks.one_publisher(self.resolve_topic_name(params.state_topic), self._second),
             topic_checks.rate("state rate", record.stamp_ns, 1.0 / params.period),
             topic_checks.jitter("state jitter", record.received_ns, params.period),
             topic_checks.stamps("state stamps", record.stamp_ns),

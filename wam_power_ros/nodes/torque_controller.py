@@ -32,7 +32,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from wam_power_ros.client.link import unanswered
 from wam_power_ros.control.controller import Controller
-from wam_power_ros.control.modes import MOVING_MODES, ControllerError, Mode
+from wam_power_ros.control.modes import MOVING_MODES, ControllerError, Mode, Refusal
 from wam_power_ros.control.watchdog import StampClock, Watchdog, overload
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.nodes.controller_report import Condition, ControllerReport
@@ -52,6 +52,7 @@ from wam_power_ros.ros import (
 from wam_power_ros.ros.command_guard import CommandGuard
 from wam_power_ros.ros.loop_statistics import LoopStatistics
 from wam_power_ros.ros.simulation_guard import SimulationGuard
+from wam_power_ros.ros.state_guard import Info, StateGuard, with_info
 
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 STATE_AGE_MAX_NS = 1_000_000_000  # [ns] of the last joint state at activation
@@ -78,6 +79,7 @@ class TorqueController(LifecycleNode):
         self._active = False
         self._qd: np.ndarray | None = None  # from the velocity topic [rad/s]
         self._qd_ns = 0  # when it came, steady clock
+        self._refused_ns, self._refusal = -STATE_AGE_MAX_NS, ""  # the last refused joint state
         self._latched: Fault | None = None  # of a controller that was cleaned up
         self._stamp_clock = StampClock()
         self._stamp_ns = 0  # of the last state
@@ -102,24 +104,27 @@ class TorqueController(LifecycleNode):
         )
         self._report = ControllerReport(self, params, self._preparation)
         self._guard = CommandGuard(self, self._commands)
+        self._state_guard = StateGuard(self, params.state_topic)
+        self._velocity_guard = StateGuard(self, params.velocity_topic or params.state_topic)
         self._simulation_guard = (
             SimulationGuard(self, params.state_topic) if params.simulation else None
         )
         idle = params.idle_service or interface.WAM_IDLE
         self._idle = unanswered(self, idle, interface.IDLE_QOS)
         subscribe = self.create_subscription
+        on_state, on_velocity = with_info(self._on_state), with_info(self._on_velocity)
         self._states = subscribe(
-            JointState, params.state_topic, self._on_state, interface.STATE_IN, raw=True
+            JointState, params.state_topic, on_state, interface.STATE_IN, raw=True
         )
         if params.hold_to_run:
             subscribe(Bool, interface.ENABLE, self._on_enable, interface.ENABLE_IN)
         if params.velocity_topic:
-            subscribe(JointState, params.velocity_topic, self._on_velocity, interface.STATE_IN)
+            subscribe(JointState, params.velocity_topic, on_velocity, interface.STATE_IN)
         self._descriptions: Subscription | None = None
         self._await_description()
         serve = self.create_service
         serve(Trigger, interface.STOP, self._on_stop)
-        serve(Trigger, interface.RESET, self._answering(lambda core, _: core.reset()))
+        serve(Trigger, interface.RESET, self._answering(self._reset))
         switch = self._answering(lambda core, asked: core.set_gravity_compensation(asked.data))
         serve(SetBool, interface.GRAVITY_COMPENSATION, switch)
         self._requests = MotionRequests(
@@ -149,7 +154,7 @@ class TorqueController(LifecycleNode):
         return SUCCESS
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Hold the arm where it is; requires recent states and no other commander.
+        """Hold the arm where it is; requires recent states of one publisher, no other commander.
 
         In simulation it also requires that no node but a stand-in publishes states.
         """
@@ -228,7 +233,7 @@ class TorqueController(LifecycleNode):
             with self._states.handle:
                 taken = self._states.handle.take_message(JointState, True)
             if taken is not None:
-                return self._on_state(taken[0])
+                return self._on_state(*taken)
             self.watch()
         except Exception as error:
             self.failed(error)
@@ -240,9 +245,16 @@ class TorqueController(LifecycleNode):
             self._preparation.close()
         super().destroy_node()
 
+    def _second_publisher(self) -> str | None:
+        return self._state_guard.second_publisher() or self._velocity_guard.second_publisher()
+
     def _missing_state(self) -> str | None:
         now_ns, params = time.monotonic_ns(), self._params
+        if (second := self._second_publisher()) is not None:
+            return second
         if now_ns - self._watchdog.arrived_ns >= STATE_AGE_MAX_NS:
+            if now_ns - self._refused_ns < STATE_AGE_MAX_NS:
+                return f"joint states arrive, but are refused: {self._refusal}"
             unmatched = self._unmatched(params.state_topic, JointState, interface.STATE_IN)
             there = self.count_publishers(params.state_topic)  # its clock would be known as well
             clock = f"; {clock}" if there and (clock := self._other_clock()) else ""
@@ -290,13 +302,13 @@ class TorqueController(LifecycleNode):
 
     # Joint states
 
-    def _on_state(self, message: bytes) -> None:
+    def _on_state(self, message: bytes, info: Info) -> None:
         try:
-            self._answer(message)
+            self._answer(message, info)
         except Exception as error:
             self.failed(error)
 
-    def _answer(self, message: bytes) -> None:
+    def _answer(self, message: bytes, info: Info) -> None:
         arrived_ns = time.monotonic_ns()
         controller = self._controller
         try:
@@ -304,8 +316,8 @@ class TorqueController(LifecycleNode):
         except ValueError as error:
             if controller is not None:
                 controller.refuse_state()
-            return self._report.refuse("joint state", error)
-        if reading is None or controller is None:
+            return self._refuse_state(arrived_ns, str(error))
+        if reading is None or not self._followed(self._state_guard, info) or controller is None:
             return None
         stamp_ns, q, qd = reading
         if self._params.hold_to_run:
@@ -327,8 +339,10 @@ class TorqueController(LifecycleNode):
             self._stamp_ns = stamp_ns
             if self._watchdog.enabled and (fault := self._stamp_clock.check(stamp_ns, arrived_ns)):
                 controller.fault(fault)
-        elif controller.stamp_ns != stamp_ns or self._watchdog.silent(arrived_ns):
-            return None  # refused, or repeated for long; `watch` sends until a valid one comes
+        elif controller.stamp_ns != stamp_ns:
+            return self._refuse_state(arrived_ns, controller.refusal)
+        elif self._watchdog.silent(arrived_ns):
+            return None  # repeated for long; `watch` sends until a new one comes
         elif not self._watchdog.enabled:
             self._watchdog.arrived(arrived_ns)  # lockstep: repeated until a torque answers it
         if not self._active:
@@ -339,6 +353,20 @@ class TorqueController(LifecycleNode):
         self._send(tau, controller.label)
         self._statistics.add(arrived_ns, self._watchdog.sent_ns)
         return self._answer_requests(stamp_ns)
+
+    def _refuse_state(self, now_ns: int, reason: str) -> None:
+        """Until a valid one comes `watch` sends."""
+        self._refused_ns, self._refusal = now_ns, reason
+        self._report.refuse("joint state", reason)
+
+    def _followed(self, guard: StateGuard, info: Info) -> bool:
+        """Whether a message is from the publisher that is followed; if not, that is a fault."""
+        if guard.follows(info):
+            return True
+        if self._active and self._controller.mode is not Mode.FAULT:
+            text = guard.second_publisher()
+            self._controller.fault(Fault(FaultKind.SECOND_PUBLISHER, text))
+        return False
 
     def _answer_requests(self, stamp_ns: int) -> None:
         """Publish the path of a rollout that has ended, and answer what was requested."""
@@ -366,12 +394,12 @@ class TorqueController(LifecycleNode):
         with contextlib.suppress(Exception):  # without a log the arm is braked all the same
             self._report.failed(error)
 
-    def _on_velocity(self, message: JointState) -> None:
+    def _on_velocity(self, message: JointState, info: Info) -> None:
         try:
             qd = self._reader.velocity(message)
         except ValueError as error:
             return self._report.refuse("joint velocity", error)
-        if qd is not None:
+        if qd is not None and self._followed(self._velocity_guard, info):
             self._qd, self._qd_ns = qd, time.monotonic_ns()
         return None
 
@@ -437,6 +465,11 @@ class TorqueController(LifecycleNode):
         if fault is not None:  # nothing moves, but nothing holds the posture either
             answer = dataclasses.replace(answer, text=f"nothing to stop: fault ({fault.text})")
         return fill(response, answer)
+
+    def _reset(self, core: Controller, _: Trigger.Request) -> None:
+        if (second := self._second_publisher()) is not None:
+            raise ControllerError(Refusal.REFUSED, f"reset refused: {second}")
+        core.reset()
 
     def _answering(
         self, request: Callable[[Controller, Any], None]

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The guard of joint states follows one publisher by the numbers of its messages."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+from conftest import Probe
+from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.experimental.events_executor import EventsExecutor
+from sensor_msgs.msg import JointState
+
+from wam_power_ros.ros import interface, state_guard
+from wam_power_ros.ros.state_guard import (
+    REMEMBERED,
+    SILENCE_TIMEOUT,
+    SKIPPED_MAX,
+    StateGuard,
+    with_info,
+)
+
+NODES = [
+    SimpleNamespace(node_namespace="/left", node_name="arm_driver"),
+    SimpleNamespace(node_namespace="/", node_name="joint_state_publisher"),
+]
+
+
+class Clock:
+    """The guard's steady clock, set by the test."""
+
+    def __init__(self) -> None:
+        self.now = 1.0
+
+    def monotonic(self) -> float:
+        """Time [s]."""
+        return self.now
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    clock = Clock()
+    monkeypatch.setattr(state_guard, "time", clock)
+    return clock
+
+
+def guard() -> StateGuard:
+    """A guard of a topic on which two nodes publish."""
+    node = SimpleNamespace(
+        resolve_topic_name=lambda name: f"/left/{name}",
+        get_publishers_info_by_topic=lambda name: NODES if name == "/left/joint_states" else [],
+    )
+    return StateGuard(node, "joint_states")
+
+
+def followed(states: StateGuard, *numbers: int | None) -> list[bool]:
+    """Which states with these numbers are followed."""
+    return [states.follows({"publication_sequence_number": number}) for number in numbers]
+
+
+@pytest.mark.requirement("S-130")
+def test_a_publisher_that_loses_messages_or_sends_others_is_followed(clock: Clock) -> None:
+    states = guard()
+    numbers = (7000, 7001, 7003, 7003 + SKIPPED_MAX)
+    assert all(followed(states, *numbers))
+    assert states.second_publisher() is None
+
+
+@pytest.mark.requirement("S-130")
+def test_the_states_of_a_second_publisher_are_not_followed_and_it_is_named(clock: Clock) -> None:
+    states = guard()
+    assert followed(states, 7000, 12, 7001, 13, 7002, 7002) == [True, False] * 3
+    assert states.second_publisher() == (
+        "more than one publisher sends states of these joints on /left/joint_states: "
+        "/joint_state_publisher, /left/arm_driver"
+    )
+    clock.now += 0.999 * REMEMBERED
+    assert states.second_publisher() is not None
+    clock.now += 0.002 * REMEMBERED
+    assert states.second_publisher() is None
+
+
+@pytest.mark.requirement("S-130")
+@pytest.mark.parametrize("other", [7001 + SKIPPED_MAX, 60_000])
+def test_a_second_publisher_that_has_sent_more_is_not_followed_either(
+    other: int, clock: Clock
+) -> None:
+    assert followed(guard(), 7000, other, 7001) == [True, False, True]
+
+
+@pytest.mark.requirement("S-130")
+def test_a_driver_that_was_restarted_is_followed_once_the_old_one_is_silent(clock: Clock) -> None:
+    states = guard()
+    assert followed(states, 7000) == [True]
+    clock.now += 0.99 * SILENCE_TIMEOUT
+    assert followed(states, 1) == [False]
+    clock.now += 0.02 * SILENCE_TIMEOUT
+    assert followed(states, 2, 3, 7001) == [True, True, False]
+
+
+def test_a_middleware_without_numbers_has_one_publisher(clock: Clock) -> None:
+    states = guard()
+    assert all(followed(states, None, None)) and states.second_publisher() is None
+
+
+@pytest.mark.parametrize("kind", [SingleThreadedExecutor, EventsExecutor])
+def test_every_executor_passes_the_numbers_of_a_publisher(probe: Probe, kind: type) -> None:
+    received: list[tuple[bytes, int]] = []
+
+    class Reader:
+        def on_state(self, message: bytes, info: state_guard.Info) -> None:
+            received.append((message, info["publication_sequence_number"]))
+
+    node = probe.publisher(
+        JointState, interface.JOINT_STATES, interface.STATE_OUT, readers=0, node="arm_driver"
+    )
+    other = probe.publisher(
+        JointState, interface.JOINT_STATES, interface.STATE_OUT, readers=0, node="other_driver"
+    )
+    probe.node.create_subscription(
+        JointState,
+        interface.JOINT_STATES,
+        with_info(Reader().on_state),
+        interface.STATE_IN,
+        raw=True,
+    )
+    probe._executor.remove_node(probe.node)
+    executor: Executor = kind(context=probe.context)
+    executor.add_node(probe.node)
+    probe._executor = executor
+    probe.until(lambda: node.get_subscription_count() and other.get_subscription_count(), "both")
+
+    def sent() -> list[int]:
+        received.clear()
+        for publisher in (node, node, other, node):
+            publisher.publish(JointState(name=["j1"]))
+            probe.spin(0.02)
+        return [number for _, number in received]
+
+    numbers = probe.until(lambda: len(found := sent()) == 4 and found, "four states")
+    first = numbers[0]
+    assert numbers[:2] + numbers[3:] == [first, first + 1, first + 2]
+    assert all(isinstance(message, bytes) for message, _ in received)

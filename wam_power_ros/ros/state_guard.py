@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Guard of a topic of joint states against a second publisher of the same joints."""
+
+from __future__ import annotations
+
+import functools
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from rclpy.node import Node
+
+from wam_power_ros.ros import interface
+
+SILENCE_TIMEOUT = 0.5  # [s] after its last state, a publisher counts as gone: another is followed
+REMEMBERED = 2.0  # [s] for which a state of another publisher is remembered: some send one a second
+SKIPPED_MAX = 1000  # messages of one publisher between two states of the arm: lost, or of others
+Info = Mapping[str, int | None]  # information that rclpy gives with a message
+
+
+def with_info(callback: Callable[[Any, Info], None]) -> Callable[..., None]:
+    """Callback of a subscription that gets message and information from any executor.
+
+    The events executor passes them as one tuple, the others as two arguments.
+    """
+    both = lambda *given: callback(*(given[0] if len(given) == 1 else given))  # noqa: E731
+    return functools.wraps(callback)(both)
+
+
+class StateGuard:
+    """Follows the publisher whose states are used, and recognises the states of another.
+
+    Several nodes may publish on one topic, each the joints of its own device. Joints that two of
+    them publish are in two places. rclpy does not tell who sent a message, but every publisher
+    numbers its own: a number that does not continue those of the publisher that is followed is that
+    of another one. A killed driver stays announced for 20 s, but sends nothing, so that its
+    successor is followed. A middleware that does not number messages (such as Cyclone DDS) hides a
+    second publisher.
+
+    Args:
+        node: Node that subscribes to the topic.
+        topic: The topic.
+    """
+
+    def __init__(self, node: Node, topic: str) -> None:
+        self._node, self._topic = node, node.resolve_topic_name(topic)
+        self._number = 0  # of the last state of the publisher that is followed
+        self._heard = self._other_heard = -REMEMBERED  # times of the last states [s, steady clock]
+
+    def follows(self, info: Info) -> bool:
+        """Whether a message with joints of the arm is from the publisher that is followed.
+
+        Args:
+            info: Information that came with the message.
+        """
+        now, number = time.monotonic(), info["publication_sequence_number"]
+        if number is None:
+            return True
+        if now - self._heard < SILENCE_TIMEOUT and not 0 < number - self._number <= SKIPPED_MAX:
+            self._other_heard = now
+            return False
+        self._number, self._heard = number, now
+        return True
+
+    def second_publisher(self) -> str | None:
+        """Text that names the publishers if another one has sent states, else None."""
+        if time.monotonic() - self._other_heard >= REMEMBERED:
+            return None
+        nodes = ", ".join(interface.publishers(self._node, self._topic))
+        return f"more than one publisher sends states of these joints on {self._topic}: {nodes}"
