@@ -102,7 +102,7 @@ BUDGET = {
     "conformance": 1130,
     "bags": 2660,
     "params": 1140,
-    "ros": 2790,
+    "ros": 2800,
     "client": 1390,
     "nodes": 3185,
     "console": 990,

@@ -137,7 +137,7 @@ def test_a_driver_may_restart_every_second() -> None:
         (np.rad2deg(Q), ZERO, "position of joint 4 is 115, allowed is 20 rad: degrees?"),
         (np.rad2deg(Q), None, "position of joint 4 is 115, allowed is 20 rad: degrees?"),
         (Q * math.nan, ZERO, "position of joint 1 is nan, allowed is 20 rad: degrees?"),
-        (Q, ZERO - 1e3, "velocity of joint 1 is -1000, allowed is 500 rad/s"),
+        (Q, ZERO - 1e3, "velocity of joint 1 is -1e+03, allowed is 500 rad/s"),
         (Q[:6], ZERO, "position has shape (6,), the arm 7 joints"),
         (Q, "still", "could not convert string to float: 'still'"),
     ],

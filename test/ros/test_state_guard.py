@@ -53,9 +53,10 @@ def guard() -> StateGuard:
     return StateGuard(node, "joint_states")
 
 
-def followed(states: StateGuard, *numbers: int | None) -> list[bool]:
+def followed(states: StateGuard, *numbers: int | None, active: bool = False) -> list[bool]:
     """Which states with these numbers are followed."""
-    return [states.follows({"publication_sequence_number": number}) for number in numbers]
+    infos = [{"publication_sequence_number": number} for number in numbers]
+    return [states.follows(info, active) for info in infos]
 
 
 @pytest.mark.requirement("S-130")
@@ -89,13 +90,50 @@ def test_a_second_publisher_that_has_sent_more_is_not_followed_either(
 
 
 @pytest.mark.requirement("S-130")
-def test_a_driver_that_was_restarted_is_followed_once_the_old_one_is_silent(clock: Clock) -> None:
+@pytest.mark.parametrize("active", [False, True])
+def test_a_driver_that_was_restarted_is_followed_once_the_old_one_is_silent(
+    active: bool, clock: Clock
+) -> None:
     states = guard()
-    assert followed(states, 7000) == [True]
-    clock.now += 0.99 * SILENCE_TIMEOUT
-    assert followed(states, 1) == [False]
-    clock.now += 0.02 * SILENCE_TIMEOUT
-    assert followed(states, 2, 3, 7001) == [True, True, False]
+    assert followed(states, 7000, active=active) == [True]
+    for _ in range(2):
+        clock.now += 0.99 * SILENCE_TIMEOUT
+        assert followed(states, 1, active=active) == [False]
+        clock.now += 0.02 * SILENCE_TIMEOUT
+        assert followed(states, 2, 3, active=active) == [True, True]
+    assert followed(states, 7001, active=active) == [False]
+
+
+@pytest.mark.requirement("S-130")
+@pytest.mark.parametrize("active", [False, True])
+def test_while_torques_are_sent_no_other_publisher_takes_the_place_of_a_silent_driver(
+    active: bool, clock: Clock
+) -> None:
+    states = guard()
+    for number, own in ((7000, True), (5000, False), (7001, True)):
+        clock.now += 0.001
+        assert followed(states, number, active=active) == [own]
+    for number in range(5001, 8000):
+        clock.now += 0.002
+        heard = followed(states, number, active=active)
+    assert heard == [not active]
+    if active:  # but the driver, also one that was restarted
+        assert followed(states, 7002, active=active) == [True]
+        clock.now += 1.01 * SILENCE_TIMEOUT
+        assert followed(states, 8000, 1, 8001, 2, active=active) == [False, True, False, True]
+
+
+@pytest.mark.requirement("S-130")
+def test_publishers_whose_numbers_meet_are_told_apart(clock: Clock) -> None:
+    states, driver, zeros = guard(), 50_000, 52_020
+    for k in range(10_000):
+        clock.now += 0.002
+        driver += 1
+        assert followed(states, driver, active=True) == [True]
+        if k % 50 == 0:  # ten a second: the driver's numbers overtake them
+            clock.now += 0.001
+            zeros += 1
+            assert followed(states, zeros, active=True) == [False]
 
 
 def test_a_middleware_without_numbers_has_one_publisher(clock: Clock) -> None:

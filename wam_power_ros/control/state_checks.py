@@ -182,7 +182,7 @@ class StateChecks:
             raise ValueError(f"{quantity} has shape {array.shape}, the arm {self._n} joints")
         if not plausible(array.tolist(), bound):
             joint = int(np.argmax(np.abs(array)))  # of a NaN, if there is one
-            text = f"{quantity} of joint {joint + 1} is {array[joint]:.4g}, allowed is {bound:g}"
+            text = f"{quantity} of joint {joint + 1} is {array[joint]:.3g}, allowed is {bound:g}"
             raise ValueError(f"{text} {'rad: degrees?' if bound == IMPLAUSIBLE_Q else 'rad/s'}")
         return array
 

@@ -361,7 +361,7 @@ class TorqueController(LifecycleNode):
 
     def _followed(self, guard: StateGuard, info: Info) -> bool:
         """Whether a message is from the publisher that is followed; if not, that is a fault."""
-        if guard.follows(info):
+        if guard.follows(info, self._active):
             return True
         if self._active and self._controller.mode is not Mode.FAULT:
             text = guard.second_publisher()

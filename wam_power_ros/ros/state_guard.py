@@ -27,6 +27,10 @@ def with_info(callback: Callable[[Any, Info], None]) -> Callable[..., None]:
     return functools.wraps(callback)(both)
 
 
+def _continues(number: int, last: int) -> bool:
+    return 0 < number - last <= SKIPPED_MAX
+
+
 class StateGuard:
     """Follows the publisher whose states are used, and recognises the states of another.
 
@@ -44,21 +48,32 @@ class StateGuard:
 
     def __init__(self, node: Node, topic: str) -> None:
         self._node, self._topic = node, node.resolve_topic_name(topic)
-        self._number = 0  # of the last state of the publisher that is followed
-        self._heard = self._other_heard = -REMEMBERED  # times of the last states [s, steady clock]
+        # Numbers and times [s, steady clock] of the last states: followed, and of another.
+        self._number = self._other = 0
+        self._heard = self._other_heard = -REMEMBERED
+        self._in_turn = False  # the other was heard between two states that were followed
 
-    def follows(self, info: Info) -> bool:
+    def follows(self, info: Info, active: bool = False) -> bool:
         """Whether a message with joints of the arm is from the publisher that is followed.
 
         Args:
             info: Information that came with the message.
+            active: Whether torques are sent. A publisher that was heard in turn with the one that
+                is followed does not take its place then, however long that one is silent.
         """
         now, number = time.monotonic(), info["publication_sequence_number"]
         if number is None:
             return True
-        if now - self._heard < SILENCE_TIMEOUT and not 0 < number - self._number <= SKIPPED_MAX:
-            self._other_heard = now
+        ours = _continues(number, self._number)
+        others = self._in_turn and _continues(number, self._other)
+        silent = now - self._heard >= SILENCE_TIMEOUT
+        if ours and others:  # of the one whose last number is nearer
+            others = self._other >= self._number + (not silent)
+            ours = not others
+        if (others and active) or not (ours or silent):
+            self._other, self._other_heard = number, now
             return False
+        self._in_turn |= ours and self._other_heard > self._heard
         self._number, self._heard = number, now
         return True
 
