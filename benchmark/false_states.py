@@ -8,6 +8,7 @@ ros2_control and libbarrett do, so only the controller can stop it.
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -112,6 +113,7 @@ class Driver:
 
     Attributes:
         falsify: Changes a state before it is published.
+        relayed: States after which a second publisher repeats each one; 0 without a relay.
         speeds: Speed of the tool in every period [m/s].
         path: Position of the tool in every period [m].
 
@@ -131,9 +133,14 @@ class Driver:
         self.path: list[np.ndarray] = []
         self._stamp_ns = time.time_ns()
         self.policy = taught()
-        self._states = lab.driver_node.create_publisher(
-            JointState, interface.JOINT_STATES, interface.STATE_OUT
+        self._states, self._relay = (
+            lab.driver_node.create_publisher(
+                JointState, interface.JOINT_STATES, interface.STATE_OUT
+            )
+            for _ in range(2)
         )
+        self.relayed = 0
+        self._published: deque[Reading] = deque(maxlen=100)
         self._world.reset("lies", self.policy.q_start)
         self._world.release()
 
@@ -156,6 +163,10 @@ class Driver:
             if state is not None:
                 still = np.zeros(7)
                 self._states.publish(self._write(state.stamp_ns, state.q, state.qd, still))
+                self._published.append(state)
+            if self.relayed and len(self._published) > self.relayed:
+                old = self._published[-1 - self.relayed]
+                self._relay.publish(self._write(old.stamp_ns, old.q, old.qd, np.zeros(7)))
             deadline += PERIOD_NS
             late = time.monotonic_ns() - deadline
             if late > 5 * PERIOD_NS:  # this process was delayed
@@ -170,7 +181,7 @@ class Driver:
         Returns:
             True; False if it was `enough` before that.
         """
-        self.falsify, lab = lambda state: state, self._lab
+        self.falsify, self.relayed, lab = lambda state: state, 0, self._lab
         self.release()
         while not enough():
             self.play(0.5)
@@ -239,13 +250,13 @@ class Outcome(NamedTuple):
     rest: float
 
 
-def inject(driver: Driver, lab: Lab, phase: str, falsify: Falsifier) -> Outcome:
-    """Publish false states in one phase and observe the arm."""
+def inject(driver: Driver, lab: Lab, phase: str, falsify: Falsifier, relayed: int = 0) -> Outcome:
+    """Publish false states, or each again some states later, in one phase and observe the arm."""
     driver.begin(phase)
     while lab.label == "fault":  # a busy machine has delayed a process
         driver.begin(phase)
     driver.speeds.clear()
-    driver.falsify = falsify
+    driver.falsify, driver.relayed = falsify, relayed
     faulted: list[int] = []
 
     def watch() -> bool:

@@ -421,6 +421,22 @@ def false_states(name: str) -> Callable[[Lab, int, np.random.Generator], Row]:
     return row
 
 
+def relay(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
+    """A second publisher repeats the states of the driver 6 ms late."""
+    driver = Driver(lab)
+    lab.controller()
+    seen, passed = [], True
+    for _ in range(repeats):
+        for phase in PHASES:
+            peak = inject(driver, lab, phase, lambda state: state).peak
+            found = inject(driver, lab, phase, lambda state: state, relayed=3)
+            passed &= found.faulted is not None and acceptable(found, peak)
+            when = "none" if found.faulted is None else f"{2 * found.faulted} ms"
+            seen.append(f"{phase} {when} {found.peak:.2f} ({peak:.2f}), then {found.rest:.2f} m/s")
+    expected = "states relayed 6 ms late: fault, at rest 0.5 s after it"
+    return Row("S-130", expected, "; ".join(seen), repeats * len(PHASES), passed)
+
+
 def ended(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
     """The controller is ended or deactivated in a rollout; the arm keeps the last torque."""
     driver = Driver(lab)
@@ -499,6 +515,7 @@ ROWS = {  # name -> function and number of repeats
     "starved_plain": (starved(False), 30),
     "network": (network, 5),
     "ended": (ended, 50),
+    "relay": (relay, 1),
     **{name: (function, 1) for name, function in FALSE_STATE_ROWS.items()},
     "simulation": (simulation, 3),
     "learner": (learner, 50),
@@ -508,7 +525,10 @@ ROWS = {  # name -> function and number of repeats
 
 
 # Rows in which this process publishes the states of the arm.
-PLAYED = (stale, intruder, clock, fuzz_over_dds, simulation, ended, *FALSE_STATE_ROWS.values())
+PLAYED = (
+    *(stale, intruder, clock, fuzz_over_dds, simulation, ended, relay),
+    *FALSE_STATE_ROWS.values(),
+)
 WATCHED = (kill, stopped, restart, network)  # rows with the stand-in as the arm
 
 
