@@ -764,14 +764,26 @@ def test_a_policy_that_a_person_stops_counts_as_return_0_and_is_not_run_again(na
 def test_a_mean_that_a_person_stopped_is_neither_run_again_nor_the_answer() -> None:
     settings = preset("flip", "hindsight", budget=8, retests=1, learner={"sigma": 1})
     practice = practice_of(CANDIDATES[:1], settings, 0)
-    run(practice, lambda trial: good(), rollouts=1)
+    run(practice, lambda trial: good(angle=math.pi), rollouts=1)  # nothing to correct
     assert practice.next_trial().kind == "mean"  # of the reproduction, whose policy it is
     refused = stopped(practice)
+    assert practice.best is None  # no other policy has run without exploration
     later = run(practice, lambda trial: bad(0.1))  # so that the mean stays where it is
     assert {record.kind for record in later} >= {"explore", "retest"}
     assert refused.z not in [record.z for record in later]
     reproduced = practice.parametrization.policy(np.array(refused.z), "any")[0]
     assert practice.best.policy.attractors.tolist() != reproduced.attractors.tolist()
+
+
+@pytest.mark.requirement("S-128")
+def test_a_session_ends_when_a_person_has_refused_the_only_policy_that_is_feasible() -> None:
+    known = CANDIDATES[0].attractors
+    narrow = AnyArm(lambda policy: "" if np.array_equal(policy.attractors, known) else "too fast")
+    practice = practice_of(CANDIDATES[:1], preset("flip", "hindsight"), 0, arm=narrow)
+    run(practice, lambda trial: good(angle=math.pi), rollouts=1)  # nothing to correct
+    stopped(practice)
+    assert practice.next_trial() is None and practice.finished
+    assert practice.stopped == "no policy is left that no person has refused"
 
 
 @pytest.mark.requirement("S-128")

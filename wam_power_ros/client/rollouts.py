@@ -172,9 +172,14 @@ class Rollouts:
         """Number of reports of the controller so far."""
         return self._reports.count
 
-    def go_on(self) -> None:
-        """Let a session go on after the last stop; a later one ends what it asks for."""
+    def go_on(self) -> float:
+        """Let a session go on after the last stop; a later one ends what it asks for.
+
+        Returns:
+            When that stop was, by the clock of the controller [s]; 0 before the first.
+        """
         self._known_stop = self._reports.last_stop
+        return int(self._known_stop or 0) * 1e-9
 
     def execute(
         self,

@@ -50,7 +50,7 @@ from wam_power_ros.practice import plugins
 from wam_power_ros.practice.new_goal import policy_for
 from wam_power_ros.practice.practice import GO_ON, RATING_MAX, Practice
 from wam_power_ros.practice.session import Session, read, read_policy
-from wam_power_ros.practice.session_log import KIND_NAMES, Event, Pause, Record, Trial
+from wam_power_ros.practice.session_log import KIND_NAMES, Event, Line, Pause, Record, Trial
 from wam_power_ros.practice.settings import SessionSettings, preset
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer, Code, ServiceError
@@ -254,10 +254,7 @@ class Learner(Node):
                 self._save_best(session, practice)  # a killed learner may have missed it
                 with self._lock:
                     self._session, self._practice = session, practice
-                # A stop before this process was started does not stop what a person has started.
-                reported = lambda: self._rollouts.reports  # noqa: E731
-                self._link.until(reported, "a report", self.params.service_timeout)
-                self._rollouts.go_on()
+                self._take_up(session, practice)
                 try:
                     while self._trial(session, practice):
                         pass
@@ -268,6 +265,21 @@ class Learner(Node):
         self.get_logger().info(
             f"session finished: {practice.stopped}. {'' if best is None else best.why}"
         )
+
+    def _take_up(self, session: Session, practice: Practice) -> None:
+        """Pause if the arm was stopped after the last line of the session, while no learner ran.
+
+        An older stop, such as that of teaching, was before a person started the session.
+        """
+        reported = lambda: self._rollouts.reports  # noqa: E731
+        self._link.until(reported, "a report of the controller", self.params.service_timeout)
+        with self._lock:
+            stopped = self._rollouts.go_on()
+            if session.log and not practice.paused and stopped > _time(session.log[-1]):
+                note = f"stopped by a person while no learner ran; {GO_ON}"
+                session.append(practice.pause(True, note, {"at": time.time()}))
+        if practice.paused:
+            self.get_logger().warning(practice.paused)
 
     def _trial(self, session: Session, practice: Practice) -> bool:
         """Execute the next trial and learn from it; returns False if there is none."""
@@ -412,6 +424,12 @@ def _learnt(
     if done.ran:
         return practice.refuse(trial, str(done), bag=done.bag, clock=clock)
     return practice.pause(True, f"{done}; {GO_ON}", clock)
+
+
+def _time(line: Line) -> float:
+    """When a line was written [s of wall time]."""
+    clock = line.clock
+    return float(clock["at"] if "at" in clock else clock.get("begun", 0.0) + clock.get("took", 0.0))
 
 
 def _line(record: Record) -> str:

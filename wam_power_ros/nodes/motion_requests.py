@@ -47,8 +47,8 @@ class MotionRequests:
     """Requests for rollouts, moves to the start and replays.
 
     Attributes:
-        last_stop: Id of the last act by which a person ended a movement or took the arm, "" before
-            the first.
+        last_stop: Id of the last act by which a person ended a movement or took the arm, its time
+            [ns of wall time]; "" before the first.
 
     Args:
         joint_names: Names of the joints, for the summary of a replay.

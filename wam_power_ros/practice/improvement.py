@@ -218,17 +218,13 @@ class Improvement:
                 f"confirms the mean policy, {rule.count + 1} of at most {settings.confirm}",
             )
         every = settings.mean_every
-        due = rule.mean_is_due or (every > 0 and (self.practised + 1) % every == 0)
-        if due and not self._refused(self.learner.mean, past):
+        if rule.mean_is_due or (every > 0 and (self.practised + 1) % every == 0):
             mean = self.shrunk(self.learner.mean, past, rejections)
             return "mean", *mean, "the mean policy, without exploration"
         z, count = sample(self.learner, *self._feasible(past), rejections)
         if count == 0 and np.array_equal(z, self.learner.mean):  # drawn without exploration
             return "mean", z, count, "the mean policy, without exploration"
         return "explore", z, count, "explores"
-
-    def _refused(self, z: np.ndarray, past: Past) -> bool:
-        return past.refused(self.demonstration, self.parametrization.clip(z).tolist())
 
     def shrunk(self, z: np.ndarray, past: Past, rejections: int | None) -> tuple[np.ndarray, int]:
         """Coordinates shrunk until they are feasible, and the number of halvings; see `draw`."""
