@@ -107,7 +107,6 @@ class Person:
 
     def await_phase(self, phase: str, retest_due: Callable[[], bool]) -> None:
         """Wait for the begin of a phase of the session."""
-        seen = len(self.begun)
         do = "execute" if phase == "retest" else phase
 
         def begun() -> bool:
@@ -116,6 +115,7 @@ class Person:
             return any(each == do for each, _ in self.begun[seen:])
 
         for condition in ([retest_due] if phase == "retest" else []) + [begun]:
+            seen = len(self.begun)
             self.expect(lambda: condition() or self.state == "paused", phase)  # noqa: B023
             while not condition():
                 self.late += 1
