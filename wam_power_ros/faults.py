@@ -37,6 +37,11 @@ class FaultKind(str, enum.Enum):
         """Whether the policy caused the fault by exceeding a motion limit."""
         return self in _OF_POLICY
 
+    @property
+    def of_person(self) -> bool:
+        """Whether a person ended the movement: a refusal of its policy."""
+        return self is FaultKind.RELEASED
+
 
 _OF_POLICY = frozenset(list(FaultKind)[:6])
 

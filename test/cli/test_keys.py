@@ -28,7 +28,7 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     os.close(keyboard)
 
 
-def test_r_p_and_space_reach_the_learner_and_its_answer_is_shown(
+def test_each_key_reaches_its_node_and_the_answer_is_shown(
     probe: Probe, domain_id: int, terminal: int
 ) -> None:
     asked: list[object] = []
@@ -42,14 +42,24 @@ def test_r_p_and_space_reach_the_learner_and_its_answer_is_shown(
         probe.node.create_service(kind, name, answer)
 
     reward, punish = interface.LEARNER_REWARD, interface.LEARNER_PUNISH
+    stop, _pauses = interface.STOP, [(b" ", True), (b" ", True), (b"c", False)]
     serve(Trigger, reward)
     serve(Trigger, punish)
+    serve(Trigger, interface.STOP)
     serve(SetBool, interface.LEARNER_PAUSE)
     before = termios.tcgetattr(sys.stdin)
     with Keys({"ROS_DOMAIN_ID": str(domain_id)}) as keys:
         assert keys.poll() == HINT
         for number, (key, expected) in enumerate(
-            ((b"xr", reward), (b"p", punish), (b" ", True), (b" ", False)), start=1
+            (
+                (b"xr", reward),
+                (b"p", punish),
+                (b" ", True),
+                (b" ", True),
+                (b"c", False),
+                (b"s", stop),
+            ),
+            start=1,
         ):
             os.write(terminal, key)
             probe.until(lambda n=number: keys.poll() == f"answer {n}", key.decode())

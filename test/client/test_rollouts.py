@@ -24,13 +24,19 @@ from trajectory_msgs.msg import JointTrajectory
 
 from wam_power_ros.client import link, requests, rollouts
 from wam_power_ros.client.link import Link
-from wam_power_ros.client.rollouts import Awaited, RolloutError, Rollouts, RolloutSettings
+from wam_power_ros.client.rollouts import (
+    Awaited,
+    EndedByPersonError,
+    RolloutError,
+    Rollouts,
+    RolloutSettings,
+)
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
 from wam_power_ros.ros import interface, pose_messages
 from wam_power_ros.ros.answers import Answer, Code
-from wam_power_ros.ros.diagnostics import diagnostics_message
+from wam_power_ros.ros.diagnostics import LAST_STOP, diagnostics_message
 from wam_power_ros.ros.requests import Answers, Request, RolloutEnd, Server
 from wam_power_ros.tasks.reset import Move
 
@@ -67,6 +73,7 @@ class Cell:
     def __init__(self, node: Node) -> None:
         self.node, self.requests = node, []
         self.policies: list[str] = []
+        self.known: list[str | None] = []  # last stop that each request knows of
         self.answers = {MOVE: [], EXECUTE: [], interface.RESET: []}  # first ones; later ones: done
         self.deaf = 0  # number of messages that are lost
         take = {MOVE: self.take, EXECUTE: self.take}
@@ -84,6 +91,7 @@ class Cell:
         """Answer a request."""
         self.requests.append(asked.do)
         self.policies.append(asked.about["policy"])
+        self.known.append(asked.about.get("stop"))
         if self.answers[asked.do]:
             return self.answers[asked.do].pop(0)
         if asked.do != EXECUTE:
@@ -109,9 +117,10 @@ class Cell:
 
         timer = self.node.create_timer(self.late, once)
 
-    def diagnose(self, mode: str, level: str, text: str, kind: str = "") -> None:
+    def diagnose(self, mode: str, level: str, text: str, kind: str = "", stop: str = "") -> None:
         """Diagnostics as a controller publishes them."""
         now, values = self.node.get_clock().now().to_msg(), {"mode": mode, "fault kind": kind}
+        values[LAST_STOP] = stop
         self._diagnostics.publish(
             diagnostics_message(now, "torque_controller: loop", "arm", level, text, values)
         )
@@ -268,6 +277,42 @@ def test_the_enabling_switch_is_waited_for(connect: Connect, cell: Cell) -> None
     client.execute(POLICY, WHOLE, lambda state: "")
     assert cell.requests == [MOVE, *[EXECUTE] * 31]
     assert client.awaited() is None
+
+
+STOPPED = Answer(Code.STOPPED, "stopped by a person", {"stop": "17"})
+
+
+@pytest.mark.requirement("S-128")
+@pytest.mark.parametrize("do, ran", [(MOVE, False), (EXECUTE, False), (EXECUTE, True)])
+def test_what_a_person_ends_is_not_tried_again_and_says_whether_the_policy_ran(
+    client: Rollouts, cell: Cell, do: str, ran: bool
+) -> None:
+    client.go_on()
+    end = RolloutEnd(POLICY.id, 10**9, None, stop="17").answer()
+    cell.answers[do] = [end if ran else STOPPED]
+    with pytest.raises(EndedByPersonError) as ended:
+        client.execute(POLICY, WHOLE, lambda state: "")
+    assert ended.value.ran == ran and client.awaited() is None
+    asked = [MOVE, EXECUTE][: 1 + (do == EXECUTE)]
+    assert (cell.requests, cell.known) == (asked, [""] * len(asked))
+    client.go_on()
+    client.execute(POLICY, WHOLE, lambda state: "")
+    assert cell.known[len(asked) :] == ["17", "17"]
+
+
+@pytest.mark.requirement("S-128")
+def test_a_stop_ends_a_wait_without_limit(connect: Connect, cell: Cell) -> None:
+    client = connect(reset_faults=False)
+    cell.answers[MOVE] = [Answer(Code.FAULT, "too fast")]
+    client.go_on()
+    seen = awaited_by(client, cell)
+    reports = iter(["", "", "", "17"])
+    cell.node.create_timer(
+        0.1, lambda: cell.diagnose("fault", "error", "x", stop=next(reports, "17"))
+    )
+    with pytest.raises(EndedByPersonError, match="a person to reset the controller"):
+        client.execute(POLICY, WHOLE, lambda state: "")
+    assert cell.requests == [MOVE] and [each.state for each in seen] == ["reset"]
 
 
 def test_a_fault_that_comes_again_and_again_ends_it_by_name(client: Rollouts, cell: Cell) -> None:

@@ -3,15 +3,22 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from conftest import python_path
 from std_srvs.srv import SetBool, Trigger
+from toss_task import demonstrated_policy
 
 from wam_power_ros.cli import main
+from wam_power_ros.cli.plan import DOMAIN_FILE
 from wam_power_ros.client.feedback import SERVICES
+from wam_power_ros.practice.session import Session
+from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer, Code
 
@@ -20,8 +27,9 @@ if TYPE_CHECKING:
 
 
 def test_every_kind_of_feedback_can_be_given_on_the_command_line() -> None:
-    for kind in (*SERVICES, "demonstration"):
+    for kind in (*SERVICES.keys() - {"stop"}, "demonstration"):
         assert main._parser().parse_args(["feedback", kind]).kind == kind
+    assert main._parser().parse_args(["stop"]).command.keywords["kind"] == "stop"
     with pytest.raises(SystemExit):
         main._parser().parse_args(["feedback", "applause"])
 
@@ -58,3 +66,24 @@ def test_the_answer_of_the_learner_is_returned_and_a_pause_is_not_a_continuation
         output, errors = given.communicate()
         assert output.strip() == expected, errors
     assert asked == [True, False]
+
+
+def test_an_arm_is_stopped_from_the_command_line_while_no_learner_runs(
+    probe: Probe, domain_id: int, tmp_path: Path
+) -> None:
+    stopped: list[bool] = []
+
+    def stop(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        stopped.append(True)
+        response.success, response.message = True, str(Answer(Code.DONE))
+        return response
+
+    probe.node.create_service(Trigger, interface.STOP, stop)
+    Session.begin(tmp_path / "session", preset("flip"), 0, [demonstrated_policy()]).close()
+    (tmp_path / "session/logs").mkdir()
+    (tmp_path / "session/logs" / DOMAIN_FILE).write_text(str(domain_id))
+    command = [sys.executable, "-m", "wam_power_ros.cli", "stop", "--session", "session"]
+    path = {**os.environ, "PYTHONPATH": python_path()}
+    given = subprocess.Popen(command, cwd=tmp_path, env=path)
+    probe.until(lambda: given.poll() is not None, "the end of the command", 60.0)
+    assert given.returncode == 0 and stopped == [True]

@@ -4,15 +4,20 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from rigid_arm import HOME, Plant, make
 
 from wam_power_ros.control.controller import Controller
+from wam_power_ros.control.joint_references import Sampled
 from wam_power_ros.control.modes import Mode
+from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.nodes.motion_requests import MotionRequests
 from wam_power_ros.ros.answers import Answer, Code
+from wam_power_ros.ros.requests import RolloutEnd
 
 LATER = 10**9  # [ns]
 
@@ -40,11 +45,17 @@ class Answered:
             self.plant.step(self.core.step(*self.plant.state()))
             self.requests.answer(self.core)
 
-    def ask(self, id: str, do: str = "move_to_start", sent_ns: int | None = None) -> Code:
+    def ask(
+        self,
+        id: str,
+        do: str = "move_to_start",
+        sent_ns: int | None = None,
+        known_stop: str | None = None,
+    ) -> Code:
         """Code of the first answer to a request."""
         count = len(self.answers)
         sent_ns = time.time_ns() + LATER if sent_ns is None else sent_ns
-        self.requests.begin(id, do, self.policy, sent_ns)
+        self.requests.begin(id, do, self.policy, sent_ns, known_stop)
         (answered, answer), *_ = self.answers[count:]
         assert answered == id
         return answer.code
@@ -82,19 +93,22 @@ def test_nothing_begins_that_was_sent_before_a_stop_or_before_requests_expired(
     arm.core.stop()
     arm.requests.stop(arm.core)
     assert arm.ask("a", sent_ns=before) is Code.STOPPED
+    assert arm.answers[-1][1].values == {"stop": arm.requests.last_stop}
     assert arm.core.mode is Mode.HOLD
     assert arm.ask("b", sent_ns=time.time_ns()) is Code.BEGUN
     arm.run(2000)
     before = time.time_ns()
     arm.requests.expire()
     assert arm.ask("c", sent_ns=before) is Code.STOPPED
+    assert arm.answers[-1][1].values == {"stop": ""}  # nobody has stopped it
 
 
 def test_a_stop_ends_the_request_under_way(arm: Answered) -> None:
     assert arm.ask("a") is Code.BEGUN
     arm.core.stop()
     arm.requests.stop(arm.core)
-    assert arm.answers[-1] == ("a", Answer(Code.STOPPED, "stopped"))
+    stop = {"stop": arm.requests.last_stop}
+    assert arm.answers[-1] == ("a", Answer(Code.STOPPED, "stopped by a person", stop))
     assert arm.requests._id == ""
 
 
@@ -117,3 +131,61 @@ def test_a_move_is_not_answered_before_the_arm_rests(arm: Answered) -> None:
     core.at_rest = core.ready = True
     arm.requests.answer(core)
     assert arm.answers[1:] == [("a", Answer(Code.DONE, values={"policy": "trial-0001"}))]
+
+
+def stop(arm: Answered) -> None:
+    arm.requests.stop(arm.core)
+    arm.core.stop()
+
+
+def fault(kind: FaultKind) -> Callable[[Answered], None]:
+    return lambda arm: arm.core.fault(Fault(kind, "a sentence on a fault"))
+
+
+@pytest.mark.requirement("S-128")
+@pytest.mark.parametrize(
+    "act, by_person",
+    [
+        (lambda arm: None, False),
+        (stop, True),
+        (fault(FaultKind.RELEASED), True),
+        (fault(FaultKind.STATES_LOST), False),
+    ],
+)
+def test_the_end_of_a_rollout_says_who_ended_it(
+    arm: Answered, act: Callable[[Answered], None], by_person: bool
+) -> None:
+    stop(arm)  # before it
+    assert arm.ask("a", "execute") is Code.BEGUN
+    act(arm)
+    while (path := arm.core.take_finished()) is None:
+        arm.plant.step(arm.core.step(*arm.plant.state()))
+    arm.requests.rollout_ended(arm.core, path, 1)
+    end = RolloutEnd.of(arm.answers[-1][1])
+    assert end.stop == (arm.requests.last_stop if by_person else "")
+
+
+@pytest.mark.requirement("S-128")
+def test_no_request_of_a_session_begins_that_does_not_know_of_the_last_stop(arm: Answered) -> None:
+    arm.core.stop()
+    arm.requests.stop(arm.core)
+    stop = arm.requests.last_stop
+    for id, known in (("a", ""), ("b", "another")):
+        assert arm.ask(id, known_stop=known) is Code.STOPPED
+        assert arm.answers[-1][1].values == {"stop": stop}
+    assert arm.core.mode is Mode.HOLD
+    assert arm.ask("c", known_stop=stop) is Code.BEGUN  # a person has let it go on
+    arm.run(2000)
+    assert arm.ask("d") is Code.BEGUN  # of a person
+    again = Answered()  # a controller that was started again knows of no stop
+    assert again.ask("e", known_stop=stop) is Code.BEGUN
+
+
+@pytest.mark.requirement("S-128")
+def test_a_released_switch_ends_a_replay_as_a_stop_does(arm: Answered) -> None:
+    movement = Sampled(np.tile(HOME, (501, 1)), *np.zeros((2, 501, 7)), 1.0, 0.002)
+    arm.requests.begin("a", "replay", movement, time.time_ns() + LATER)
+    arm.core.fault(Fault(FaultKind.RELEASED, "the enabling switch was released"))
+    arm.run()
+    id, answer = arm.answers[-1]
+    assert (id, answer.code, answer.values) == ("a", Code.STOPPED, {"stop": arm.requests.last_stop})

@@ -736,3 +736,103 @@ def test_a_landing_correction_stops_where_the_arm_cannot_follow() -> None:
     learnt = parameters.policy(np.array(record.learnt_as), "learnt")[0]
     moved = learnt.attractors[-1, 0] - CANDIDATES[0].attractors[-1, 0]
     assert 0.0 < moved <= 0.02  # a quarter of .7 * .1 m: the whole and the half are infeasible
+
+
+def stopped(practice: Practice) -> Record:
+    """A person stops the rollout of the next trial."""
+    return practice.refuse(practice.next_trial(), "stopped by a person")
+
+
+@pytest.mark.requirement("S-128")
+@presets
+def test_a_policy_that_a_person_stops_counts_as_return_0_and_is_not_run_again(name: str) -> None:
+    practice = started(name, budget=30, retests=2)
+    run(practice, rollouts=4)
+    before = len(practice.learner._rollouts)
+    record = stopped(practice)
+    assert (record.ret, record.learnt, record.refused) == (0.0, True, True)
+    assert len(practice.learner._rollouts) == before + 1
+    assert practice.paused == "stopped by a person; Continue goes on"
+    practice.pause(False, "a person lets it go on")
+    assert practice.paused == ""
+    assert practice.next_trial().attempt == 1
+    later = run(practice)
+    assert later and record.z not in [other.z for other in later]
+
+
+@pytest.mark.requirement("S-128")
+def test_a_mean_that_a_person_stopped_is_neither_run_again_nor_the_answer() -> None:
+    settings = preset("flip", "hindsight", budget=8, retests=1, learner={"sigma": 1})
+    practice = practice_of(CANDIDATES[:1], settings, 0)
+    run(practice, lambda trial: good(angle=math.pi), rollouts=1)  # nothing to correct
+    assert practice.next_trial().kind == "mean"  # of the reproduction, whose policy it is
+    refused = stopped(practice)
+    assert practice.best is None  # no other policy has run without exploration
+    later = run(practice, lambda trial: bad(0.1))  # so that the mean stays where it is
+    assert {record.kind for record in later} >= {"explore", "retest"}
+    assert refused.z not in [record.z for record in later]
+    reproduced = practice.parametrization.policy(np.array(refused.z), "any")[0]
+    assert practice.best.policy.attractors.tolist() != reproduced.attractors.tolist()
+
+
+@pytest.mark.requirement("S-128")
+def test_a_session_ends_when_a_person_has_refused_the_only_policy_that_is_feasible() -> None:
+    known = CANDIDATES[0].attractors
+    narrow = AnyArm(lambda policy: "" if np.array_equal(policy.attractors, known) else "too fast")
+    practice = practice_of(CANDIDATES[:1], preset("flip", "hindsight"), 0, arm=narrow)
+    run(practice, lambda trial: good(angle=math.pi), rollouts=1)  # nothing to correct
+    stopped(practice)
+    assert practice.next_trial() is None and practice.finished
+    assert practice.stopped == "no policy is left that no person has refused"
+
+
+@pytest.mark.requirement("S-128")
+def test_a_retest_that_a_person_stops_has_failed_and_is_the_last() -> None:
+    practice = started("hindsight", budget=6, retests=5)
+    while practice.next_trial().kind != "retest":
+        run(practice, lambda trial: bad(), rollouts=1)
+    run(practice, lambda trial: good(), rollouts=1)
+    record = stopped(practice)
+    assert record.kind == "retest" and not record.success and not record.learnt
+    assert practice.finished and practice.next_trial() is None
+    assert [r.success for r in practice.records if r.kind == "retest"] == [True, False]
+
+
+@pytest.mark.requirement("S-128")
+def test_a_session_whose_demonstrations_a_person_stopped_ends() -> None:
+    practice = started("hindsight")
+    stopped(practice)
+    run(practice, lambda trial: bad(0.0), rollouts=1)
+    assert practice.choice.startswith("learns from flick-2")  # not the one that was refused
+    alone = practice_of(CANDIDATES[:1], preset("flip"), 0)
+    stopped(alone)
+    assert alone.finished and "stopped by a person" in alone.stopped
+
+
+@pytest.mark.requirement("S-128")
+def test_a_pause_and_a_refusal_are_rebuilt_from_the_log_bit_for_bit() -> None:
+    practice = started("hindsight", budget=20, retests=2)
+    images, pauses = [image(practice)], [practice.paused]
+    for number in range(16):
+        if number % 5 == 3:
+            stopped(practice)
+        elif number % 5 == 4:
+            practice.pause(False, "a person lets it go on")
+        elif number == 7:
+            practice.pause(True, "stopped by a person")
+        else:
+            run(practice, rollouts=1)
+        images.append(image(practice))
+        pauses.append(practice.paused)
+    for cut, (expected, paused) in enumerate(zip(images, pauses, strict=True)):
+        lines = [parse_line(line.to_json()) for line in practice.log[:cut]]
+        again = practice_of(CANDIDATES, practice.settings, 0, lines)
+        assert (image(again), again.paused) == (expected, paused)
+
+
+def test_a_record_without_the_field_refused_is_one_that_nobody_refused() -> None:
+    practice = started("hindsight")
+    (record,) = run(practice, rollouts=1)
+    old = json.loads(record.to_json())
+    assert not old.pop("refused")
+    assert parse_line(json.dumps(old)) == record

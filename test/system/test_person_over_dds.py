@@ -25,7 +25,7 @@ from wam_power_ros.learning.dmp import fit
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.params import overlay
 from wam_power_ros.practice.session import Session, read
-from wam_power_ros.practice.session_log import Record
+from wam_power_ros.practice.session_log import NewDemonstration, Pause, Record
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import answers, interface
 from wam_power_ros.ros.diagnostics import LEARNER_STATE
@@ -103,12 +103,15 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
     assert status == 2 and f"\nrefused: {LATER.parent}" in f"\n{answer}", answer
     status, answer = tell("demonstration", LATER)
     assert status == 0 and str(LATER) in answer, answer
-    notes = [line.note for line in read(folder).log if not isinstance(line, Record)]
+    notes = [line.note for line in read(folder).log if isinstance(line, NewDemonstration)]
     assert notes[-1] in answer.splitlines()  # what it waits for may stand before it
     assert processes.end(first, signal.SIGKILL) == -signal.SIGKILL
     kept = lines(folder)
 
+    del reports[:]
     second = learner()
+    probe.until(lambda: states()[-1:] == ["paused"], "the pause from before the kill", 300.0)
+    assert lines(folder) == kept and tell("continue")[0] == 0
     probe.until(lambda: rollouts()[-1].demonstration == "demonstration-2", "the new one", 400.0)
     assert probe.call(SetBool, interface.LEARNER_PAUSE, SetBool.Request(data=True)).success
 
@@ -132,7 +135,7 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
     # The same in one process, undisturbed: what a person did, at the places the log has it.
     bench = Environment(World(scene_type("flip"), WorldSettings(), SEED))
     practice = practice_of([candidate], SETTINGS, SEED, arm=bench)
-    events = [line for line in read(folder).log if not isinstance(line, Record)]
+    events = [line for line in read(folder).log if not isinstance(line, Record | Pause)]
     assert len(events) == 3
     while (trial := practice.next_trial()) is not None:
         rollout, truth = bench.run(trial.policy)

@@ -360,11 +360,11 @@ def _follow(folder: Path, processes: Processes, learner: Running, bell: bool) ->
 
 
 def feedback(kind: str, bag: Path | None, session: Path | None) -> int:
-    """Pass a person's feedback to the learner of a running session."""
+    """Pass a person's feedback to the learner of a running session, or stop its arm."""
     if (kind == "demonstration") != (bag is not None):
         raise UsageError("a bag is needed for a demonstration, and only for a demonstration")
     folder = existing_session(session)
-    if not learner_is_running(folder):
+    if kind != "stop" and not learner_is_running(folder):  # an arm may move without a learner
         raise UsageError(f"no learner is running in {short_path(folder)}")
     from wam_power_ros.console.feedback import give
 

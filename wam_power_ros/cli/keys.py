@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keys of the terminal during a session: r, p and space act as `wam-power feedback` does."""
+"""Keys of the terminal during a session, which act as `wam-power feedback` and `stop` do."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ import tty
 from collections.abc import Mapping
 from contextlib import suppress
 
-HINT = "keys: r reward, p punish, space pause or continue"
+KEYS = {"r": "reward", "p": "punish", "s": "stop", " ": "pause", "c": "continue"}
+HINT = "keys: s stop the arm, space pause, c continue, r reward, p punish"
 
 
 class Keys:
@@ -27,7 +28,6 @@ class Keys:
     def __init__(self, environment: Mapping[str, str]) -> None:
         self._environment = {**os.environ, **environment}
         self._terminal: int | None = None
-        self._paused = False
         self._status = ""
 
     def __enter__(self) -> Keys:
@@ -67,12 +67,8 @@ class Keys:
         return self._status
 
     def _press(self, key: str) -> None:
-        pause = "continue" if self._paused else "pause"
-        kind = {"r": "reward", "p": "punish", " ": pause}.get(key)
-        if kind is None:
+        if (kind := KEYS.get(key)) is None:
             return
-        if key == " ":
-            self._paused = not self._paused
         try:
             self._feedback.stdin.write(f"{kind}\n".encode())
             self._feedback.stdin.flush()

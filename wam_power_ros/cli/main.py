@@ -188,6 +188,14 @@ def _parser() -> argparse.ArgumentParser:
     feedback.add_argument("bag", type=Path, nargs="?", help="bag of the demonstration")
     feedback.add_argument("--session", type=Path, help="folder (default: the newest session)")
 
+    stop = add(
+        "stop",
+        partial(commands.feedback, kind="stop", bag=None),
+        "stop the arm and pause its session, until wam-power feedback continue",
+        "Stop the arm and pause the session. No safety function.",
+    )
+    stop.add_argument("--session", type=Path, help="folder (default: the newest session)")
+
     view = add(
         "view",
         commands.view,

@@ -13,9 +13,10 @@ from wam_power_ros.client.robot import Robot
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer, ServiceError
 
-SERVICES = {  # kind of feedback -> service and its data
+SERVICES = {  # kind of feedback, or stop -> service and its data
     "reward": (interface.LEARNER_REWARD, None),
     "punish": (interface.LEARNER_PUNISH, None),
+    "stop": (interface.STOP, None),
     "pause": (interface.LEARNER_PAUSE, True),
     "continue": (interface.LEARNER_PAUSE, False),
 }

@@ -19,6 +19,7 @@ class ControllerReports:
         text: Summary, such as a fault; "" before the first report.
         refusal: Last refusal of the controller; "" for none.
         fault: Latched fault; None without one.
+        last_stop: Id of the last stop by a person; "" for none.
 
     Args:
         link: Link in whose namespace the controller runs.
@@ -27,7 +28,7 @@ class ControllerReports:
     def __init__(self, link: Link) -> None:
         self._namespace = link.node.get_namespace()
         self.count = 0
-        self.mode = self.text = self.refusal = ""
+        self.mode = self.text = self.refusal = self.last_stop = ""
         self.fault: Fault | None = None
         qos = interface.DIAGNOSTICS_QOS
         link.listen(DiagnosticArray, interface.DIAGNOSTICS, self._on_report, qos)
@@ -43,4 +44,5 @@ class ControllerReports:
             self.fault = Fault(kind, status.message) if failed else None
             self.mode, self.text = values.get("mode", ""), status.message
             self.refusal = values.get("last refusal", "")
+            self.last_stop = values.get(diagnostics.LAST_STOP, "")
             self.count += 1

@@ -211,6 +211,7 @@ class Robot:
 
         Raises:
             Stopped: After an interrupt.
+            EndedByPersonError: A person has stopped the arm otherwise.
         """
         try:
             return self._rollouts.execute(policy, policy.basis.duration + self._settle_time, ready)

@@ -22,7 +22,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from wam_power_ros.client.link import RETRY_PERIOD, Link
 from wam_power_ros.client.reports import ControllerReports
-from wam_power_ros.client.requests import Requests
+from wam_power_ros.client.requests import Asked, Requests
 from wam_power_ros.control.modes import Mode
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.policy import Policy
@@ -65,6 +65,19 @@ class Awaited(NamedTuple):
 
 class RolloutError(ServiceError):
     """The rollout cannot be executed; the message names what did not happen or was refused."""
+
+
+class EndedByPersonError(ServiceError):
+    """A person has stopped the arm or taken it in the hand: nothing moves until a person says so.
+
+    Attributes:
+        ran: Whether that ended the rollout; otherwise it came before.
+        bag: Name of the recording of the rollout, "" without one.
+    """
+
+    def __init__(self, answer: Answer) -> None:
+        super().__init__(answer.text, answer)
+        self.ran, self.bag = answer.success, ""
 
 
 class NotBegunError(RolloutError):
@@ -129,6 +142,7 @@ class Rollouts:
         self._link, self._node, self._log = link, link.node, link.node.get_logger()
         self._settings, self._body, self._reports = settings, body, ControllerReports(link)
         self._resetting = Resetting(lambda state: "no rollout is prepared", lambda state: "wait")
+        self._known_stop: str | None = None  # None: of no session
         self._seen = time.monotonic()  # when the last state of the body came
         self._joint_names = joint_names
         self.awaited: Callable[[], Awaited | None] = _nothing
@@ -153,6 +167,20 @@ class Rollouts:
         state, self._seen = pose_messages.odometry(message), time.monotonic()
         self._resetting.add(state, state.stamp_ns)
 
+    @property
+    def reports(self) -> int:
+        """Number of reports of the controller so far."""
+        return self._reports.count
+
+    def go_on(self) -> float:
+        """Let a session go on after the last stop; a later one ends what it asks for.
+
+        Returns:
+            When that stop was, by the clock of the controller [s]; 0 before the first.
+        """
+        self._known_stop = self._reports.last_stop
+        return int(self._known_stop or 0) * 1e-9
+
     def execute(
         self,
         policy: Policy,
@@ -172,6 +200,7 @@ class Rollouts:
             rest_time: Time for which the body must have been ready, there [s].
 
         Raises:
+            EndedByPersonError: A person has ended it, or a movement or wait before it.
             RolloutError: It could not be begun, or its end did not come in time.
             ServiceError: A service did not appear.
             ValueError: A path is not valid.
@@ -189,6 +218,11 @@ class Rollouts:
                 self._log.warning(f"{policy.id} is started again: {error}")
                 if starts == STARTS_MAX:
                     raise
+            except EndedByPersonError as error:
+                self.awaited = _nothing
+                if self._settings.record_rollouts:
+                    error.bag = self._end_bag()
+                raise
 
     def until(
         self, condition: Callable[[], object], what: str | Callable[[], str], timeout: float
@@ -215,11 +249,24 @@ class Rollouts:
     # Requests
 
     def _ask(self, requests: Requests, do: str, policy: Policy, timeout: float) -> Answer:
-        """Answer that ends a request about a policy; of code UNKNOWN if none came at all."""
-        asked = requests.begin(do, policy=policies.to_json(policy))
+        """Answer that ends a request about a policy; of code UNKNOWN if none came at all.
+
+        Raises:
+            EndedByPersonError: A person has ended what was requested, or did not let it begin.
+        """
+        known = {} if self._known_stop is None else {"stop": self._known_stop}
+        known = known if requests is self.controller else {}
+        asked = requests.begin(do, policy=policies.to_json(policy), **known)
+        return self._end_of(asked, f"{asked.what} of {policy.id}", timeout)
+
+    def _end_of(self, asked: Asked, what: str, timeout: float) -> Answer:
         if asked.answers:
-            self.until(lambda: asked.answer, f"the end of {asked.what} of {policy.id}", timeout)
-        return asked.answer or NO_ANSWER
+            self.until(lambda: asked.answer, f"the end of {what}", timeout)
+        answer = asked.answer or NO_ANSWER
+        if stop := answer.values.get("stop"):
+            self._reports.last_stop = stop
+            raise EndedByPersonError(answer)
+        return answer
 
     def _call(self, name: str, data: bool | None = None) -> Answer:
         """Answer of a service; of code UNKNOWN if none came."""
@@ -277,8 +324,16 @@ class Rollouts:
     def _until(self, condition: Callable[[], object], awaited: Callable[[], Awaited]) -> None:
         """Wait without limit until a condition holds, and say so."""
         self.awaited = awaited
-        self.until(condition, lambda: awaited().what, math.inf)
+        self.until(lambda: condition() or self._stopped(), lambda: awaited().what, math.inf)
         self.awaited = _nothing
+        if self._stopped():
+            text = f"stopped by a person in a wait for {awaited().what}"
+            raise EndedByPersonError(Answer(Code.STOPPED, text))
+
+    def _stopped(self) -> bool:
+        """Whether a person has stopped the arm since the session was let go on."""
+        known = self._known_stop
+        return known is not None and self._reports.last_stop not in ("", known)
 
     def _prepare(self, policy: Policy, resetting: Resetting) -> dict[str, Any] | None:
         """Move the arm to the start of the policy, and see to it that the body is ready there.
@@ -334,10 +389,10 @@ class Rollouts:
         message = movement_message(self._joint_names, JointMovement(move.t, move.q))
         while True:
             message.header.frame_id = id = uuid4().hex
+            if self._known_stop is not None:
+                message.header.frame_id += f" {self._known_stop}"
             asked = self._replays.send(message, id, "replay")
-            if asked.answers:
-                self.until(lambda: asked.answer, "the end of a movement", self._settings.patience)  # noqa: B023
-            answer = asked.answer or NO_ANSWER
+            answer = self._end_of(asked, "a movement", self._settings.patience)
             if not self._await_switch(answer, f"to put the {self._body} back"):
                 break
         if not answer.success:

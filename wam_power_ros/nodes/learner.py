@@ -16,7 +16,7 @@ if __name__ == "__main__":  # before the other imports, which a signal may inter
 import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path as FilePath
 from typing import Any
@@ -33,7 +33,12 @@ from typing_extensions import Self
 from wam_power_ros import plain_json
 from wam_power_ros.arm_identity import refusal, remark
 from wam_power_ros.client.link import Link
-from wam_power_ros.client.rollouts import Executed, Rollouts, RolloutSettings
+from wam_power_ros.client.rollouts import (
+    EndedByPersonError,
+    Executed,
+    Rollouts,
+    RolloutSettings,
+)
 from wam_power_ros.durable_files import explained
 from wam_power_ros.learning.policy import Policy, with_id
 from wam_power_ros.nodes.demonstrations import Demonstrations
@@ -43,9 +48,9 @@ from wam_power_ros.params.node_params import Names, Params, Timeout
 from wam_power_ros.params.torque_controller_params import require_same_joints
 from wam_power_ros.practice import plugins
 from wam_power_ros.practice.new_goal import policy_for
-from wam_power_ros.practice.practice import RATING_MAX, Practice
+from wam_power_ros.practice.practice import GO_ON, RATING_MAX, Practice
 from wam_power_ros.practice.session import Session, read, read_policy
-from wam_power_ros.practice.session_log import KIND_NAMES, Event, Record, Trial
+from wam_power_ros.practice.session_log import KIND_NAMES, Event, Line, Pause, Record, Trial
 from wam_power_ros.practice.settings import SessionSettings, preset
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer, Code, ServiceError
@@ -124,7 +129,7 @@ class Learner(Node):
         self._session: Session | None = None
         self._practice: Practice | None = None
         self._lock = threading.Lock()
-        self._paused = self._under_way = False
+        self._under_way = False
         rating = self.params.rating
         for kind, name, answer in (
             (Trigger, interface.LEARNER_REWARD, self._rated(rating)),
@@ -150,12 +155,12 @@ class Learner(Node):
 
         Without the lock, which a plan holds for seconds.
         """
-        session, level = self._session, "ok"
+        session, practice, level = self._session, self._practice, "ok"
         if awaited := self._rollouts.awaited():
             state, text = awaited.state, f"waits for {awaited.what}"
             level = "ok" if state == "rest" else "warn"
-        elif self._paused and not self._under_way:
-            state, text = "paused", "paused"
+        elif practice is not None and practice.paused and not self._under_way:
+            state, text = "paused", practice.paused
         else:
             state, text = "practises", "practises"
         log = () if session is None else tuple(session.log)  # grows in the main thread
@@ -171,13 +176,19 @@ class Learner(Node):
 
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         with self._lock:
-            self._paused, under_way = request.data, self._under_way
-        response.success = True
+            practice, under_way = self._practice, self._under_way
+            if practice is not None and request.data != bool(practice.paused):
+                note = f"paused by a person; {GO_ON}" if request.data else "a person lets it go on"
+                self._session.append(practice.pause(request.data, note, {"at": time.time()}))
+            if not request.data:
+                self._rollouts.go_on()
         text = "continues"
         if request.data:
             text = "pauses after the trial under way" if under_way else "paused"
-        trial = {"trial": "under_way" if under_way else "over"}
-        response.message = str(Answer(Code.DONE, text, trial))
+        answer = Answer(Code.DONE, text, {"trial": "under_way" if under_way else "over"})
+        if practice is None:
+            answer = Answer(Code.REFUSED, "no session is under way")
+        response.success, response.message = answer.success, str(answer)
         return response
 
     def _rated(
@@ -243,6 +254,7 @@ class Learner(Node):
                 self._save_best(session, practice)  # a killed learner may have missed it
                 with self._lock:
                     self._session, self._practice = session, practice
+                self._take_up(session, practice)
                 try:
                     while self._trial(session, practice):
                         pass
@@ -254,39 +266,54 @@ class Learner(Node):
             f"session finished: {practice.stopped}. {'' if best is None else best.why}"
         )
 
+    def _take_up(self, session: Session, practice: Practice) -> None:
+        """Pause if the arm was stopped after the last line of the session, while no learner ran.
+
+        An older stop, such as that of teaching, was before a person started the session.
+        """
+        reported = lambda: self._rollouts.reports  # noqa: E731
+        self._link.until(reported, "a report of the controller", self.params.service_timeout)
+        with self._lock:
+            stopped = self._rollouts.go_on()
+            if session.log and not practice.paused and stopped > _time(session.log[-1]):
+                note = f"stopped by a person while no learner ran; {GO_ON}"
+                session.append(practice.pause(True, note, {"at": time.time()}))
+        if practice.paused:
+            self.get_logger().warning(practice.paused)
+
     def _trial(self, session: Session, practice: Practice) -> bool:
         """Execute the next trial and learn from it; returns False if there is none."""
-        self._link.until(self._may_begin, "the end of the pause", math.inf)
+        if not practice.finished:
+            text = lambda: f"the end of the pause ({practice.paused})"  # noqa: E731
+            self._link.until(self._may_begin, text, math.inf)
         with self._lock:
             trial = practice.next_trial()
         if trial is None:
             return False
         begun, begun_monotonic = time.time(), time.monotonic()
-        executed = self._execute(trial, practice.task)
-        took = time.monotonic() - begun_monotonic
+        done = self._execute(trial, practice.task)
+        clock = {"begun": begun, "took": time.monotonic() - begun_monotonic}
         with self._lock:
-            record = practice.learn(
-                trial,
-                executed.rollout,
-                bag=executed.bag,
-                truth=executed.truth,
-                clock={"begun": begun, "took": took, **_reset(executed)},
-            )
-            session.append(record)  # on disk before the next trial
+            line = _learnt(practice, trial, done, clock)
+            session.append(line)  # on disk before the next trial
             self._save_best(session, practice)
             self._under_way = False
-        self.get_logger().info(f"{_line(record)} {record.note}")
-        if practice.unusable_in_a_row >= self.params.unusable_max:
+        if isinstance(line, Record):
+            self.get_logger().info(f"{_line(line)} {line.note}")
+        if practice.paused:
+            self.get_logger().warning(practice.paused)
+        elif practice.unusable_in_a_row >= self.params.unusable_max:
             raise SessionFailed(
                 f"{practice.unusable_in_a_row} rollouts in a row could not be learnt from, the "
-                f"last one: {record.why}. Check arm and motion capture, then resume the session"
+                f"last one: {practice.records[-1].why}. Check arm and motion capture, then resume "
+                "the session"
             )
         return True
 
     def _may_begin(self) -> bool:
         """Whether the next trial may begin, which then counts as under way."""
         with self._lock:
-            self._under_way = not self._paused
+            self._under_way = not self._practice.paused
             return self._under_way
 
     def _save_best(self, session: Session, practice: Practice) -> None:
@@ -360,8 +387,8 @@ class Learner(Node):
             if note := remark(policy.arm, self._arm.identity):
                 self.get_logger().info(f"{session.folder}: policy {policy.id} {note}")
 
-    def _execute(self, trial: Trial, task: Task) -> Executed:
-        """Execute one trial."""
+    def _execute(self, trial: Trial, task: Task) -> Executed | EndedByPersonError:
+        """Execute one trial, until its end or until a person ends it."""
         if fault := self._arm.infeasible(trial.policy):  # if begun with other limits
             raise SessionFailed(
                 f"{trial.id} ({trial.purpose}) was not sent: with the present limits it would end "
@@ -370,19 +397,39 @@ class Learner(Node):
         arm, q_start = self._arm.kinematics, trial.policy.q_start
         tool = Pose(*arm.tool_pose(q_start))
         self._markers.plan(trial.policy, tool.position)
-        executed = self._rollouts.execute(
-            trial.policy,
-            trial.policy.basis.duration + task.settle_time,
-            lambda state: task.ready(state, tool),
-            lambda state: task.reset(state, arm, q_start),
-            task.rest_time,
-        )
+        try:
+            executed = self._rollouts.execute(
+                trial.policy,
+                trial.policy.basis.duration + task.settle_time,
+                lambda state: task.ready(state, tool),
+                lambda state: task.reset(state, arm, q_start),
+                task.rest_time,
+            )
+        except EndedByPersonError as ended:
+            return ended
         self._markers.executed(executed.rollout.tool.position)
         return executed
 
 
-def _reset(executed: Executed) -> dict[str, dict[str, Any]]:
-    return {} if executed.reset is None else {"reset": executed.reset}
+def _learnt(
+    practice: Practice,
+    trial: Trial,
+    done: Executed | EndedByPersonError,
+    clock: Mapping[str, Any],
+) -> Record | Pause:
+    """Learn from a trial, or pause if a person has ended it; returns the line to be logged."""
+    if not isinstance(done, EndedByPersonError):
+        clock = {**clock, **({} if done.reset is None else {"reset": done.reset})}
+        return practice.learn(trial, done.rollout, bag=done.bag, truth=done.truth, clock=clock)
+    if done.ran:
+        return practice.refuse(trial, str(done), bag=done.bag, clock=clock)
+    return practice.pause(True, f"{done}; {GO_ON}", clock)
+
+
+def _time(line: Line) -> float:
+    """When a line was written [s of wall time]."""
+    clock = line.clock
+    return float(clock["at"] if "at" in clock else clock.get("begun", 0.0) + clock.get("took", 0.0))
 
 
 def _line(record: Record) -> str:

@@ -18,7 +18,7 @@ from wam_power_ros.ros.answers import NOT_ACTIVE, Answer, Code
 from wam_power_ros.ros.requests import RolloutEnd
 
 KEPT = 16  # last answers, for a request that comes again after the preparation process has ended
-STOPPED = Answer(Code.STOPPED, "stopped")
+STOPPED = "stopped by a person"
 
 
 def attempt(core: Controller | None, request: Callable[[Controller], None]) -> Answer:
@@ -46,6 +46,10 @@ def fill(response: Trigger.Response, answer: Answer) -> Trigger.Response:
 class MotionRequests:
     """Requests for rollouts, moves to the start and replays.
 
+    Attributes:
+        last_stop: Id of the last act by which a person ended a movement or took the arm, its time
+            [ns of wall time]; "" before the first.
+
     Args:
         joint_names: Names of the joints, for the summary of a replay.
         active: Returns the controller, None when it is not active.
@@ -62,8 +66,17 @@ class MotionRequests:
         self._given: dict[str, Answer] = {}  # last answers by id
         self._id = self._do = ""  # request under way; "" for none
         self._begin_ns = 0  # wall time; what was sent before is not begun
+        self.last_stop = ""
+        self._by_person = False  # has ended the request under way
 
-    def begin(self, id: str, do: str, about: PreparedPolicy | Sampled, sent_ns: int) -> None:
+    def begin(
+        self,
+        id: str,
+        do: str,
+        about: PreparedPolicy | Sampled,
+        sent_ns: int,
+        known_stop: str | None = None,
+    ) -> None:
         """Begin a movement and answer that it has begun, or why not.
 
         A request that comes again is answered as before: nothing is done twice.
@@ -73,6 +86,9 @@ class MotionRequests:
             do: "move_to_start" or "execute" a policy, or "replay" a movement.
             about: The policy or the movement.
             sent_ns: Time at which the request was sent, by the clock of its sender [ns].
+            known_stop: Last stop that its sender knows, after which a person has let it go on; None
+                for a sender who is a person. A request that does not know of the last stop is not
+                begun, so that no stop can be overtaken.
         """
         if id in self._given:
             return self._send(id, self._given[id])
@@ -83,14 +99,17 @@ class MotionRequests:
             core.load_prepared(about)
             return core.execute() if do == "execute" else core.move_to_start()
 
+        if known_stop is not None and self.last_stop not in ("", known_stop):
+            return self._give(id, self._stopped())
         if sent_ns < self._begin_ns:
             text = "sent before the last stop, reset or activation, by the clock of its sender"
-            return self._give(id, replace(STOPPED, text=text))
+            stop = self.last_stop if self.last_stop == str(self._begin_ns) else ""
+            return self._give(id, Answer(Code.STOPPED, text, {"stop": stop}))
         if self._id:
             return self.refuse(id, "the previous request is under way")
         answer = attempt(self._active(), start)
         if answer.success:
-            self._id, self._do = id, do
+            self._id, self._do, self._by_person = id, do, False
             answer = replace(answer, code=Code.BEGUN)
         return self._give(id, answer)
 
@@ -108,8 +127,12 @@ class MotionRequests:
 
     def rollout_ended(self, core: Controller, path: EndEffectorPath, start_ns: int) -> None:
         """Answer the request for a rollout whose path, from a stamp [ns] on, is complete."""
-        if self._do == "execute":
-            self._end(RolloutEnd(path.id, start_ns, core.latched, core.stopped_in).answer())
+        if self._do != "execute":
+            return
+        self._note_release(core)
+        stop = self.last_stop if self._by_person else ""
+        answer = RolloutEnd(path.id, start_ns, core.latched, core.stopped_in, stop).answer()
+        self._end(replace(answer, text=answer.text or STOPPED) if stop else answer)
 
     def answer(self, core: Controller) -> None:
         """Answer the request under way once the arm rests or the movement was aborted."""
@@ -118,7 +141,10 @@ class MotionRequests:
             return
         if mode is Mode.HOLD and not core.at_rest:
             return
-        if core.latched is not None:
+        self._note_release(core)
+        if core.latched is not None and self._by_person:
+            answer = self._stopped(core.latched.text)
+        elif core.latched is not None:
             answer = Answer(Code.FAULT, f"failed: {core.latched.text}")
         else:
             answer = Answer(Code.STOPPED, f"failed: mode is {mode.value}")
@@ -129,13 +155,24 @@ class MotionRequests:
         self._end(answer)
 
     def stop(self, core: Controller | None) -> None:
-        """Answer the request under way: a person has stopped the arm."""
-        self.expire()
+        """Answer the request under way: a person has stopped the arm, or takes it in the hand."""
+        self._note_stop()
         if self._do == "replay":
-            summary = self._summary(core)
-            self._end(replace(STOPPED, text=f"stopped\n{summary}".rstrip()))
+            self._end(self._stopped(f"{STOPPED}\n{self._summary(core)}".rstrip()))
         elif self._do == "move_to_start":
-            self._end(STOPPED)
+            self._end(self._stopped())
+
+    def _note_stop(self) -> None:
+        self.expire()
+        self.last_stop, self._by_person = str(self._begin_ns), True
+
+    def _note_release(self, core: Controller) -> None:
+        """Note that a person ended the request under way by releasing the enabling switch."""
+        if core.latched is not None and core.latched.kind.of_person and not self._by_person:
+            self._note_stop()
+
+    def _stopped(self, text: str = STOPPED) -> Answer:
+        return Answer(Code.STOPPED, text, {"stop": self.last_stop})
 
     def deactivated(self) -> None:
         """Answer the request under way: the controller is not active any more."""

@@ -49,7 +49,7 @@ class Preparation:
     Args:
         domain: DDS domain of the node.
         on_request: Called by `poll` with the id of a request, what to do, the policy or movement
-            that it is about, and when it was sent [ns].
+            that it is about, when it was sent [ns], and the last stop that its sender knows.
         on_refusal: Called by `poll` with the kind of a refused message, REQUEST or MOVEMENT, and
             the reason.
         on_lost: Called by `poll` with the id of a request that the process had not read when it
@@ -59,7 +59,7 @@ class Preparation:
     def __init__(
         self,
         domain: int,
-        on_request: Callable[[str, str, PreparedPolicy | Sampled, int], None],
+        on_request: Callable[[str, str, PreparedPolicy | Sampled, int, str | None], None],
         on_refusal: Callable[[str, str], None],
         on_lost: Callable[[str, str], None],
     ) -> None:
@@ -190,10 +190,10 @@ class Preparation:
         elif what == "policy":
             tables = Tables(**{name: arrays.pop(name) for name in TABLES}, **values["tables"])
             policy = PreparedPolicy(**values["policy"], **arrays, tables=tables)
-            self._on_request(values["id"], values["do"], policy, values["sent_ns"])
+            self._on_request(values["id"], values["do"], policy, *values["sent"])
         else:
             movement = Sampled(**arrays, **values["movement"])
-            self._on_request(values["id"], "replay", movement, values["sent_ns"])
+            self._on_request(values["id"], "replay", movement, *values["sent"])
 
     # Start and end of the process
 

@@ -184,7 +184,7 @@ class PreparationWorker(Node):
         self._prepare(asked.id, REQUEST, lambda: self._prepare_policy(asked, sent_ns))
 
     def _prepare_policy(self, asked: requests.Request, sent_ns: int) -> None:
-        if asked.do not in POLICY_REQUESTS or asked.about.keys() != {"policy"}:
+        if asked.do not in POLICY_REQUESTS or asked.about.keys() - {"stop"} != {"policy"}:
             given = ", ".join([asked.do, *asked.about])
             raise ValueError(f"{POLICY_REQUESTS} of a policy can be requested, not {given}")
         settings, limits = self._arm()
@@ -204,15 +204,19 @@ class PreparationWorker(Node):
             "orientation_reference": prepared.orientation_reference,
         }
         self._asked = asked.id, asked.about["policy"]
-        values |= {"what": "policy", "id": asked.id, "do": asked.do, "sent_ns": sent_ns}
+        sent = sent_ns, asked.about.get("stop")
+        values |= {"what": "policy", "id": asked.id, "do": asked.do, "sent": sent}
         self._hand_over(REQUEST, values, arrays)
 
     def _movement(self, data: bytes, sent_ns: int) -> None:
         message = deserialize_message(data, JointTrajectory)
-        id = requests.checked_id(message.header.frame_id)
-        self._prepare(id, MOVEMENT, lambda: self._prepare_movement(id, message, sent_ns))
+        id, knows, stop = requests.checked_id(message.header.frame_id).partition(" ")
+        sent = sent_ns, stop if knows else None
+        self._prepare(id, MOVEMENT, lambda: self._prepare_movement(id, message, sent))
 
-    def _prepare_movement(self, id: str, message: JointTrajectory, sent_ns: int) -> None:
+    def _prepare_movement(
+        self, id: str, message: JointTrajectory, sent: tuple[int, str | None]
+    ) -> None:
         settings, limits = self._arm()
         if (points := len(message.points)) > POINTS_MAX:
             raise ValueError(f"{points} points; at most {POINTS_MAX} allowed")
@@ -220,7 +224,7 @@ class PreparationWorker(Node):
         sampled = replay_trajectory.sampled(movement, 1.0, settings.period, limits)
         values = {"duration": sampled.duration, "period": sampled.period}
         arrays = {"q": sampled.q, "qd": sampled.qd, "qdd": sampled.qdd}
-        about = {"what": "movement", "id": id, "movement": values, "sent_ns": sent_ns}
+        about = {"what": "movement", "id": id, "movement": values, "sent": sent}
         self._hand_over(MOVEMENT, about, arrays)
 
     def _arm(self) -> tuple[ControllerSettings, Limits]:

@@ -49,7 +49,9 @@ from wam_power_ros.ros import (
     scheduling,
     security,
 )
+from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.command_guard import CommandGuard
+from wam_power_ros.ros.diagnostics import LAST_STOP
 from wam_power_ros.ros.loop_statistics import LoopStatistics
 from wam_power_ros.ros.simulation_guard import SimulationGuard
 from wam_power_ros.ros.state_guard import Info, StateGuard, with_info
@@ -88,6 +90,7 @@ class TorqueController(LifecycleNode):
         sim_time = self.get_parameter("use_sim_time").value  # lockstep: states may pause
         self._watchdog = Watchdog(0.0 if sim_time else params.state_timeout, params.period)
         self._statistics = LoopStatistics(round(params.period * 1e9))
+        self._last_figures: tuple[dict[str, str], str] = {}, ""
         self._granted = scheduling.Granted()
 
         self._reader = joint_messages.JointStateReader(params.joint_names)
@@ -125,8 +128,7 @@ class TorqueController(LifecycleNode):
         serve = self.create_service
         serve(Trigger, interface.STOP, self._on_stop)
         serve(Trigger, interface.RESET, self._answering(self._reset))
-        switch = self._answering(lambda core, asked: core.set_gravity_compensation(asked.data))
-        serve(SetBool, interface.GRAVITY_COMPENSATION, switch)
+        serve(SetBool, interface.GRAVITY_COMPENSATION, self._on_gravity_compensation)
         self._requests = MotionRequests(
             params.joint_names, self._active_controller, self._preparation.answer
         )
@@ -178,6 +180,8 @@ class TorqueController(LifecycleNode):
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop the arm, send the torque that holds it a last time, then nothing."""
+        if self._active:
+            self._requests.stop(self._controller)
         self.close()
         self._guard.listen()
         self._report.log_changes(self._condition())
@@ -459,8 +463,7 @@ class TorqueController(LifecycleNode):
         return self._controller if self._active else None
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._requests.stop(self._controller)
-        answer = attempt(self._active_controller(), Controller.stop)
+        answer = self._stop()
         fault = self._controller.latched if answer.success and self._controller else None
         if fault is not None:  # nothing moves, but nothing holds the posture either
             answer = dataclasses.replace(answer, text=f"nothing to stop: fault ({fault.text})")
@@ -470,6 +473,27 @@ class TorqueController(LifecycleNode):
         if (second := self._second_publisher()) is not None:
             raise ControllerError(Refusal.REFUSED, f"reset refused: {second}")
         core.reset()
+
+    def _stop(self) -> Answer:
+        """Stop the arm for a person, and report it at once to whoever waits for something else."""
+        self._requests.stop(self._controller)
+        answer = attempt(self._active_controller(), Controller.stop)
+        self._report.publish(self._condition(), *self._figures())
+        return answer
+
+    def _on_gravity_compensation(
+        self, asked: SetBool.Request, response: SetBool.Response
+    ) -> SetBool.Response:
+        """Begin or end gravity compensation; asking for it in a movement stops the arm."""
+        core = self._active_controller()
+        if asked.data and core is not None and core.mode is not Mode.GRAVITY_COMPENSATION:
+            moved = core.mode in MOVING_MODES
+            self._stop()
+            if moved:
+                text = "refused: the arm moved and is stopped now; ask again when it rests"
+                return fill(response, Answer(Code.BUSY, text))
+        switch = self._answering(lambda core, asked: core.set_gravity_compensation(asked.data))
+        return switch(asked, response)
 
     def _answering(
         self, request: Callable[[Controller, Any], None]
@@ -513,7 +537,13 @@ class TorqueController(LifecycleNode):
                 self._controller.fault(fault)
         if self._active and not self._commands.get_subscription_count():  # looked up only then
             warning = self._unheard() or warning
-        self._report.publish(self._condition(), figures, warning)
+        self._last_figures = figures, warning
+        self._report.publish(self._condition(), *self._figures())
+
+    def _figures(self) -> tuple[dict[str, str], str]:
+        """Figures of the last second with the last stop, and the warning of the loop."""
+        figures, warning = self._last_figures
+        return {**figures, LAST_STOP: self._requests.last_stop}, warning
 
     def _condition(self) -> Condition:
         core = self._controller

@@ -61,6 +61,7 @@ class Past:
         self._runs: dict[tuple[str, bytes], Runs] = {}  # in the order of first runs
         self._best: dict[str, Record] = {}
         self._faulted: set[tuple[str, tuple[float, ...]]] = set()  # demonstrations, coordinates
+        self._refused: set[tuple[str, tuple[float, ...]]] = set()
         for record in records:
             self.add(record)
 
@@ -68,12 +69,14 @@ class Past:
         """Append a rollout."""
         self.records.append(record)
         # A fault with return 0 is a limit that the model had kept; others leave no return.
-        self.overruns += bool(record.fault) and record.ret is not None
+        self.overruns += bool(record.fault) and record.ret is not None and not record.refused
         ret, name = record.rated_return, record.demonstration
         if ret is None:
             return
+        if record.refused:
+            self._refused.add((name, tuple(record.z)))
         # All re-tests are of one policy, so a fault in one of them changes none of the others.
-        ended = bool(record.fault) and record.kind != "retest"
+        ended = record.refused or (bool(record.fault) and record.kind != "retest")
         if ended:
             self._faulted.add((name, tuple(record.z)))
             self._best.pop(name, None)  # it may have been the policy of the best
@@ -102,6 +105,10 @@ class Past:
         """Whether a fault ended a rollout at z (size,) in practice, and gave it the return 0."""
         return (demonstration, tuple(z)) in self._faulted
 
+    def refused(self, demonstration: str, z: Sequence[float]) -> bool:
+        """Whether a person has ended a rollout at z (size,): this policy is not run again."""
+        return (demonstration, tuple(z)) in self._refused
+
     def _compare(self, record: Record) -> None:
         name, ret = record.demonstration, record.rated_return
         if ret is None or record.fault or self.ended_in_fault(name, record.z):
@@ -111,5 +118,6 @@ class Past:
             self._best[name] = record
 
     def runs_without_exploration(self, demonstration: str | None) -> list[Runs]:
-        """Runs by policy, of one demonstration or of all, in the order of first runs."""
-        return [r for r in self._runs.values() if demonstration in (None, r.demonstration)]
+        """Runs by policy that no person refused, of one demonstration or of all, oldest first."""
+        runs = (r for r in self._runs.values() if demonstration in (None, r.demonstration))
+        return [r for r in runs if not self.refused(r.demonstration, r.z.tolist())]

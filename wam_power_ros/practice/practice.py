@@ -25,10 +25,10 @@ from wam_power_ros.practice.best_policy import Best, choose_best, choose_demonst
 from wam_power_ros.practice.improvement import ArmModel, Improvement, feasibility
 from wam_power_ros.practice.past import Past
 from wam_power_ros.practice.session_log import (
-    Event,
     Kind,
     Line,
     NewDemonstration,
+    Pause,
     Rating,
     Record,
     Trial,
@@ -40,6 +40,8 @@ from wam_power_ros.tasks.task import Assessment, Task
 
 COMPARED_ROLLOUTS = 5  # latest ones, whose mean return a demonstration added later must exceed
 RATING_MAX = 1.0  # magnitude of one rating; returns are of this order
+GO_ON = "Continue goes on"
+NONE_LEFT = "no policy is left that no person has refused"
 
 L = TypeVar("L", bound=Line)
 R = TypeVar("R", bound=Record)
@@ -84,6 +86,8 @@ class Practice:
     * A rollout ended by a motion limit is learnt from with return 0: the policy caused it. So is
       one that a fault ended, if the next attempt ends by a torque which is not explained: a contact
       may be chance, but a policy may also want more than motors give at their speed.
+    * A rollout that a person ended is learnt from with return 0 and pauses the session. Its policy
+      is never run again; a re-test that a person ended has failed and is the last one.
     * An infeasible policy is not executed, see `improvement.sample`.
     * If the chosen reproduction succeeded, the mean is run next.
     * A mean that succeeds is run again, unchanged, until it fails or `StoppingRule` is satisfied;
@@ -107,6 +111,7 @@ class Practice:
         used: Number of rollouts used of the budget.
         seconds: Time that they and all others took [s].
         stopped: Reason why learning stopped, empty while learning; re-tests may be outstanding.
+        paused: Reason why nothing may move now, empty while the session goes on.
     """
 
     def __init__(
@@ -140,7 +145,7 @@ class Practice:
         self.choice = ""
         self.used = 0
         self.seconds = 0.0
-        self.stopped = ""
+        self.stopped = self.paused = ""
         self._arm = arm
         self._rng = np.random.Generator(np.random.PCG64(seed))
         self._candidates = list(candidates)
@@ -152,7 +157,7 @@ class Practice:
         self._retested = 0
         self._past = Past()
         self._log: list[Line] = []
-        self._waiting: list[Event] = []  # take effect after the pending trial
+        self._waiting: list[Rating | NewDemonstration] = []  # take effect after the pending trial
         self._pending: Trial | None = None
         self._improvement_of(candidates[0].id, 0)  # a learner without its model is refused now
         for line in log:
@@ -257,6 +262,7 @@ class Practice:
         assessment: Assessment,
         *,
         fault: str = "",
+        refused: bool = False,
         bag: str = "",
         truth: Mapping[str, Any] | None = None,
         clock: Mapping[str, Any] | None = None,
@@ -266,7 +272,8 @@ class Practice:
         Args:
             trial: Trial that `next_trial` returned.
             assessment: Assessment of its rollout.
-            fault: Text of the fault that ended it, empty without.
+            fault: Text of the fault or the person's stop that ended it, empty without.
+            refused: Whether a person ended it.
             bag: Name of the rollout's bag.
             truth: Ground truth of the simulator, logged only.
             clock: Wall-clock figures, logged only; `took` counts towards `minutes` of the settings.
@@ -294,6 +301,7 @@ class Practice:
                 note="",
                 observation=plain(assessment.observation),
                 fault=fault,
+                refused=refused,
                 generator=generator_state(self._rng),
                 bag=bag,
                 truth=plain(truth),
@@ -380,6 +388,16 @@ class Practice:
             )
         )
 
+    def pause(self, paused: bool, note: str, clock: Mapping[str, Any] | None = None) -> Pause:
+        """Pause the session for a reason, or let it go on; returns the line to be logged."""
+        after, figures = len(self._records), plain(clock or {})
+        return self.apply(Pause(after=after, paused=paused, note=note, clock=figures))
+
+    def refuse(self, trial: Trial, why: str, **logged: Any) -> Record:  # noqa: ANN401
+        """Learn from a trial that a person has ended, see `learn_assessed`."""
+        refused = Assessment(0.0, why=f"{why}: counts as return 0, is not run again")
+        return self.learn_assessed(trial, refused, fault=why, refused=True, **logged)
+
     def apply(self, line: L) -> L:
         """Process a log line, new or replayed.
 
@@ -397,7 +415,9 @@ class Practice:
         if why := out_of_order(line, len(self._records)):
             raise ValueError(why)
         self._log.append(line)
-        if line.after == len(self._records):
+        if isinstance(line, Pause):
+            self.paused = line.note if line.paused else ""
+        elif line.after == len(self._records):
             self._take_effect(line)
         else:
             self._waiting.append(line)
@@ -419,7 +439,7 @@ class Practice:
             self._take_effect(event)
         return record
 
-    def _take_effect(self, event: Event) -> None:
+    def _take_effect(self, event: Rating | NewDemonstration) -> None:
         if self.stopped:  # by the rollout during which the event arrived
             return
         if isinstance(event, NewDemonstration):
@@ -439,7 +459,12 @@ class Practice:
     def _next_trial(self, rejections: int | None) -> Trial | None:
         """The next trial; `rejections` is given in a replay, see `improvement.sample`."""
         if self._pending is None and not self.finished:
-            self._pending = self._draw(rejections)
+            trial = self._draw(rejections)
+            if self._past.refused(trial.demonstration, trial.z.tolist()):
+                self.stopped = NONE_LEFT
+                self._retested = self.settings.practice.retests
+                return None
+            self._pending = trial
         return self._pending
 
     def _draw(self, rejections: int | None) -> Trial:
@@ -520,9 +545,12 @@ class Practice:
         if record.ret is None and record.attempt < settings.attempts:
             self._retried = record
             return f"not learnt from ({record.why}), tried again"
+        paused = f"{record.fault}; {GO_ON}" if record.refused else ""
+        self.paused = paused or self.paused
         if record.kind == "retest":
-            self._retested += 1
-            return "" if record.ret is not None else "dropped"
+            # The others would run the policy that a person has refused.
+            self._retested = settings.retests if record.refused else self._retested + 1
+            return paused if record.ret is not None else "dropped"
         self.used += record.ret is not None
         if record.kind == "reproduction":
             note = self._advance_reproduction(record)
@@ -537,7 +565,7 @@ class Practice:
                 self._stop(answer, f"budget of {minutes} min used")
             elif len(self._records) >= limit:
                 self._stop(answer, f"{limit} rollouts, of which only {self.used} were usable")
-        return "; ".join(part for part in (note, self.stopped) if part)
+        return "; ".join(part for part in (note, self.stopped, paused) if part)
 
     def _advance_reproduction(self, record: Record) -> str:
         self._reproductions.append(record.number)

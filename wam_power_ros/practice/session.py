@@ -5,8 +5,8 @@
                      session
     candidates/      policies fitted to the demonstrations, one JSON file each
     task.json        data of the demonstrations that the task needs, see `Task.context_of`
-    rollouts.jsonl   one `Record`, `Rating` or `NewDemonstration` per line, append-only, on disk
-                     before it is acknowledged
+    rollouts.jsonl   one `Record`, `Rating`, `NewDemonstration` or `Pause` per line, append-only, on
+                     disk before it is acknowledged
     acknowledged.json  size and SHA-256 of the log at the last acknowledgement; a log that is
                      missing, shorter or different is damaged
     policy.json      best policy so far, replaced atomically

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Trials, and the lines of a session's log: rollouts, a person's ratings and demonstrations.
+"""Trials, and the lines of a session's log: rollouts and what a person does.
 
-A `Trial` is a rollout to be executed, a `Record` the same rollout once it was executed. A `Rating`
-and a `NewDemonstration` may be added at any moment, even while the next trial is being executed.
+A `Trial` is a rollout to be executed, a `Record` the same rollout once it was executed. A `Rating`,
+a `NewDemonstration` and a `Pause` may come at any moment, even while a trial is being executed.
 Each holds the rollout after which it takes effect, so that replaying the log line by line selects
 the same policies as the session did.
 """
@@ -114,7 +114,8 @@ class Record(_Line):
         why: Reason why it was not learnt from, or a remark.
         note: Human-readable decision of the practice after this rollout.
         observation: Observation of the task, as data for JSON; None when there is none.
-        fault: Text of the controller's fault, empty when there was none.
+        fault: Text of the fault or of the person's stop that ended it, empty when neither did.
+        refused: Whether a person ended it: its policy has the return 0 and is not run again.
         generator: State of the random generator after this trial was drawn.
         bag: Name of its bag.
         adjustment: Sum of a person's ratings, see `with_ratings`; None in the log itself, where
@@ -143,6 +144,7 @@ class Record(_Line):
     note: str
     observation: dict[str, Any] | None
     fault: str
+    refused: bool = False  # absent in older logs
     generator: dict[str, Any]
     bag: str
     adjustment: float | None = Field(default=None, allow_inf_nan=False)
@@ -230,10 +232,30 @@ class NewDemonstration(_Line):
         return from_json(json.dumps(self.policy))
 
 
-Event = Rating | NewDemonstration
-Line = Record | Rating | NewDemonstration
-_KINDS: dict[Any, type[Record] | type[Rating] | type[NewDemonstration]] = {
-    kind.model_fields["schema_"].default: kind for kind in (Record, Rating, NewDemonstration)
+class Pause(_Line):
+    """A pause of the session, or the end of one; takes effect at once.
+
+    Attributes:
+        schema_: Version of this layout ("schema" in JSON).
+        after: Number of recorded rollouts.
+        paused: Whether nothing moves from now on.
+        note: Human-readable reason.
+        clock: Wall-clock figures.
+    """
+
+    schema_: Literal["wam_power_ros/pause/1"] = Field(
+        default="wam_power_ros/pause/1", alias="schema"
+    )
+    after: int = Field(ge=0)
+    paused: bool
+    note: str
+    clock: dict[str, Any]
+
+
+Event = Rating | NewDemonstration | Pause
+Line = Record | Event
+_KINDS: dict[Any, type[Record] | type[Rating] | type[NewDemonstration] | type[Pause]] = {
+    kind.model_fields["schema_"].default: kind for kind in (Record, Rating, NewDemonstration, Pause)
 }
 
 
@@ -241,7 +263,7 @@ def parse_line(text: str) -> Line:
     """Parse a line of a log.
 
     Raises:
-        ValueError: The text is not JSON or none of the three kinds; names the fields.
+        ValueError: The text is not JSON or none of the four kinds; names the fields.
     """
     data = plain_json.parse(text, "the line")
     schema = data.get("schema") if isinstance(data, dict) else None

@@ -31,7 +31,7 @@ class Code(str, enum.Enum):
     NOT_AT_START = "not_at_start"  # the arm is not at the start of the policy in value `policy`
     SWITCH = "switch"  # the enabling switch is not held
     TOO_FAST = "too_fast"  # value `speed`: at which the replay would be possible
-    STOPPED = "stopped"  # ended by a person or by another request
+    STOPPED = "stopped"  # ended, by a person if value `stop` is the id of a stop
     UNKNOWN = "unknown"  # the message is not of this form: another package's service
 
 

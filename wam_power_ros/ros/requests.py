@@ -101,18 +101,21 @@ class RolloutEnd:
         start_ns: Stamp of the start [ns], which the paths have as theirs.
         fault: Fault latched at the end, None without one.
         stopped_in: Name of the guarded region that ended it, "" if none did.
+        stop: Id of the stop by which a person ended it, "" if none did.
     """
 
     id: str
     start_ns: int
     fault: Fault | None
     stopped_in: str = ""
+    stop: str = ""
 
     def answer(self) -> Answer:
         """Answer that says this."""
         kind, text = (self.fault.kind.value, self.fault.text) if self.fault else ("", "")
         values = {"policy": self.id, "start_ns": str(self.start_ns), "fault": kind}
-        return Answer(Code.DONE, text, {**values, "stopped_in": self.stopped_in})
+        values |= {"stopped_in": self.stopped_in, "stop": self.stop}
+        return Answer(Code.DONE, text, values)
 
     @classmethod
     def of(cls, answer: Answer) -> RolloutEnd:
@@ -124,7 +127,8 @@ class RolloutEnd:
         values = answer.values
         try:
             fault = Fault(FaultKind(values["fault"]), answer.text) if values["fault"] else None
-            return cls(values["policy"], int(values["start_ns"]), fault, values["stopped_in"])
+            ended = values["stopped_in"], values.get("stop", "")  # not in older bags
+            return cls(values["policy"], int(values["start_ns"]), fault, *ended)
         except (KeyError, TypeError) as error:
             raise ValueError(f"{answer} is not about the end of a rollout: {error!r}") from error
 

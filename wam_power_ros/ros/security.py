@@ -90,7 +90,7 @@ TABLE: dict[str, dict[str, str]] = {
     "feedback": {
         "publishes": "LEARNER_REQUEST",
         "subscribes": "LEARNER_ANSWER",
-        "calls": FEEDBACK,
+        "calls": f"STOP {FEEDBACK}",
     },
     "view": {
         "publishes": "LEARNER_REQUEST SCENE_REQUEST",

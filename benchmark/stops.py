@@ -1,0 +1,318 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A person ends the movements of a session, in each phase and by each means: what moves after it?
+
+    python -m benchmark.stops [--pace real_time] [--switch] [--kill NODE] [--only PHASE MEANS]
+
+Every node runs for itself, as `ros2 run` starts them, and the arm puts the ball back between the
+rollouts, so that a session has every phase: move, replay, wait, rollout and re-test. With --switch
+the person holds the enabling switch, and releases it. After each stop nothing may begin, and the
+arm may not move, until the person continues; a node that is killed (-9) and started again meanwhile
+changes nothing. At the end no policy may have run after a person had stopped it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from multiprocessing import get_context
+from multiprocessing.synchronize import Event
+from pathlib import Path
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import Transition
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool, String
+from trajectory_msgs.msg import JointTrajectory
+
+from benchmark.nodes import environment
+from benchmark.unattended import NODES, Lab, demonstrated
+from wam_power_ros.client.link import Link
+from wam_power_ros.params import overlay
+from wam_power_ros.practice import session
+from wam_power_ros.ros import interface, requests
+from wam_power_ros.ros.answers import Code
+from wam_power_ros.ros.diagnostics import LEARNER_STATE
+from wam_power_ros.ros.domain import private_domain
+from wam_power_ros.view.live import View
+
+PHASES = ("move_to_start", "replay", "wait", "execute", "retest")  # the last one ends a session
+MEANS = ("service", "page", "key", "gravity compensation", "deactivation")
+SWITCH = "switch"
+WITH_SWITCH = ("replay", "execute")  # phases that need the switch; a re-test has run before
+WAITS = ("rest", "put back")  # states of a session
+REPORT = 0.2  # [s] in which a report that is under way has come
+QUIET = 3.0  # [s] in which nothing may move
+COAST = 0.5  # [s] in which a stopped arm comes to rest
+STILL = 0.02  # [rad] by which an arm that is held, or that nobody touches, may move meanwhile
+PATIENCE = 400.0  # [s] for a phase to come
+CHANGE = "torque_controller/change_state"
+
+
+class Person:
+    """Person beside the arm: holds the switch, sees what begins and ends it.
+
+    Attributes:
+        begun: What the controller has begun, with the policy: (do, text), oldest first.
+        state: What the learner has said of the session last, "" before.
+        late: Number of pauses because the switch was published too late, by a busy machine.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        view: View,
+        keys: subprocess.Popen[str],
+        held: Event,
+        state: str,
+        check: Callable[[], None],
+    ) -> None:
+        self._check = check
+        self.link, self.state, self._held, self.late = link, "", held, 0
+        self.begun: list[tuple[str, str]] = []
+        self.view, self._keys = view, keys
+        self._asked: dict[str, tuple[str, str]] = {}
+        self._take, self._q = link.newest(JointState, state), np.zeros(0)
+        listen = link.listen
+        listen(String, interface.CONTROLLER_REQUEST, self._on_request, interface.REQUESTS)
+        listen(JointTrajectory, interface.REPLAY, self._on_replay, interface.REQUESTS)
+        listen(String, interface.CONTROLLER_ANSWER, self._on_answer, interface.ANSWERS)
+        qos = interface.DIAGNOSTICS_QOS
+        listen(DiagnosticArray, interface.DIAGNOSTICS, self._on_report, qos)
+
+    def _on_request(self, message: String) -> None:
+        asked = requests.request(message.data)
+        self._asked[asked.id] = asked.do, json.dumps(json.loads(asked.about["policy"])["id"])
+
+    def _on_replay(self, message: JointTrajectory) -> None:
+        self._asked[message.header.frame_id.partition(" ")[0]] = "replay", ""
+
+    def _on_answer(self, message: String) -> None:
+        id, answer = requests.read_answer(message)
+        if answer.code is Code.BEGUN:
+            self.begun.append(self._asked.get(id, ("", "")))
+
+    def _on_report(self, message: DiagnosticArray) -> None:
+        values = {each.key: each.value for status in message.status for each in status.values}
+        self.state = values.get(LEARNER_STATE, self.state)
+
+    def await_phase(self, phase: str, retest_due: Callable[[], bool]) -> None:
+        """Wait for the begin of a phase of the session."""
+        do = "execute" if phase == "retest" else phase
+
+        def begun() -> bool:
+            if phase == "wait":
+                return self.state in WAITS
+            return any(each == do for each, _ in self.begun[seen:])
+
+        for condition in ([retest_due] if phase == "retest" else []) + [begun]:
+            seen = len(self.begun)
+            self.expect(lambda: condition() or self.state == "paused", phase)  # noqa: B023
+            while not condition():
+                self.late += 1
+                self.go_on(SWITCH)
+                self.expect(lambda: condition() or self.state == "paused", phase)  # noqa: B023
+
+    def expect(self, condition: Callable[[], object], what: str) -> None:
+        """Wait for a condition.
+
+        Raises:
+            TimeoutError: It did not come true.
+        """
+        end = time.monotonic() + PATIENCE
+        while not self.link.until(condition, timeout=1.0) and time.monotonic() < end:
+            self._check()
+        if time.monotonic() > end:
+            raise TimeoutError(f"no {what} in {PATIENCE:.0f} s; the session says {self.state!r}")
+
+    def end(self, means: str) -> None:
+        """End what moves, or keep it from beginning."""
+        if means == "service":
+            self.link.call(interface.STOP)
+        elif means == "page":
+            self.view.call(interface.STOP)
+        elif means == "key":
+            self._keys.stdin.write("stop\n")
+            self._keys.stdin.flush()
+            self._keys.stdout.readline()
+        elif means == "gravity compensation":
+            self.link.call(interface.GRAVITY_COMPENSATION, True)
+        elif means == "deactivation":
+            self.link.call(CHANGE, Transition(id=Transition.TRANSITION_DEACTIVATE))
+        else:
+            self._held.clear()
+
+    def go_on(self, means: str) -> None:
+        """Make the arm ready again, and continue."""
+        if means == SWITCH:
+            self._held.set()
+            self.link.sleep(0.2)
+            self.link.call(interface.RESET)
+        elif means == "deactivation":
+            self.link.call(CHANGE, Transition(id=Transition.TRANSITION_ACTIVATE))
+        self.link.insist(interface.LEARNER_PAUSE, False)
+        self.state = ""  # the last report is out of date
+        self.link.sleep(REPORT)
+        self.state = ""
+
+    def moved(self) -> float:
+        """Largest way of a joint in `QUIET`, after it has come to rest [rad]."""
+        self.link.sleep(COAST)
+        begun, way, end = self._look(), 0.0, time.monotonic() + QUIET
+        while time.monotonic() < end:
+            self.link.sleep(0.05)
+            way = max(way, float(np.abs(self._look() - begun).max()))
+        return way
+
+    def _look(self) -> np.ndarray:
+        if (message := self._take()) is not None:
+            self._q = np.array(message.position)
+        return self._q
+
+
+def publish_switch(held: Event) -> None:
+    """Publish whether the enabling switch is held, in a process of its own, to the end of it."""
+    with suppress(PermissionError):
+        os.nice(-10)
+    rclpy.init()
+    node = rclpy.create_node("switch")
+    enable = node.create_publisher(Bool, interface.ENABLE, interface.ENABLE_OUT)
+    while True:
+        enable.publish(Bool(data=held.is_set()))
+        time.sleep(0.02)
+
+
+@contextmanager
+def person(setup: overlay.Setup, check: Callable[[], None]) -> Iterator[Person]:
+    """A person in the domain of this process."""
+    spawn = get_context("spawn")
+    held = spawn.Event()
+    switch = spawn.Process(target=publish_switch, args=(held,), daemon=True)
+    switch.start()
+    command = [sys.executable, "-m", "wam_power_ros.console.feedback"]
+    pipe = subprocess.PIPE
+    keys = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, text=True)
+    state = setup["torque_controller"]["state_topic"]
+    try:
+        with Link(rclpy.create_node("person")) as link:
+            view = View(setup["torque_controller"], setup["pancake_tracker"]["body"])
+            link.prepare(interface.STOP, interface.RESET)
+            link.prepare(interface.GRAVITY_COMPENSATION, interface.LEARNER_PAUSE, data=True)
+            link.prepare(CHANGE, data=Transition())
+            with view.link:
+                held.set()
+                yield Person(link, view, keys, held, state, check)
+    finally:
+        switch.kill()
+        keys.stdin.close()
+        keys.wait()
+
+
+def run_again(folder: Path) -> list[str]:
+    """Rollouts of policies that a person had stopped before."""
+    refused: set[tuple[str, tuple[float, ...]]] = set()
+    again = []
+    for record in session.read(folder).records:
+        policy = record.demonstration, tuple(record.z)
+        again += [record.id] if policy in refused else []
+        refused |= {policy} if record.refused else set()
+    return again
+
+
+def measure(lab: Lab, who: Person, folder: Path, cells: list[tuple[str, str]], kill: str) -> int:
+    """End the session in each of the cells; print what came of it, return the number of faults."""
+    budget, wrong = session.read(folder).header.settings.practice.budget, 0
+
+    def retest_due() -> bool:
+        return sum(record.ret is not None for record in session.read(folder).records) >= budget
+
+    who.await_phase("execute", bool)
+    for name in (interface.STOP, interface.RESET, interface.GRAVITY_COMPENSATION, CHANGE):
+        who.link.offers(name)  # so that no stop waits for the discovery
+    who.view.link.offers(interface.STOP)
+    who.expect(lambda: session.read(folder).records or who.state == "paused", "rollout")
+    for phase, means in cells:
+        who.await_phase(phase, retest_due)
+        who.end(means)
+        before = len(who.begun)
+        if phase == "retest":
+            who.link.sleep(2.0)
+        else:
+            who.expect(lambda: who.state == "paused", "pause")
+        way = who.moved()
+        if kill and phase != "retest":
+            who.state = ""
+            lab.kill(kill)
+            who.expect(lambda: who.state == "paused", "pause after the kill")
+            way = max(way, who.moved())
+        begun = who.begun[before:]
+        good = not begun and way < STILL
+        wrong += not good
+        said = "nothing moved" if good else f"began {begun}, moved by {way:.3f} rad"
+        print(f"  {phase:14} {means:22} {said}", flush=True)
+        if phase != "retest":
+            who.go_on(means)
+    return wrong
+
+
+def main() -> int:
+    """Measure, and print every cell."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--pace", choices=("lockstep", "real_time"), default="lockstep")
+    parser.add_argument("--kill", choices=("learner", *NODES), default="", help="in each pause")
+    parser.add_argument("--seed", type=int, default=9300)
+    parser.add_argument("--switch", action="store_true", help="the person releases the switch")
+    only = "such as: retest page, a phase that ends the session"
+    parser.add_argument("--only", nargs=2, metavar=("PHASE", "MEANS"), help=only)
+    options = parser.parse_args()
+    cells = [*itertools.product(PHASES[:-1], MEANS)]
+    cells = [(phase, SWITCH) for phase in WITH_SWITCH] if options.switch else cells
+    cells = [tuple(options.only)] if options.only else cells
+    with private_domain() as domain:
+        folder = Path(tempfile.mkdtemp())  # stays, to be looked at
+        bags = demonstrated("ball_in_cup", options.seed, folder / "begun")
+        names = ["full_speed"] + ["unattended"] * (options.pace == "lockstep")
+        setup = overlay.setup(names, simulated=True, task="ball_in_cup")
+        changes = json.dumps({"retests": 3, "budget": len(cells) + 6, "confirm": 0})
+        practice = {"session": str(folder / "session"), "demonstrations": bags, "changes": changes}
+        setup = setup.changed(
+            {
+                "wam_sim": {"seed": options.seed},
+                "torque_controller": {"hold_to_run": options.switch},
+                "demonstration_recorder": {"directory": str(folder / "session/bags")},
+                "learner": {**practice, "scene_reset": False, "seed": options.seed},
+            }
+        )
+        file = folder / "parameters.yaml"
+        file.write_text(overlay.text(setup))
+        lab = Lab(file, domain)
+        os.environ |= environment(domain)
+        rclpy.init()
+        try:
+            with person(setup, lab.check) as who:
+                for name in (*NODES, "learner"):
+                    lab.start(name)
+                who.expect(lambda: session.Session.exists(folder / "session"), "session")
+                wrong = measure(lab, who, folder / "session", cells, options.kill)
+        finally:
+            lab.stop()
+            rclpy.try_shutdown()
+        again = run_again(folder / "session")
+        refused = sum(record.refused for record in session.read(folder / "session").records)
+    print(f"{options.pace}, kill {options.kill or 'nothing'}: {len(cells)} stops")
+    print(f"{wrong} of them followed by a movement; {refused} policies refused, run again: {again}")
+    print(f"{who.late} more pauses by a switch that a busy machine published too late")
+    return int(bool(wrong or again))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A person stops a session over DDS: nothing moves until Continue, whatever is killed."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+
+import pytest
+from conftest import Probe, Processes
+from diagnostic_msgs.msg import DiagnosticArray
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
+from test_person_over_dds import TAUGHT, fitted
+from test_session_over_dds import SEED, all_but_the_learner, learner, learnt
+from toss_task import practice_of
+
+from hardware_sim.scenes import scene_type
+from hardware_sim.settings import WorldSettings
+from hardware_sim.world import World
+from wam_power_ros.in_process.environment import Environment
+from wam_power_ros.practice.session import Session, read
+from wam_power_ros.practice.settings import preset
+from wam_power_ros.ros import interface
+from wam_power_ros.ros.answers import Code
+from wam_power_ros.ros.diagnostics import LEARNER_STATE
+from wam_power_ros.ros.requests import read_answer, request
+
+SETTINGS = preset("flip", budget=4, retests=3)
+FREE = SetBool.Request(data=True)
+ON = SetBool.Request(data=False)
+STOP = Trigger, interface.STOP, None
+TAKE = SetBool, interface.GRAVITY_COMPENSATION, FREE
+ENDS = (("move_to_start", STOP), ("execute", TAKE), ("move_to_start", TAKE), ("execute", STOP))
+QUIET = 1.0  # [s of wall time]
+
+
+@pytest.mark.requirement("S-128")
+def test_nothing_moves_after_a_stop_until_a_person_continues_and_kill_9_changes_nothing(
+    probe: Probe, processes: Processes, tmp_path: Path
+) -> None:
+    folder, candidate = tmp_path / "session", fitted(TAUGHT)
+    Session.begin(folder, SETTINGS, SEED, [candidate]).close()
+    all_but_the_learner(processes, folder)
+    asked = probe.listen(String, interface.CONTROLLER_REQUEST, interface.REQUESTS)
+    answered = probe.listen(String, interface.CONTROLLER_ANSWER, interface.ANSWERS)
+    reports = probe.listen(DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS)
+
+    def begun() -> list[str]:
+        """What the controller has begun."""
+        names = {each.id: each.do for each in (request(message.data) for message in asked)}
+        answers = [read_answer(message) for message in answered]
+        return [names[id] for id, answer in answers if answer.code is Code.BEGUN]
+
+    def paused() -> bool:
+        found = [each for report in reports for each in report.status if each.name[:7] == "learner"]
+        values = [{each.key: each.value for each in status.values} for status in found]
+        return bool(values) and values[-1][LEARNER_STATE] == "paused"
+
+    running = learner(processes, folder)
+    probe.until(lambda: read(folder).records, "a first rollout", 300.0)
+    for do, (kind, service, given) in ENDS:
+        before = len(begun())
+        probe.until(lambda: do in begun()[before:], do, 300.0)  # noqa: B023
+        probe.call(kind, service, given)
+        before = len(begun())
+        probe.until(paused, "the pause", 60.0)
+        probe.spin(QUIET)
+        assert processes.end(running, signal.SIGKILL) == -signal.SIGKILL
+        del reports[:]
+        running = learner(processes, folder)
+        probe.until(paused, "the pause of the resumed session", 120.0)
+        probe.spin(QUIET)
+        assert begun()[before:] == []
+        assert probe.call(SetBool, interface.LEARNER_PAUSE, ON).success
+
+    # A stop while no learner runs is one of the session that is resumed.
+    before = len(begun())
+    probe.until(lambda: begun()[before:], "a movement", 300.0)
+    assert processes.end(running, signal.SIGKILL) == -signal.SIGKILL
+    assert probe.call(*STOP).success
+    del reports[:]
+    before, running = len(begun()), learner(processes, folder)
+    probe.until(paused, "the pause of the resumed session", 120.0)
+    probe.spin(QUIET)
+    assert begun()[before:] == []
+    assert probe.call(SetBool, interface.LEARNER_PAUSE, ON).success
+
+    probe.until(lambda: running.poll() is not None, "the end of the session", 300.0)
+    assert running.returncode == 0, processes.output(running)
+
+    # The same in one process, without pauses: the policies that were stopped have run there once.
+    records = read(folder).records
+    assert sum(record.refused for record in records) == 2
+    ran = [tuple(record.z) for record in records if record.kind != "retest"]
+    assert len(set(ran)) == len(ran)
+    bench = Environment(World(scene_type("flip"), WorldSettings(), SEED))
+    practice = practice_of([candidate], SETTINGS, SEED, arm=bench)
+    while (trial := practice.next_trial()) is not None:
+        if (record := records[trial.number - 1]).refused:
+            practice.refuse(trial, record.fault)
+        else:
+            rollout, truth = bench.run(trial.policy)
+            practice.learn(trial, rollout, truth=truth)
+    undisturbed = [record.to_json() for record in practice.records]
+    assert learnt(undisturbed) == learnt([record.to_json() for record in records])
