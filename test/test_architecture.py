@@ -92,7 +92,7 @@ ALLOWED["benchmark"] = {*ALLOWED}
 # Lines that a folder may have, docstrings and blanks included. Needing more is a reason to look for
 # what can go; where nothing can, the commit that raises a figure says why.
 BUDGET = {
-    "ground": 1330,  # the modules of wam_power_ros/ itself
+    "ground": 1360,  # the modules of wam_power_ros/ itself
     "learning": 3070,
     "control": 4510,
     "commissioning": 1040,
@@ -385,5 +385,5 @@ def test_the_loaders_of_yaml_know_nothing_but_data() -> None:
     from wam_power_ros.params import parameter_file
 
     safe = (yaml.SafeLoader, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
-    assert issubclass(plain_yaml.LOADER, safe)
+    assert issubclass(plain_yaml.Loader, safe)
     assert issubclass(parameter_file.Loader, safe)
