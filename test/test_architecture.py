@@ -95,7 +95,7 @@ BUDGET = {
     "ground": 1360,  # the modules of wam_power_ros/ itself
     "learning": 3070,
     "control": 4510,
-    "commissioning": 1040,
+    "commissioning": 1220,
     "tracking": 620,
     "tasks": 3960,
     "practice": 2420,
@@ -109,12 +109,12 @@ BUDGET = {
     "view": 1430,
     "reporting": 990,
     "in_process": 420,
-    "cli": 3410,
+    "cli": 3380,
     "hardware_sim": 3380,
     "launch": 260,
     "examples": 380,
     "reproduction": 4100,
-    "benchmark": 5500,
+    "benchmark": 5750,
 }
 PURE = (
     "faults",

@@ -30,8 +30,6 @@ OUTLIER = 5.0  # multiple of the residual of all postures from which one is reje
 POSTURES_MIN = 10  # accepted postures without which nothing is said
 SPREAD_MIN = np.deg2rad(15.0)  # [rad] smallest range of the tool's orientation over the postures
 RESIDUAL_MAX = 10.0  # multiple of the noise: a mirrored axis gives hundreds
-UPRIGHT_MAX = np.deg2rad(5.0)  # [rad] between the vertical axes of base and cameras
-ZERO_MAX = np.deg2rad(5.0)  # [rad] beyond which a joint is to be zeroed anew
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,24 +119,6 @@ def calibrate(
             "loose), or the joints have another order or sign"
         )
     return _result(arm.n, solution, len(q), accepted)
-
-
-def concerns(found: CameraFrame) -> list[str]:
-    """Reasons not to use a result, as sentences; empty if there is none."""
-    reasons = []
-    if found.upright > UPRIGHT_MAX:
-        axis = found.world_to_base.rotation[2]  # base z in the cameras' frame
-        name = "xyz"[int(np.abs(axis).argmax())]
-        sign = "-" if axis[np.abs(axis).argmax()] < 0.0 else ""
-        reasons.append(
-            f"the base's z axis stands {np.rad2deg(found.upright):.0f} degrees from the cameras' z "
-            f"axis and is nearest to their {sign}{name}: set up_axis, or the cameras' ground plane"
-        )
-    for joint, zero in enumerate(found.zeros, start=1):
-        if abs(zero) > ZERO_MAX:
-            shown = np.rad2deg(zero)
-            reasons.append(f"joint {joint} is off by {shown:+.1f} degrees: zero it anew instead")
-    return reasons
 
 
 def _result(n: int, solution: OptimizeResult, count: int, accepted: np.ndarray) -> CameraFrame:
