@@ -51,7 +51,7 @@ class Finding:
 
     def __str__(self) -> str:
         """The finding in one line."""
-        value = f"{self.value:.3g} {self.unit}".rstrip()
+        value = f"{round(self.value, 2):.3g} {self.unit}".rstrip()
         allowed = self.allowed and f" (allowed: {self.allowed})"
         return f"{self.quantity}: {value}{allowed}; {self.advice}"
 

@@ -105,18 +105,19 @@ def calibrate(
             break
         accepted = np.delete(accepted, worst)
         if len(accepted) < POSTURES_MIN:
-            text = f"only {len(accepted)} of {len(q)} postures agree with each other"
+            text = f"only {len(accepted)} of {len(q)} postures agree, {POSTURES_MIN} are needed"
             raise ValueError(f"{text}: a marker moves on the tool, or is often hidden")
     if typical > RESIDUAL_MAX:
-        text = f"the postures disagree, the residual is {typical:.0f} times the noise: "
+        text = f"the postures disagree, the residual is {typical:.0f} times the noise, at most "
+        text += f"{RESIDUAL_MAX:.0f} is allowed: "
         flip = np.diag([-1.0, 1.0, 1.0])
         seen = position[accepted] @ flip, flip @ rotation[accepted] @ flip
         other = _solve(arm, q[accepted], *seen, flat=False)
         if _sizes(other, accepted).max() < OUTLIER * RESIDUAL_MAX:
             raise ValueError(f"{text}the cameras' axes are mirrored (left-handed)")
         raise ValueError(
-            f"{text}the body moved in the tool (a pancake was left in the pan, its markers are "
-            "loose), or the joints have another order or sign"
+            f"{text}the cameras were knocked, the body moved in the tool (a pancake was left in "
+            "the pan, its markers are loose), or the joints have another order or sign"
         )
     return _result(arm.n, solution, len(q), accepted)
 

@@ -18,6 +18,7 @@ from wam_power_ros.control.arm import Arm
 
 HELD_OUT = 4  # postures at the end that are not used, to check the result
 UNUSED = -2 * HELD_OUT  # index of the first rest at them
+ARRIVING = 0.5  # [s] before such a rest that count as well: more poses, less noise
 FITTED_SWEEPS = 2  # the others check it
 SEARCH_STEP = 0.05  # [s] of the search for the beginning of the movement
 TRACKING_MAX = 0.2  # [rad] rms between movement and recording beyond which it is another one
@@ -69,7 +70,7 @@ class Seen:
         unseen: Numbers of the rests at which the body was not seen, from 0.
         latency: Time by which the poses' stamps are late, beyond what is known [s].
         latency_change: By how much more they are late in the last sweep [s].
-        check_position: Mean error of the body at a posture that was not used, largest [m].
+        check_position: Mean error of the body at a rest that was not used, largest [m].
         check_rotation: The same [rad].
         sweep_position: Error of the body in a sweep, root mean square, largest of all sweeps [m].
         sweep_rotation: The same [rad].
@@ -184,8 +185,7 @@ def _seen(arm: Arm, plan: Excitation, recorded: Recording, flat: bool) -> Seen:
     frame = replace(frame, rejected=tuple(int(numbers[row]) for row in frame.rejected))
     first, last = (_latency(arm, frame, recorded, plan.sweeps[k]) for k in (FITTED_SWEEPS - 1, -1))
     timed = replace(recorded, seen_t=recorded.seen_t - first)
-    postures = plan.rests[UNUSED:].reshape(-1, 4)[:, [0, 3]]  # from the first rest to the second
-    apart = [_apart(arm, frame, timed, postures).max(axis=0)]
+    apart = [_apart(arm, frame, timed, plan.rests[UNUSED:] - [ARRIVING, 0.0]).max(axis=0)]
     for begin, end in plan.sweeps:
         parts = np.arange(begin, end - SETTLED, SETTLED)[:, None] + [0.0, SETTLED]
         apart.append(_apart(arm, frame, timed, parts).mean(axis=0))
