@@ -184,6 +184,8 @@ def judged(arm: Arm, lab: Laboratory) -> tuple[dict[str, float], list[str], list
     seen = found.cameras
     assert seen is not None
     figures = {
+        "fit mm": 1e3 * seen.fit_position,
+        "fit degrees": np.rad2deg(seen.fit_rotation),
         "check mm": 1e3 * seen.check_position,
         "check degrees": np.rad2deg(seen.check_rotation),
         "sweeps mm": 1e3 * seen.sweep_position,

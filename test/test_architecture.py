@@ -95,7 +95,7 @@ BUDGET = {
     "ground": 1360,  # the modules of wam_power_ros/ itself
     "learning": 3070,
     "control": 4510,
-    "commissioning": 1220,
+    "commissioning": 1230,
     "tracking": 620,
     "tasks": 3960,
     "practice": 2420,

@@ -53,6 +53,8 @@ def test_an_ordinary_arm_is_not_refused(ordinary: Commissioned) -> None:
 
 ZEROS = np.deg2rad([0.0, 0.0, 0.0, 5.1, 0.0, 0.0, 0.0])
 REFUSED: list[tuple[dict[str, Any], str, float, str]] = [
+    ({"fit_position": 2.1e-3}, "body from its prediction at the rests that were used", 2.1, "fast"),
+    ({"fit_rotation": np.deg2rad(0.6)}, "body from its prediction at the rests", 0.6, "0 to 0.5"),
     ({"check_position": 2.1e-3}, "body from its prediction at unused postures", 2.1, "0 to 2"),
     ({"check_position": 0.02}, "body from its prediction at unused postures", 20.0, "fasten"),
     ({"check_rotation": np.deg2rad(0.6)}, "body from its prediction at unused", 0.6, "0 to 0.5"),
@@ -88,7 +90,8 @@ def test_a_value_out_of_its_range_is_refused_with_value_range_and_remedy(
 @pytest.mark.parametrize(
     "name",
     [
-        *("upright", "check_position", "check_rotation", "sweep_position", "sweep_rotation"),
+        *("upright", "fit_position", "fit_rotation"),
+        *("check_position", "check_rotation", "sweep_position", "sweep_rotation"),
         *("latency", "latency_change", "felt_payload"),
     ],
 )

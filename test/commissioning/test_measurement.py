@@ -141,6 +141,28 @@ def test_rests_without_the_body_in_view_are_named_and_rejected_ones_keep_their_n
     assert seen.frame.rejected == (7,)
 
 
+def test_a_body_that_slips_early_shows_at_the_rests_before(recorded: Recording) -> None:
+    later = recorded.seen_t - recorded.t[0] > PLAN.rests[6, 1]
+    slips = 0.003 * later[:, None] * recorded.rotation[:, :, 0]
+    seen = analyse(
+        true_arm.plain(), PLAN, replace(recorded, position=recorded.position + slips)
+    ).cameras
+    assert seen is not None
+    assert seen.frame.rejected == ()
+    assert seen.fit_position > 0.0015
+
+
+def test_a_rest_that_was_rejected_does_not_count_in_the_fit(recorded: Recording) -> None:
+    t, (begin, end) = recorded.seen_t - recorded.t[0], PLAN.rests[5]
+    away = 0.03 * ((t > begin - 0.5) & (t < end))[:, None]
+    seen = analyse(
+        true_arm.plain(), PLAN, replace(recorded, position=recorded.position + away)
+    ).cameras
+    assert seen is not None
+    assert seen.frame.rejected == (5,)
+    assert seen.fit_position < 0.001
+
+
 def test_a_body_that_is_loose_at_one_side_of_an_unused_posture_shows(recorded: Recording) -> None:
     t, (begin, end) = recorded.seen_t - recorded.t[0], PLAN.rests[-1]
     loose = (t > begin - 1.0) & (t < end)
@@ -148,6 +170,7 @@ def test_a_body_that_is_loose_at_one_side_of_an_unused_posture_shows(recorded: R
     seen = analyse(true_arm.plain(), PLAN, moved).cameras
     assert seen is not None
     assert seen.check_position == pytest.approx(0.004, abs=0.001)
+    assert seen.fit_position < 0.001
 
 
 def test_cameras_that_saw_nothing_of_a_sweep_leave_its_error_open(recorded: Recording) -> None:

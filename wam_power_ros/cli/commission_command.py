@@ -179,6 +179,8 @@ def report(arm: Arm, found: Commissioned) -> list[str]:
             f"{degrees(cameras.rotation_rms):.2f} degrees; rests rejected: {rejected}",
             f"           frame moved by {x:.4f}, {y:.4f}, {z:.4f} m; base's z against the cameras' "
             f"{degrees(cameras.upright):.1f} degrees",
+            f"           at the rests that were used: {seen.fit_position * 1e3:.1f} mm, "
+            f"{degrees(seen.fit_rotation):.2f} degrees",
             f"           at {HELD_OUT_TEXT}: {seen.check_position * 1e3:.1f} mm, "
             f"{degrees(seen.check_rotation):.2f} degrees",
             f"           in the sweeps: {seen.sweep_position * 1e3:.1f} mm, "

@@ -18,7 +18,7 @@ from wam_power_ros.control.arm import Arm
 
 HELD_OUT = 4  # postures at the end that are not used, to check the result
 UNUSED = -2 * HELD_OUT  # index of the first rest at them
-ARRIVING = 0.5  # [s] before such a rest that count as well: more poses, less noise
+ARRIVING = 0.5  # [s] before a rest that count as well in a check: more poses, less noise
 FITTED_SWEEPS = 2  # the others check it
 SEARCH_STEP = 0.05  # [s] of the search for the beginning of the movement
 TRACKING_MAX = 0.2  # [rad] rms between movement and recording beyond which it is another one
@@ -70,6 +70,8 @@ class Seen:
         unseen: Numbers of the rests at which the body was not seen, from 0.
         latency: Time by which the poses' stamps are late, beyond what is known [s].
         latency_change: By how much more they are late in the last sweep [s].
+        fit_position: Mean error of the body at a rest that was used, largest [m].
+        fit_rotation: The same [rad].
         check_position: Mean error of the body at a rest that was not used, largest [m].
         check_rotation: The same [rad].
         sweep_position: Error of the body in a sweep, root mean square, largest of all sweeps [m].
@@ -80,6 +82,8 @@ class Seen:
     unseen: tuple[int, ...]
     latency: float
     latency_change: float
+    fit_position: float
+    fit_rotation: float
     check_position: float
     check_rotation: float
     sweep_position: float
@@ -185,13 +189,16 @@ def _seen(arm: Arm, plan: Excitation, recorded: Recording, flat: bool) -> Seen:
     frame = replace(frame, rejected=tuple(int(numbers[row]) for row in frame.rejected))
     first, last = (_latency(arm, frame, recorded, plan.sweeps[k]) for k in (FITTED_SWEEPS - 1, -1))
     timed = replace(recorded, seen_t=recorded.seen_t - first)
-    apart = [_apart(arm, frame, timed, plan.rests[UNUSED:] - [ARRIVING, 0.0]).max(axis=0)]
+    parts = plan.rests - [ARRIVING, 0.0]
+    groups = np.delete(parts[:UNUSED], frame.rejected, axis=0), parts[UNUSED:]
+    apart = [_apart(arm, frame, timed, group).max(axis=0) for group in groups]
     for begin, end in plan.sweeps:
         parts = np.arange(begin, end - SETTLED, SETTLED)[:, None] + [0.0, SETTLED]
         apart.append(_apart(arm, frame, timed, parts).mean(axis=0))
-    check, *swept = np.sqrt(np.maximum(apart, 0.0)).tolist()
+    fit, check, *swept = np.sqrt(np.maximum(apart, 0.0)).tolist()
     unseen = tuple(np.flatnonzero(~seen).tolist())
-    return Seen(frame, unseen, first, last - first, *check, *np.max(swept, axis=0).tolist())
+    worst = np.max(swept, axis=0).tolist()
+    return Seen(frame, unseen, first, last - first, *fit, *check, *worst)
 
 
 def _at_rest(recorded: Recording, rests: list[tuple[float, float]]) -> Iterator[np.ndarray]:
