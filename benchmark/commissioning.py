@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmark.spoilt_laboratories import SPOILT, Laboratory
 from hardware_sim.demonstrator import Demonstrator, Target
 from hardware_sim.scenes import scene_type
 from hardware_sim.scenes.markers import Markers
@@ -23,7 +24,8 @@ from hardware_sim.sensors import MocapSettings
 from hardware_sim.settings import WorldSettings
 from hardware_sim.world import World
 from wam_power_ros import rotations
-from wam_power_ros.cli.commission_command import refusals, remarks, setup_text
+from wam_power_ros.cli.commission_command import setup_text
+from wam_power_ros.commissioning.acceptance import Finding, notes, refusals
 from wam_power_ros.commissioning.excitation import Excitation, excitation
 from wam_power_ros.commissioning.measurement import Commissioned, Recording, analyse
 from wam_power_ros.control.arm import Arm
@@ -80,15 +82,8 @@ def plain_arm(world: World) -> Arm:
     return Arm(world.urdf, world.settings.model_joint_names)
 
 
-def recorded(
-    environment: Environment, plan: Excitation, warmer: bool = True
-) -> tuple[Recording, str, np.ndarray]:
-    """Let the arm execute the movement.
-
-    Args:
-        environment: The arm, at rest at home.
-        plan: The movement.
-        warmer: Whether friction changes before the part of the movement that checks the result.
+def recorded(environment: Environment, plan: Excitation) -> tuple[Recording, str, np.ndarray]:
+    """Let the arm execute the movement; friction changes before the part that checks the result.
 
     Returns:
         Recording, fault or "", and highest speeds of elbow and tool [m/s].
@@ -101,7 +96,7 @@ def recorded(
     peak = np.zeros(2)
     core.start_replay(interpolated(plan.t, plan.q, 1.0, core.settings.period))
     while core.mode is Mode.REPLAY:
-        if warmer and len(rows) == changed:
+        if len(rows) == changed:
             world.model.dof_frictionloss[: world.n] *= 1.0 + WARMER * rng.uniform(-1, 1, world.n)
         sample = world.joint_state()
         tau = core.step(sample.stamp_ns, sample.q, sample.qd)
@@ -122,21 +117,30 @@ def recorded(
     return made, "" if core.latched is None else core.latched.text, peak
 
 
-def commissioned(seed: int, warmer: bool = True) -> tuple[Setup, dict[str, Any], Commissioned]:
-    """Commission the arm of a seed; returns its set-up, figures, and what was found."""
+def moved(seed: int) -> tuple[World, Arm, Laboratory, str, np.ndarray]:
+    """Let the arm of a seed move; returns its world and model, and what was recorded of it."""
     world = World(Markers, WorldSettings(unknown="lab"), seed, CAMERAS)
     environment = Environment(world)
-    environment.place("commission-quiet", world.home)
-    world.release()
-    for _ in range(200):
-        environment.tick()
+    settled(environment, "commission", world.home)
     arm, hidden = plain_arm(world), world.hidden
     assert hidden is not None
     plan = excitation(arm, environment.controller.limits, world.home, np.random.default_rng(0))
-    made, fault, peak = recorded(environment, plan, warmer)
-    found = analyse(arm, plan, made, payload=hidden.payload, flat=True)
-    c, cameras = found.arm.corrections, found.cameras
-    assert cameras is not None
+    made, fault, peak = recorded(environment, plan)
+    return world, arm, Laboratory(plan, made, hidden.payload), fault, peak
+
+
+def analysed(arm: Arm, lab: Laboratory) -> Commissioned:
+    """What a laboratory finds of its arm and its body that it takes to lie flat."""
+    return analyse(arm, lab.plan, lab.recorded, lab.payload, lab.gravity_added, flat=True)
+
+
+def commissioned(seed: int) -> tuple[Setup, dict[str, Any]]:
+    """Commission the arm of a seed; returns its set-up and figures."""
+    world, arm, lab, fault, peak = moved(seed)
+    found, hidden, plan = analysed(arm, lab), world.hidden, lab.plan
+    c, seen = found.arm.corrections, found.cameras
+    assert seen is not None
+    assert hidden is not None
     nominal = World(Markers, WorldSettings(), 0).model
     pan = world.model.body("pan").id
     mass, centre = world.model.body_mass[pan], world.model.body_ipos[pan]
@@ -147,12 +151,12 @@ def commissioned(seed: int, warmer: bool = True) -> tuple[Setup, dict[str, Any],
         "seconds": round(float(plan.t[-1]), 1),
         "peaks": peak.round(2).tolist(),
         "check mm, degrees": [
-            round(found.check_position * 1e3, 2),
-            round(float(np.rad2deg(found.check_rotation)), 3),
+            round(seen.check_position * 1e3, 2),
+            round(float(np.rad2deg(seen.check_rotation)), 3),
         ],
         "zeros": float(np.rad2deg(np.abs(c.zeros - hidden.zeros)[1:-1].max()).round(3)),
         "last zero": float(np.rad2deg(np.abs(c.zeros - hidden.zeros)[-1]).round(3)),
-        "latency ms": round(abs(found.latency) * 1e3, 2),
+        "latency ms": round(abs(seen.latency) * 1e3, 2),
         "delay periods": round((found.arm.loop_delay - hidden.delay) / 0.002),
         "before": [round(x, 3) for x in (found.before.rest, found.before.slow, found.before.fast)],
         "after": [round(x, 3) for x in (found.after.rest, found.after.slow, found.after.fast)],
@@ -162,13 +166,72 @@ def commissioned(seed: int, warmer: bool = True) -> tuple[Setup, dict[str, Any],
         ),
         "centre mm": ((c.payload[1:] - moment) / mass * 1e3).round(1).tolist(),
         "centre sd mm": (found.arm.moment_sd / mass * 1e3).round(1).tolist(),
-        "refused": refusals(found),
-        "remarks": remarks(arm, found),
+        "refused": [str(each) for each in refusals(arm, found, 0.0)],
+        "notes": [str(each) for each in notes(arm, found)],
     }
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "arm.yaml"
         file.write_text(setup_text(arm, overlay.setup(), found))
-        return overlay.setup([str(file)], simulated=True), figures, found
+        return overlay.setup([str(file)], simulated=True), figures
+
+
+def judged(arm: Arm, lab: Laboratory) -> tuple[dict[str, float], list[str], list[Finding]]:
+    """What a laboratory measures, why it refuses to write it, and what it notes."""
+    try:
+        found = analysed(arm, lab)
+    except ValueError as error:
+        return {}, [str(error)], []
+    seen = found.cameras
+    assert seen is not None
+    figures = {
+        "fit mm": 1e3 * seen.fit_position,
+        "fit degrees": np.rad2deg(seen.fit_rotation),
+        "check mm": 1e3 * seen.check_position,
+        "check degrees": np.rad2deg(seen.check_rotation),
+        "sweeps mm": 1e3 * seen.sweep_position,
+        "sweeps degrees": np.rad2deg(seen.sweep_rotation),
+        "last zero": np.rad2deg(seen.frame.zeros[-1]),
+        "latency ms": 1e3 * seen.latency,
+        "kg told": found.arm.corrections.payload[0],
+        "kg felt": found.arm.felt_payload,
+        "N m at rest": found.after.rest,
+    }
+    refused = [str(each) for each in refusals(arm, found, 0.0)]
+    return {name: round(float(x), 3) for name, x in figures.items()}, refused, notes(arm, found)
+
+
+def laboratories(seed: int, spoil: str) -> Iterator[dict[str, Any]]:
+    """Verdicts on the arm of a seed, ordinary and in a laboratory that is spoilt.
+
+    A note counts if it would not be there otherwise. That on the last zero always is, and counts
+    where the body is not flat: nothing that is measured tells the two apart.
+    """
+    _, arm, lab, fault, _ = moved(seed)
+    figures, refused, ordinary = judged(arm, lab)
+    known = {note.quantity for note in ordinary}
+    yield verdict(seed, "", figures, [*filter(None, [fault]), *refused], ordinary)
+    figures, refused, told = judged(arm, SPOILT[spoil](lab, np.random.default_rng([seed, 0x5B])))
+    if spoil.startswith("plate"):
+        known = {name for name in known if "--flat" not in name}
+    yield verdict(seed, spoil, figures, refused, [x for x in told if x.quantity not in known])
+
+
+def verdict(
+    seed: int, spoilt: str, figures: dict[str, float], refused: list[str], told: list[Finding]
+) -> dict[str, Any]:
+    """Row of a laboratory: "wrong" if it is ordinary and refused, or spoilt and not even noted."""
+    result = "refused" if refused else "noted" if told else "written"
+    row = {"seed": seed, "spoilt": spoilt, "result": result, "wrong": False, **figures}
+    row["wrong"] = not (refused or told) if spoilt else bool(refused)
+    return row | {"because": refused or [str(each) for each in told]}
+
+
+def settled(environment: Environment, name: str, q: np.ndarray, ticks: int = 200) -> None:
+    """Place the arm and let it come to rest in a hold."""
+    environment.place(f"{name}-quiet", q)
+    environment.world.release()
+    for _ in range(ticks):
+        environment.tick()
 
 
 def hands_off(environment: Environment) -> float | str:
@@ -176,10 +239,7 @@ def hands_off(environment: Environment) -> float | str:
     world, rng, worst = environment.world, np.random.default_rng(5), 0.0
     for number in range(4):
         turned = np.deg2rad(20.0) * rng.uniform(-1.0, 1.0, world.n)
-        environment.place(f"off-{number}-quiet", world.home + (turned if number else 0.0))
-        world.release()
-        for _ in range(300):
-            environment.tick()
+        settled(environment, f"off-{number}", world.home + (turned if number else 0.0), 300)
         try:
             environment.controller.set_gravity_compensation(True)
         except ControllerError:
@@ -194,10 +254,7 @@ def hands_off(environment: Environment) -> float | str:
 def hand_force(environment: Environment) -> list[float]:
     """Mean and 95th percentile of the force of a hand that moves the tool in a circle [N]."""
     world = environment.world
-    environment.place("hand-quiet", world.home)
-    world.release()
-    for _ in range(200):
-        environment.tick()
+    settled(environment, "hand", world.home)
     environment.controller.set_gravity_compensation(True)
     world.attach(Demonstrator(Circle(), *world.tool_pose))
     forces, begun_ns = [], world.time_ns
@@ -216,10 +273,7 @@ def run_on(environment: Environment) -> float:
         turns, ease = 0.25, 0.3
 
     world = environment.world
-    environment.place("push-quiet", world.home)
-    world.release()
-    for _ in range(200):
-        environment.tick()
+    settled(environment, "push", world.home)
     environment.controller.set_gravity_compensation(True)
     script = Push()
     world.attach(Demonstrator(script, *world.tool_pose))
@@ -301,7 +355,11 @@ def rehearsed(seed: int) -> Policy:
 
 def rows(seed: int, parts: list[str]) -> Iterator[dict[str, Any]]:
     """Figures of one arm."""
-    setup, figures, _ = commissioned(seed)
+    if "spoilt" in parts:
+        yield from laboratories(seed, [*SPOILT][seed % len(SPOILT)])
+    if parts == ["spoilt"]:
+        return
+    setup, figures = commissioned(seed)
     if "measure" in parts:
         yield figures
     before = Environment(hidden_world(seed))
@@ -331,20 +389,24 @@ def rows(seed: int, parts: list[str]) -> Iterator[dict[str, Any]]:
             yield {"seed": seed, "set-up": name, **session(seed, given, policy)}
 
 
-def main() -> None:
-    """Print one line of JSON for each result."""
+def main() -> int:
+    """Print one line of JSON for each result; returns 1 if a laboratory is judged wrongly."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("first", type=int, help="first seed")
     parser.add_argument("count", type=int, help="number of arms")
-    every = ["measure", "teach", "peaks", "learn"]
+    every, wrong = ["measure", "teach", "peaks", "learn", "spoilt"], 0
     parser.add_argument("--parts", nargs="+", choices=every, default=every)
     given = parser.parse_args()
     for seed in range(given.first, given.first + given.count):
         begun = time.monotonic()
         for row in rows(seed, given.parts):
             print(json.dumps(row), flush=True)
+            wrong += row.get("wrong", False)
         print(f"# {time.monotonic() - begun:.0f} s", flush=True)
+    if "spoilt" in given.parts:
+        print(f"# {wrong} of {2 * given.count} laboratories were judged wrongly")
+    return int(wrong > 0)
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

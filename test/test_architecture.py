@@ -92,10 +92,10 @@ ALLOWED["benchmark"] = {*ALLOWED}
 # Lines that a folder may have, docstrings and blanks included. Needing more is a reason to look for
 # what can go; where nothing can, the commit that raises a figure says why.
 BUDGET = {
-    "ground": 1330,  # the modules of wam_power_ros/ itself
+    "ground": 1360,  # the modules of wam_power_ros/ itself
     "learning": 3070,
     "control": 4530,
-    "commissioning": 1040,
+    "commissioning": 1230,
     "tracking": 620,
     "tasks": 3960,
     "practice": 2480,  # refusals by a person and pauses are in its log
@@ -109,12 +109,12 @@ BUDGET = {
     "view": 1430,
     "reporting": 990,
     "in_process": 420,
-    "cli": 3410,
+    "cli": 3380,
     "hardware_sim": 3380,
     "launch": 260,
     "examples": 380,
     "reproduction": 4100,
-    "benchmark": 5860,
+    "benchmark": 6090,
 }
 PURE = (
     "faults",
@@ -385,5 +385,5 @@ def test_the_loaders_of_yaml_know_nothing_but_data() -> None:
     from wam_power_ros.params import parameter_file
 
     safe = (yaml.SafeLoader, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
-    assert issubclass(plain_yaml.LOADER, safe)
+    assert issubclass(plain_yaml.Loader, safe)
     assert issubclass(parameter_file.Loader, safe)

@@ -50,7 +50,12 @@ def planned(seed: int = 0) -> Excitation:
 
 
 def recording(
-    plan: Excitation, true: Corrections, delay: int = 1, late: float = 0.003, noise: float = 1.0
+    plan: Excitation,
+    true: Corrections,
+    delay: int = 1,
+    late: float = 0.003,
+    noise: float = 1.0,
+    mounted: Pose = MOUNTED,
 ) -> Recording:
     """States 250 times a second and poses 50 times, from the beginning of the movement on.
 
@@ -60,6 +65,7 @@ def recording(
         delay: Periods after which a torque acts.
         late: Time by which the stamps of the poses are late [s].
         noise: Factor on the noise of torques and cameras.
+        mounted: Pose of the body in the tool.
     """
     arm, rng = plain().corrected(true), np.random.default_rng(1)
     spline = scipy.interpolate.CubicSpline(plan.t, plan.q)
@@ -77,7 +83,7 @@ def recording(
     tau += noise * rng.normal(0.0, 0.05, tau.shape)
     tau = np.roll(tau, -delay, axis=0)
     seen_t = np.arange(0.0, t[-1], FRAMES)
-    poses = [_seen(arm, spline(when)) for when in seen_t]
+    poses = [_seen(arm, spline(when), mounted) for when in seen_t]
     position = np.array([pose.position for pose in poses])
     turns = rotations.exp(noise * rng.normal(0.0, np.deg2rad(0.2), (len(poses), 3)))
     return Recording(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import true_arm
 
-from wam_power_ros.commissioning import camera_frame
+from wam_power_ros import rotations
 from wam_power_ros.commissioning.measurement import Commissioned, Recording, analyse, begun
 
 PLAN = true_arm.planned()
@@ -28,17 +28,22 @@ def found(recorded: Recording) -> Commissioned:
 
 def test_zeros_and_frame_are_those_of_the_arm(found: Commissioned) -> None:
     assert found.cameras is not None
-    assert np.allclose(found.cameras.zeros, TRUE.zeros, atol=np.deg2rad(0.25))
-    frame, truth = found.cameras.world_to_base, true_arm.CAMERAS.inverse()
+    cameras = found.cameras.frame
+    assert np.allclose(cameras.zeros, TRUE.zeros, atol=np.deg2rad(0.25))
+    frame, truth = cameras.world_to_base, true_arm.CAMERAS.inverse()
     assert np.allclose(frame.position, truth.position, atol=2e-3)
     assert np.allclose(frame.rotation, truth.rotation, atol=5e-3)
-    assert found.check_position < 2e-3
-    assert found.check_rotation < np.deg2rad(0.5)
-    assert camera_frame.concerns(found.cameras) == []
+    assert 0.0 < found.cameras.check_position < 2e-3
+    assert 0.0 < found.cameras.check_rotation < np.deg2rad(0.2)
+    assert 0.0 < found.cameras.sweep_position < 1e-3
+    assert found.cameras.sweep_rotation < np.deg2rad(0.1)
+    assert found.cameras.unseen == ()
 
 
 def test_late_stamps_of_the_cameras_are_measured(found: Commissioned) -> None:
-    assert found.latency == pytest.approx(0.003, abs=3e-4)
+    assert found.cameras is not None
+    assert found.cameras.latency == pytest.approx(0.003, abs=3e-4)
+    assert abs(found.cameras.latency_change) < 3e-4
 
 
 def test_torque_constants_friction_tilt_and_payload_are_found(found: Commissioned) -> None:
@@ -83,6 +88,97 @@ def test_without_a_body_in_view_the_torques_are_still_used(recorded: Recording) 
     assert found.cameras is None
     assert not found.arm.corrections.zeros.any()
     assert found.after.slow < found.before.slow
+
+
+def test_the_mass_by_the_torques_alone_is_found_although_another_one_was_told(
+    recorded: Recording,
+) -> None:
+    told = analyse(true_arm.plain(), PLAN, recorded, payload=float(TRUE.payload[0]) + 0.3).arm
+    assert told.corrections.payload[0] == pytest.approx(TRUE.payload[0] + 0.3, abs=0.01)
+    assert abs(told.felt_payload - TRUE.payload[0]) < 2.0 * told.felt_sd < 0.1
+
+
+def test_a_camera_that_is_knocked_after_the_postures_is_seen_in_the_sweeps(
+    recorded: Recording, found: Commissioned
+) -> None:
+    later = recorded.seen_t - recorded.seen_t[0] > PLAN.rests[-1, 1]
+    moved = replace(recorded, position=recorded.position + 0.004 * later[:, None] * [0.6, 0.8, 0])
+    seen = analyse(true_arm.plain(), PLAN, moved).cameras
+    assert seen is not None
+    assert found.cameras is not None
+    assert seen.check_position == pytest.approx(found.cameras.check_position, abs=1e-4)
+    assert seen.sweep_position == pytest.approx(0.004, abs=0.0015)
+
+
+def test_noise_of_the_cameras_is_no_error_of_the_body(recorded: Recording) -> None:
+    rng = np.random.default_rng(5)
+    noise = rotations.exp(rng.normal(0.0, np.deg2rad(0.6), (len(recorded.seen_t), 3)))
+    seen = analyse(true_arm.plain(), PLAN, replace(recorded, rotation=noise @ recorded.rotation))
+    assert seen.cameras is not None
+    assert seen.cameras.check_rotation < np.deg2rad(0.3)
+    assert seen.cameras.sweep_rotation < np.deg2rad(0.2)
+
+
+def test_a_clock_of_the_cameras_that_drifts_changes_their_delay(recorded: Recording) -> None:
+    t = recorded.seen_t - recorded.seen_t[0]
+    seen = analyse(true_arm.plain(), PLAN, replace(recorded, seen_t=recorded.seen_t + 1e-4 * t))
+    assert seen.cameras is not None
+    between = PLAN.sweeps[3].mean() - PLAN.sweeps[1].mean()
+    assert seen.cameras.latency_change == pytest.approx(1e-4 * between, abs=3e-4)
+
+
+def test_rests_without_the_body_in_view_are_named_and_rejected_ones_keep_their_number(
+    recorded: Recording,
+) -> None:
+    t = recorded.seen_t - recorded.t[0]
+    hidden = np.logical_or.reduce([(t > a) & (t < b) for a, b in PLAN.rests[[2, 3, 25]]])
+    wrong = (t > PLAN.rests[7, 0]) & (t < PLAN.rests[7, 1])
+    moved = replace(recorded, position=recorded.position + 0.03 * wrong[:, None])
+    parts = {name: getattr(moved, name)[~hidden] for name in ("seen_t", "position", "rotation")}
+    seen = analyse(true_arm.plain(), PLAN, replace(moved, **parts)).cameras
+    assert seen is not None
+    assert seen.unseen == (2, 3, 25)
+    assert seen.frame.rejected == (7,)
+
+
+def test_a_body_that_slips_early_shows_at_the_rests_before(recorded: Recording) -> None:
+    later = recorded.seen_t - recorded.t[0] > PLAN.rests[6, 1]
+    slips = 0.003 * later[:, None] * recorded.rotation[:, :, 0]
+    seen = analyse(
+        true_arm.plain(), PLAN, replace(recorded, position=recorded.position + slips)
+    ).cameras
+    assert seen is not None
+    assert seen.frame.rejected == ()
+    assert seen.fit_position > 0.0015
+
+
+def test_a_rest_that_was_rejected_does_not_count_in_the_fit(recorded: Recording) -> None:
+    t, (begin, end) = recorded.seen_t - recorded.t[0], PLAN.rests[5]
+    away = 0.03 * ((t > begin - 0.5) & (t < end))[:, None]
+    seen = analyse(
+        true_arm.plain(), PLAN, replace(recorded, position=recorded.position + away)
+    ).cameras
+    assert seen is not None
+    assert seen.frame.rejected == (5,)
+    assert seen.fit_position < 0.001
+
+
+def test_a_body_that_is_loose_at_one_side_of_an_unused_posture_shows(recorded: Recording) -> None:
+    t, (begin, end) = recorded.seen_t - recorded.t[0], PLAN.rests[-1]
+    loose = (t > begin - 1.0) & (t < end)
+    moved = replace(recorded, position=recorded.position + 0.004 * loose[:, None] * [0.6, 0.8, 0])
+    seen = analyse(true_arm.plain(), PLAN, moved).cameras
+    assert seen is not None
+    assert seen.check_position == pytest.approx(0.004, abs=0.001)
+    assert seen.fit_position < 0.001
+
+
+def test_cameras_that_saw_nothing_of_a_sweep_leave_its_error_open(recorded: Recording) -> None:
+    early = recorded.seen_t - recorded.t[0] < PLAN.sweeps[3, 0]
+    parts = {name: getattr(recorded, name)[early] for name in ("seen_t", "position", "rotation")}
+    seen = analyse(true_arm.plain(), PLAN, replace(recorded, **parts)).cameras
+    assert seen is not None
+    assert np.isnan([seen.latency_change, seen.sweep_position, seen.sweep_rotation]).all()
 
 
 def test_the_beginning_of_the_movement_is_found_in_the_recording(recorded: Recording) -> None:

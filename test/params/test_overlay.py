@@ -210,6 +210,7 @@ def test_the_last_file_wins_and_may_override_derived_parameters(tmp_path: Path) 
         ("torque_controller: {ros__parameters: {period: true}}", "is True; allowed is a number"),
         ("learner: {ros__parameters: {trials: 2.5}}", "2.5; allowed is a whole number"),
         ("torque_controller: {ros__parameters: {1: 2}}", "no parameter 1"),
+        (f"learner: {{ros__parameters: {{seed: 1{400 * '0'}}}}}", "seed is no finite number"),
     ],
 )
 def test_a_bad_file_is_refused_by_name(text: str, says: str, tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ from wam_power_ros.cli.launcher import (
     timestamp,
 )
 from wam_power_ros.cli.plan import RECORDER, SIMULATION, TRACKER, plan_of
-from wam_power_ros.commissioning import camera_frame
+from wam_power_ros.commissioning.acceptance import notes, refusals
 from wam_power_ros.commissioning.excitation import Excitation, excitation
 from wam_power_ros.commissioning.identification import tool_centre
 from wam_power_ros.commissioning.measurement import Commissioned, Recording, analyse
@@ -38,11 +38,7 @@ from wam_power_ros.params import overlay
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 
 MOVEMENT = "movement.npz"
-HALVED = 0.5  # share of the unexplained torque that may be left: otherwise nothing is written
-EXPLAINED = 0.3  # [N m] unexplained torque that is acceptable whatever it was before
 RELIEF = 0.6  # share of the friction that is taken off: with more an arm let go in motion runs on
-ZERO_NOTED, TILT_NOTED = 2.0, 2.0  # [degrees] from which a zero or a tilt is remarked on
-MASS_NOTED, CENTRE_NOTED = 0.15, 0.03  # [kg], [m] the same of a tool
 SCENE = "markers"  # of the stand-in
 
 
@@ -87,12 +83,11 @@ def commission(
         print("The driver adds gravity by a model of its own, which is taken for that of the URDF.")
     for line in report(arm, found):
         print(line)
-    for remark in remarks(arm, found):
-        print(f"note: {remark}")
-    reasons = refusals(found)
-    for reason in reasons:
-        print(f"not usable: {reason}")
-    if reasons:
+    for note in notes(arm, found):
+        print(f"note: {note}")
+    if reasons := refusals(arm, found, setup[TRACKER]["latency_offset"]):
+        for reason in reasons:
+            print(f"not usable: {reason}")
         print("Nothing was written.")
         return 1
     file = output or folder / "arm.yaml"
@@ -171,11 +166,12 @@ _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 
 def report(arm: Arm, found: Commissioned) -> list[str]:
     """What was found, in lines of text."""
-    lines, cameras, measured = [], found.cameras, found.arm
+    lines, seen, measured = [], found.cameras, found.arm
     degrees = np.rad2deg
-    if cameras is None:
+    if seen is None:
         lines.append("cameras    saw no body: frame and zeros were not measured")
     else:
+        cameras = seen.frame
         x, y, z = cameras.world_to_base.position
         rejected = ", ".join(str(number + 1) for number in cameras.rejected) or "none"
         lines += [
@@ -183,9 +179,14 @@ def report(arm: Arm, found: Commissioned) -> list[str]:
             f"{degrees(cameras.rotation_rms):.2f} degrees; rests rejected: {rejected}",
             f"           frame moved by {x:.4f}, {y:.4f}, {z:.4f} m; base's z against the cameras' "
             f"{degrees(cameras.upright):.1f} degrees",
-            f"           at {HELD_OUT_TEXT}: {found.check_position * 1e3:.1f} mm, "
-            f"{degrees(found.check_rotation):.2f} degrees",
-            f"           stamps late by {found.latency * 1e3:.1f} ms beyond latency_offset",
+            f"           at the rests that were used: {seen.fit_position * 1e3:.1f} mm, "
+            f"{degrees(seen.fit_rotation):.2f} degrees",
+            f"           at {HELD_OUT_TEXT}: {seen.check_position * 1e3:.1f} mm, "
+            f"{degrees(seen.check_rotation):.2f} degrees",
+            f"           in the sweeps: {seen.sweep_position * 1e3:.1f} mm, "
+            f"{degrees(seen.sweep_rotation):.2f} degrees",
+            f"           stamps late by {seen.latency * 1e3:.1f} ms beyond latency_offset, in the "
+            f"last sweep by {seen.latency_change * 1e3:+.1f} ms more",
         ]
         zeros = zip(arm.joint_names, cameras.zeros, cameras.zeros_sd, strict=True)
         shown = ", ".join(
@@ -199,7 +200,8 @@ def report(arm: Arm, found: Commissioned) -> list[str]:
         f"of the model {_joined(arm.friction, '.2f')} N m",
         f"motors     torque over commanded {_joined(c.torque_scales, '.3f')} "
         f"+-{float(measured.scales_sd.max()):.3f}",
-        f"payload    {c.payload[0]:+.3f} +-{measured.payload_sd:.3f} kg beyond the model, moment "
+        f"payload    {c.payload[0]:+.3f} +-{measured.payload_sd:.3f} kg beyond the model, "
+        f"by the torques alone {measured.felt_payload:+.3f} +-{measured.felt_sd:.3f} kg; moment "
         f"{_joined(c.payload[1:], '+.4f')} kg m +-{float(measured.moment_sd.max()):.4f}",
         f"base       tilted by {_joined(degrees(c.base_tilt), '+.2f')} degrees",
         f"loop       {measured.loop_delay * 1e3:.0f} ms from a torque to its motion",
@@ -219,42 +221,6 @@ def _joined(values: np.ndarray, spec: str) -> str:
     return " ".join(format(float(value), spec) for value in values)
 
 
-def refusals(found: Commissioned) -> list[str]:
-    """Reasons not to write the result; empty if there is none."""
-    reasons = [] if found.cameras is None else camera_frame.concerns(found.cameras)
-    if not found.after.slow <= max(HALVED * found.before.slow, EXPLAINED):
-        reasons.append(
-            f"the unexplained torque in slow movements is {found.after.slow:.2f} N m, not half of "
-            f"the {found.before.slow:.2f} N m before: the tool, the joints or the torques' unit "
-            "are other ones than the set-up says"
-        )
-    scales = found.arm.corrections.torque_scales
-    for joint, scale in enumerate(scales, start=1):
-        if not 0.85 <= scale <= 1.15:
-            reasons.append(f"joint {joint} gives {scale:.2f} of the commanded torque, 0.85 to 1.15")
-    return reasons
-
-
-def remarks(arm: Arm, found: Commissioned) -> list[str]:
-    """What is corrected but better mended at the arm, as sentences."""
-    c, said = found.arm.corrections, []
-    for name, zero in zip(arm.joint_names, np.rad2deg(c.zeros), strict=True):
-        if abs(zero) > ZERO_NOTED:
-            said.append(f"{name} is off by {zero:+.1f} degrees: better zero the arm")
-    tilt = float(np.rad2deg(np.hypot(*c.base_tilt)))
-    if tilt > TILT_NOTED:
-        said.append(f"the base is tilted by {tilt:.1f} degrees: better level it")
-    tool, centre = tool_centre(arm)
-    added, moment = c.payload[0], c.payload[1:]
-    moved = float(np.linalg.norm((moment - added * centre) / (tool.mass + added)))
-    if abs(added) > MASS_NOTED or moved > CENTRE_NOTED:
-        said.append(
-            f"the tool is {added:+.2f} kg and {moved * 1e3:.0f} mm from that of the URDF: is it "
-            "the right one? Better weigh it (--tool-mass) and mend the URDF"
-        )
-    return said
-
-
 def setup_text(arm: Arm, setup: overlay.Setup, found: Commissioned) -> str:
     """Set-up file with what was found."""
     c = found.arm.corrections
@@ -272,12 +238,12 @@ def setup_text(arm: Arm, setup: overlay.Setup, found: Commissioned) -> str:
         "teaching_friction": RELIEF,
     }
     nodes: dict[str, Any] = {"torque_controller": controller}
-    if found.cameras is not None:
+    if (seen := found.cameras) is not None:
         known = setup[TRACKER]["world_to_base"]
-        turn, offset = found.cameras.world_to_base.rotation, found.cameras.world_to_base.position
+        turn, offset = seen.frame.world_to_base.rotation, seen.frame.world_to_base.position
         position = turn @ np.array(known[:3]) + offset
         quat = rotations.quat_xyzw(turn @ rotations.matrix(np.array(known[3:])))
-        late = setup[TRACKER]["latency_offset"] + found.latency
+        late = setup[TRACKER]["latency_offset"] + seen.latency
         nodes[TRACKER] = {
             "world_to_base": [*_rounded(position, 5), *_rounded(quat, 7)],
             "latency_offset": round(max(0.0, late), 5),
@@ -289,6 +255,7 @@ def setup_text(arm: Arm, setup: overlay.Setup, found: Commissioned) -> str:
         "# Joints in the order of model_joint_names. Measure again after a change of tool, zeros "
         "or cameras.",
         *(f"# {line}" for line in report(arm, found)),
+        *(f"# note: {note}" for note in notes(arm, found)),
     ]
     body = yaml.safe_dump(sections, sort_keys=False, default_flow_style=None, width=1000)
     return "\n".join([*header, body])

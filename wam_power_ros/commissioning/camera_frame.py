@@ -30,8 +30,6 @@ OUTLIER = 5.0  # multiple of the residual of all postures from which one is reje
 POSTURES_MIN = 10  # accepted postures without which nothing is said
 SPREAD_MIN = np.deg2rad(15.0)  # [rad] smallest range of the tool's orientation over the postures
 RESIDUAL_MAX = 10.0  # multiple of the noise: a mirrored axis gives hundreds
-UPRIGHT_MAX = np.deg2rad(5.0)  # [rad] between the vertical axes of base and cameras
-ZERO_MAX = np.deg2rad(5.0)  # [rad] beyond which a joint is to be zeroed anew
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,38 +105,21 @@ def calibrate(
             break
         accepted = np.delete(accepted, worst)
         if len(accepted) < POSTURES_MIN:
-            text = f"only {len(accepted)} of {len(q)} postures agree with each other"
+            text = f"only {len(accepted)} of {len(q)} postures agree, {POSTURES_MIN} are needed"
             raise ValueError(f"{text}: a marker moves on the tool, or is often hidden")
     if typical > RESIDUAL_MAX:
-        text = f"the postures disagree, the residual is {typical:.0f} times the noise: "
+        text = f"the postures disagree, the residual is {typical:.0f} times the noise, at most "
+        text += f"{RESIDUAL_MAX:.0f} is allowed: "
         flip = np.diag([-1.0, 1.0, 1.0])
         seen = position[accepted] @ flip, flip @ rotation[accepted] @ flip
         other = _solve(arm, q[accepted], *seen, flat=False)
         if _sizes(other, accepted).max() < OUTLIER * RESIDUAL_MAX:
             raise ValueError(f"{text}the cameras' axes are mirrored (left-handed)")
         raise ValueError(
-            f"{text}the body moved in the tool (a pancake was left in the pan, its markers are "
-            "loose), or the joints have another order or sign"
+            f"{text}the cameras were knocked, the body moved in the tool (a pancake was left in "
+            "the pan, its markers are loose), or the joints have another order or sign"
         )
     return _result(arm.n, solution, len(q), accepted)
-
-
-def concerns(found: CameraFrame) -> list[str]:
-    """Reasons not to use a result, as sentences; empty if there is none."""
-    reasons = []
-    if found.upright > UPRIGHT_MAX:
-        axis = found.world_to_base.rotation[2]  # base z in the cameras' frame
-        name = "xyz"[int(np.abs(axis).argmax())]
-        sign = "-" if axis[np.abs(axis).argmax()] < 0.0 else ""
-        reasons.append(
-            f"the base's z axis stands {np.rad2deg(found.upright):.0f} degrees from the cameras' z "
-            f"axis and is nearest to their {sign}{name}: set up_axis, or the cameras' ground plane"
-        )
-    for joint, zero in enumerate(found.zeros, start=1):
-        if abs(zero) > ZERO_MAX:
-            shown = np.rad2deg(zero)
-            reasons.append(f"joint {joint} is off by {shown:+.1f} degrees: zero it anew instead")
-    return reasons
 
 
 def _result(n: int, solution: OptimizeResult, count: int, accepted: np.ndarray) -> CameraFrame:

@@ -65,6 +65,8 @@ class Identified:
         scales_sd: Standard deviations of the torque scales. Shape (n,).
         moment_sd: Standard deviation of the payload's first moment [kg m]. Shape (3,).
         payload_sd: Standard deviation of its mass [kg].
+        felt_payload: Its mass by the torques alone, even if it was weighed [kg].
+        felt_sd: Standard deviation of that [kg].
         loop_delay: Time from a command to the motion [s].
     """
 
@@ -72,6 +74,8 @@ class Identified:
     scales_sd: np.ndarray
     moment_sd: np.ndarray
     payload_sd: float
+    felt_payload: float
+    felt_sd: float
     loop_delay: float
 
 
@@ -162,17 +166,17 @@ def identify(
         [each.used / sd for each, sd in zip((still, *moving), noise, strict=True)]
     )
     matrix, known = (np.concatenate(column) for column in zip(*linear, strict=True))
-    best: tuple[float, Identified] | None = None
-    for shift in range(round(DELAYS / period) + 1):
-        delay = shift * period
+
+    def fit(delay: float, weighed: float | None) -> tuple[float, Identified]:
         torques = [still.tau, *(sweep(t, q, tau, part, delay).tau for part in plan.sweeps)]
-        cost, found = _fit(arm, matrix, known, np.concatenate(torques), weight, payload)
-        if best is None or cost < best[0]:
-            corrections = replace(found.corrections, zeros=zeros)
-            best = cost, replace(found, corrections=corrections, loop_delay=delay)
-    if best is None:
-        raise ValueError(f"period {period} s of the states must be positive")
-    return best[1]
+        cost, found = _fit(arm, matrix, known, np.concatenate(torques), weight, weighed)
+        corrections = replace(found.corrections, zeros=zeros)
+        return cost, replace(found, corrections=corrections, loop_delay=delay)
+
+    delays = [shift * period for shift in range(round(DELAYS / period) + 1)]
+    best = min((fit(delay, payload) for delay in delays), key=lambda each: each[0])[1]
+    felt = best if payload is None else fit(best.loop_delay, None)[1]
+    return replace(best, felt_payload=felt.felt_payload, felt_sd=felt.felt_sd)
 
 
 def _fit(
@@ -247,6 +251,8 @@ def _fit(
         scales_sd=sd[count:],
         moment_sd=np.sqrt(spread_of_moment.diagonal()),
         payload_sd=float(sd[n]),
+        felt_payload=float(x[n]),
+        felt_sd=float(sd[n]),
         loop_delay=0.0,
     )
     return cost, result

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,10 +13,12 @@ from wam_power_ros import rotations
 from wam_power_ros.commissioning import camera_frame, identification
 from wam_power_ros.commissioning.camera_frame import CameraFrame, Pose
 from wam_power_ros.commissioning.excitation import Excitation
-from wam_power_ros.commissioning.identification import Identified
+from wam_power_ros.commissioning.identification import SETTLED, Identified
 from wam_power_ros.control.arm import Arm
 
 HELD_OUT = 4  # postures at the end that are not used, to check the result
+UNUSED = -2 * HELD_OUT  # index of the first rest at them
+ARRIVING = 0.5  # [s] before a rest that count as well in a check: more poses, less noise
 FITTED_SWEEPS = 2  # the others check it
 SEARCH_STEP = 0.05  # [s] of the search for the beginning of the movement
 TRACKING_MAX = 0.2  # [rad] rms between movement and recording beyond which it is another one
@@ -58,23 +62,46 @@ class Residual:
 
 
 @dataclass(frozen=True, eq=False)
+class Seen:
+    """What the cameras tell.
+
+    Attributes:
+        frame: Frame, body and zeros.
+        unseen: Numbers of the rests at which the body was not seen, from 0.
+        latency: Time by which the poses' stamps are late, beyond what is known [s].
+        latency_change: By how much more they are late in the last sweep [s].
+        fit_position: Mean error of the body at a rest that was used, largest [m].
+        fit_rotation: The same [rad].
+        check_position: Mean error of the body at a rest that was not used, largest [m].
+        check_rotation: The same [rad].
+        sweep_position: Error of the body in a sweep, root mean square, largest of all sweeps [m].
+        sweep_rotation: The same [rad].
+    """
+
+    frame: CameraFrame
+    unseen: tuple[int, ...]
+    latency: float
+    latency_change: float
+    fit_position: float
+    fit_rotation: float
+    check_position: float
+    check_rotation: float
+    sweep_position: float
+    sweep_rotation: float
+
+
+@dataclass(frozen=True, eq=False)
 class Commissioned:
     """Result of `analyse`.
 
     Attributes:
-        cameras: Frame, body and zeros from the cameras; None if they saw no body.
-        latency: Time by which the poses' stamps are late, beyond what is known [s].
-        check_position: Error of the body at postures that were not used, largest [m].
-        check_rotation: The same [rad].
+        cameras: What the cameras tell; None if they saw no body.
         arm: Corrections of the arm.
         before: Torque that the model of the URDF leaves unexplained in movements not used.
         after: The same with the corrections.
     """
 
-    cameras: CameraFrame | None
-    latency: float
-    check_position: float
-    check_rotation: float
+    cameras: Seen | None
     arm: Identified
     before: Residual
     after: Residual
@@ -105,24 +132,17 @@ def analyse(
     if gravity_added:
         carried = np.array([arm.gravity(each) for each in recorded.q])
         recorded = replace(recorded, tau=recorded.tau + carried)
-    t = recorded.t - begun(plan, recorded.t, recorded.q)
-    seen_t = recorded.seen_t - (recorded.t[0] - t[0])
-    cameras, latency = None, 0.0
-    check = (0.0, 0.0)
-    zeros = np.zeros(arm.n)
-    used, last = plan.rests[: -2 * HELD_OUT], plan.rests[-2 * HELD_OUT :]
-    if len(seen_t):
-        q, poses = _at_rest(t, recorded, seen_t, used)
-        cameras = camera_frame.calibrate(arm, q, *poses, flat)
-        zeros = cameras.zeros
-        check = _error(arm, cameras, *_at_rest(t, recorded, seen_t, last))
-        latency = _latency(arm, cameras, t, recorded, seen_t, plan.sweeps[FITTED_SWEEPS - 1])
-    fitted = Excitation(plan.t, plan.q, used, plan.sweeps[:FITTED_SWEEPS])
-    found = identification.identify(arm, fitted, t, recorded.q, recorded.tau, zeros, payload)
+    start = begun(plan, recorded.t, recorded.q)
+    recorded = replace(recorded, t=recorded.t - start, seen_t=recorded.seen_t - start)
+    cameras = _seen(arm, plan, recorded, flat) if len(recorded.seen_t) else None
+    zeros = np.zeros(arm.n) if cameras is None else cameras.frame.zeros
+    fitted = Excitation(plan.t, plan.q, plan.rests[:UNUSED], plan.sweeps[:FITTED_SWEEPS])
+    states = recorded.t, recorded.q, recorded.tau
+    found = identification.identify(arm, fitted, *states, zeros, payload)
     return Commissioned(
-        *(cameras, latency, *check, found),
-        before=_residual(arm, plan, t, recorded, found.loop_delay),
-        after=_residual(arm.corrected(found.corrections), plan, t, recorded, found.loop_delay),
+        *(cameras, found),
+        before=_residual(arm, plan, recorded, found.loop_delay),
+        after=_residual(arm.corrected(found.corrections), plan, recorded, found.loop_delay),
     )
 
 
@@ -157,38 +177,76 @@ def begun(plan: Excitation, t: np.ndarray, q: np.ndarray) -> float:
     return best
 
 
-def _at_rest(
-    t: np.ndarray, recorded: Recording, seen_t: np.ndarray, planned: np.ndarray
-) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
-    """Mean positions of the joints and mean poses of the body at rests in which it was seen."""
+def _seen(arm: Arm, plan: Excitation, recorded: Recording, flat: bool) -> Seen:
+    """What the cameras tell; the times of the recording are those of the movement."""
+    rests = [(end - SETTLED, end) for _, end in plan.rests]
+    seen = np.diff(np.searchsorted(recorded.seen_t, rests))[:, 0] >= 2  # frames
+    numbers = np.flatnonzero(seen[:UNUSED])
+    if not len(numbers):
+        raise ValueError("the cameras saw the body at none of the rests")
+    q, position, rotation = _at_rest(recorded, [rests[k] for k in numbers])
+    frame = camera_frame.calibrate(arm, q, position, rotation, flat)
+    frame = replace(frame, rejected=tuple(int(numbers[row]) for row in frame.rejected))
+    first, last = (_latency(arm, frame, recorded, plan.sweeps[k]) for k in (FITTED_SWEEPS - 1, -1))
+    timed = replace(recorded, seen_t=recorded.seen_t - first)
+    parts = plan.rests - [ARRIVING, 0.0]
+    groups = np.delete(parts[:UNUSED], frame.rejected, axis=0), parts[UNUSED:]
+    apart = [_apart(arm, frame, timed, group).max(axis=0) for group in groups]
+    for begin, end in plan.sweeps:
+        parts = np.arange(begin, end - SETTLED, SETTLED)[:, None] + [0.0, SETTLED]
+        apart.append(_apart(arm, frame, timed, parts).mean(axis=0))
+    fit, check, *swept = np.sqrt(np.maximum(apart, 0.0)).tolist()
+    unseen = tuple(np.flatnonzero(~seen).tolist())
+    worst = np.max(swept, axis=0).tolist()
+    return Seen(frame, unseen, first, last - first, *fit, *check, *worst)
+
+
+def _at_rest(recorded: Recording, rests: list[tuple[float, float]]) -> Iterator[np.ndarray]:
+    """Mean positions of the joints, mean positions and mean orientations of the body at rests."""
     rows = []
-    for _, end in planned:
-        between = (end - identification.SETTLED, end)
-        states = slice(*np.searchsorted(t, between).tolist())
-        frames = slice(*np.searchsorted(seen_t, between).tolist())
-        if frames.stop - frames.start < 2:
-            continue
+    for between in rests:
+        states = slice(*np.searchsorted(recorded.t, between).tolist())
+        frames = slice(*np.searchsorted(recorded.seen_t, between).tolist())
         turns = recorded.rotation[frames]
         offsets = rotations.log(turns @ turns[0].T).mean(axis=0)
         mean = recorded.position[frames].mean(axis=0), rotations.exp(offsets) @ turns[0]
         rows.append((recorded.q[states].mean(axis=0), *mean))
-    if not rows:
-        raise ValueError("the cameras saw the body at none of the rests")
-    q, position, rotation = (np.array(column) for column in zip(*rows, strict=True))
-    return q, (position, rotation)
+    return (np.array(column) for column in zip(*rows, strict=True))
 
 
-def _error(
-    arm: Arm, cameras: CameraFrame, q: np.ndarray, poses: tuple[np.ndarray, np.ndarray]
-) -> tuple[float, float]:
-    """Largest error of the body's position [m] and orientation [rad] at some postures."""
-    apart, turned = [], []
-    for posture, position, rotation in zip(q, *poses, strict=True):
-        expected = _body(arm, cameras, posture)
-        seen = _in_base(cameras, position, rotation)
-        apart.append(float(np.linalg.norm(seen.position - expected.position)))
-        turned.append(float(np.linalg.norm(rotations.log(expected.rotation.T @ seen.rotation))))
-    return max(apart), max(turned)
+def _apart(arm: Arm, cameras: CameraFrame, recorded: Recording, parts: np.ndarray) -> np.ndarray:
+    """Mean errors of the body's position [m] and orientation [rad] in parts, squared.
+
+    The square that noise of the cameras alone would leave is taken off. Parts in which the body was
+    not seen are left out; one row of NaN is left if that is all.
+
+    Args:
+        arm: Arm as its URDF describes it.
+        cameras: Frame, body and zeros.
+        recorded: Recording whose poses have the times of their exposure.
+        parts: Begin and end of each part [s]. Shape (N, 2).
+
+    Returns:
+        Shape (N, 2).
+    """
+    q = np.stack([np.interp(recorded.seen_t, recorded.t, column) for column in recorded.q.T], 1)
+    rows = []
+    for between in parts:
+        frames = range(*np.searchsorted(recorded.seen_t, between).tolist())
+        poses = (Pose(recorded.position[k], recorded.rotation[k]) for k in frames)
+        errors = [_error(arm, cameras, q[k], pose) for k, pose in zip(frames, poses, strict=True)]
+        if len(errors) > 1:
+            noise = np.var(errors, axis=0, ddof=1) / len(errors)
+            rows.append((np.mean(errors, axis=0) ** 2 - noise).sum(axis=1))
+    return np.array(rows or [[np.nan, np.nan]])
+
+
+def _error(arm: Arm, cameras: CameraFrame, q: np.ndarray, seen: Pose) -> np.ndarray:
+    """Error of the body's position [m] and orientation [rad]. Shape (2, 3)."""
+    expected, base = _body(arm, cameras, q), cameras.world_to_base
+    turned = expected.rotation.T @ base.rotation @ seen.rotation
+    place = base.rotation @ seen.position + base.position
+    return np.stack([place - expected.position, rotations.log(turned)])
 
 
 def _body(arm: Arm, cameras: CameraFrame, q: np.ndarray) -> Pose:
@@ -198,21 +256,15 @@ def _body(arm: Arm, cameras: CameraFrame, q: np.ndarray) -> Pose:
     return Pose(position + axes @ mounted.position, axes @ mounted.rotation)
 
 
-def _in_base(cameras: CameraFrame, position: np.ndarray, rotation: np.ndarray) -> Pose:
-    turn, offset = cameras.world_to_base.rotation, cameras.world_to_base.position
-    return Pose(turn @ position + offset, turn @ rotation)
+def _latency(arm: Arm, cameras: CameraFrame, recorded: Recording, between: np.ndarray) -> float:
+    """Time by which stamps of poses are late [s]: that which makes the motions agree best.
 
-
-def _latency(
-    arm: Arm,
-    cameras: CameraFrame,
-    t: np.ndarray,
-    recorded: Recording,
-    seen_t: np.ndarray,
-    between: np.ndarray,
-) -> float:
-    """Time by which stamps of poses are late [s]: that which makes the motions agree best."""
+    NaN if the cameras did not see the body.
+    """
+    t, seen_t = recorded.t, recorded.seen_t
     frames = slice(*np.searchsorted(seen_t, between).tolist())
+    if frames.stop == frames.start:
+        return math.nan
     states = slice(*np.searchsorted(t, between + np.array([-0.2, 0.2])).tolist())
     times, path = t[states], [_body(arm, cameras, q).position for q in recorded.q[states]]
     turn, offset = cameras.world_to_base.rotation, cameras.world_to_base.position
@@ -231,16 +283,10 @@ def _latency(
     return late
 
 
-def _residual(
-    arm: Arm,
-    plan: Excitation,
-    t: np.ndarray,
-    recorded: Recording,
-    delay: float,
-) -> Residual:
+def _residual(arm: Arm, plan: Excitation, recorded: Recording, delay: float) -> Residual:
     """Unexplained torque in the rests and sweeps that were not used."""
-    q, tau = recorded.q, recorded.tau
-    parts = [identification.rests(t, q, tau, plan.rests[-2 * HELD_OUT :])]
+    t, q, tau = recorded.t, recorded.q, recorded.tau
+    parts = [identification.rests(t, q, tau, plan.rests[UNUSED:])]
     sweeps = plan.sweeps[FITTED_SWEEPS:]
     parts += [identification.sweep(t, q, tau, between, delay) for between in sweeps]
     sizes = []

@@ -28,7 +28,7 @@ _FLOAT = re.compile(
 )
 
 
-class Loader(plain_yaml.LOADER):  # type: ignore[misc, valid-type]  # one of two classes
+class Loader(plain_yaml.Loader):
     """Loads plain data: decimal numbers, unique keys."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
