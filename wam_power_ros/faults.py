@@ -24,6 +24,7 @@ class FaultKind(str, enum.Enum):
     STATES_REFUSED = "states_refused"  # too many invalid joint states
     JUMP = "jump"  # joint position jumped from one state to the next
     VELOCITY = "velocity"  # positions and velocities contradict each other
+    DRIFT = "drift"  # the torque that holds an arm which reports rest has changed
     EXTERNAL_TORQUE = "external_torque"  # motion not explained by the commanded torques
     STAMPS = "stamps"  # the stamps do not advance with real time
     RELEASED = "released"  # the enabling switch was released
@@ -41,6 +42,11 @@ class FaultKind(str, enum.Enum):
     def of_person(self) -> bool:
         """Whether a person ended the movement: a refusal of its policy."""
         return self is FaultKind.RELEASED
+
+    @property
+    def of_states(self) -> bool:
+        """Whether the joint states were false, whatever moved the arm."""
+        return self in (FaultKind.JUMP, FaultKind.VELOCITY, FaultKind.DRIFT)
 
 
 _OF_POLICY = frozenset(list(FaultKind)[:6])

@@ -26,6 +26,7 @@ from rigid_arm import (
 from wam_power_ros.control import safety, torque_law
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.modes import ControllerError, Mode, Refusal
+from wam_power_ros.control.state_checks import JointState
 from wam_power_ros.faults import FaultKind
 from wam_power_ros.learning.policy import with_id
 
@@ -107,7 +108,8 @@ def test_a_long_gap_is_a_fault_and_a_short_one_is_counted() -> None:
 @pytest.mark.requirement("S-44")
 @pytest.mark.parametrize("teaching", [False, True])
 def test_a_joint_that_jumps_is_a_fault_in_every_mode(teaching: bool) -> None:
-    for size, mode in ((0.0999, None), (0.1001, Mode.FAULT)):
+    bound = 2.0 * LIMITS.qd_max[1] * 0.002 + 0.01  # twice the way at the joint's limit
+    for size, mode in ((0.99 * bound, None), (1.01 * bound, Mode.FAULT)):
         controller, plant = begin()
         controller.set_gravity_compensation(teaching)
         before = controller.mode
@@ -121,28 +123,43 @@ def test_a_joint_that_jumps_is_a_fault_in_every_mode(teaching: bool) -> None:
 @pytest.mark.requirement("S-21")
 @pytest.mark.parametrize("joint", range(7))
 def test_overspeed_is_a_fault_in_the_third_state(joint: int) -> None:
-    controller, plant = begin()
-    stamp, q, qd = plant.state()
+    check = safety.MotionCheck(LIMITS, MODEL.guarded)
     qd = np.zeros(7)
     qd[joint] = 1.01 * LIMITS.qd_max[joint]
-    for k in range(2):
-        controller.step(stamp + k * PERIOD_NS, q, qd)
-        assert controller.mode is Mode.HOLD
-    controller.step(stamp + 2 * PERIOD_NS, q, qd)
+    state = JointState(10**12, HOME, qd, 0.002, 0.002)
+    motion = MODEL.motion(HOME, np.zeros(7))
+    faults = [check.fault(Mode.HOLD, state, motion) for _ in range(3)]
+    assert faults[:2] == [None, None]
+    assert faults[2] is not None and faults[2].kind is FaultKind.JOINT_SPEED
+
+
+@pytest.mark.requirement("S-131")
+@pytest.mark.parametrize("teaching", [False, True])
+@pytest.mark.parametrize("joint", range(7))
+def test_a_speed_that_no_motor_gives_within_one_state_is_a_fault_and_moves_nothing(
+    joint: int, teaching: bool
+) -> None:
+    controller, plant = begin(friction=1.0)
+    controller.set_gravity_compensation(teaching)
+    carrying = run(controller, plant, 0.1)[-1]
+    stamp, q, qd = plant.state()
+    step = 2.1 * MODEL.tau_max[joint] * 0.002 / MODEL.mass_matrix(q)[joint, joint]
+    tau = controller.step(stamp, q, qd + step * np.eye(7)[joint])
     assert controller.mode is Mode.FAULT
-    assert controller.label == "fault"  # this torque is already the fallback
+    assert controller.latched.kind is FaultKind.VELOCITY
+    assert controller.label == "fault"  # this torque is already the reaction's
+    assert np.abs(tau - carrying).max() < 0.5 * MODEL.friction.min()
 
 
 @pytest.mark.requirement("S-22")
 def test_teaching_has_a_speed_limit_of_its_own() -> None:
-    limits = safety.limits_of(MODEL, teaching_tool_speed=0.5)
+    assert safety.limits_of(MODEL).teaching_tool_speed == 0.5
     for teaching, mode in ((False, Mode.HOLD), (True, Mode.FAULT)):
-        controller, plant = begin(controller=make(limits=limits, contact_share=100.0))
+        controller, plant = begin(controller=make(contact_share=100.0))
         controller.set_gravity_compensation(teaching)
-        stamp, q, _ = plant.state()
-        qd = np.array([0.8, 0, 0, 0, 0, 0, 0])
-        for k in range(4):
-            controller.step(stamp + k * PERIOD_NS, q + k * 0.002 * qd, qd)
+        change = np.array([8.0, 0, 0, 0, 0, 0, 0])  # to 0.8 rad/s, 0.6 m/s of the tool
+        plant.push = lambda t, q, qd, change=change: MODEL.mass_matrix(q).dot(change)
+        run(controller, plant, 0.1)
         assert controller.mode is mode
 
 
@@ -304,7 +321,7 @@ def test_a_loss_of_states_detected_late_is_braked_from_the_predicted_state(momen
         elapsed = 0.002
     assert max(speeds) > 0.5
     assert max(speeds[60:]) < 0.02
-    assert np.abs(tau - MODEL.gravity(plant.q)).max() < 0.07
+    assert np.abs(tau - MODEL.gravity(plant.q)).max() < 0.15  # friction covers it
 
 
 @pytest.mark.requirement("S-14")
@@ -404,10 +421,10 @@ def test_the_time_of_torques_without_a_state_is_not_used_again_by_the_next_state
 
 def test_an_activation_trusts_the_states_again() -> None:
     controller, plant = begin()
-    controller._supervision.jumped(None)
+    controller._supervision.doubt(FaultKind.JUMP)
     controller.deactivate()
-    assert not controller._supervision.trusted
+    assert not controller._supervision.believed
     controller.hold()
-    assert controller._supervision.trusted
+    assert controller._supervision.believed
     run(controller, plant, 0.1)
     assert controller.mode is Mode.HOLD

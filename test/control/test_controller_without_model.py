@@ -44,7 +44,8 @@ class Bench:
     def __init__(self, q: np.ndarray = HOME, **plant: object) -> None:
         self.arm = BreakingArm(URDF, NAMES)
         adds = bool(plant.get("adds_gravity"))
-        settings = ControllerSettings(driver_compensates_gravity=adds)
+        limits = safety.limits_of(self.arm, teaching_tool_speed=4.0)
+        settings = ControllerSettings(driver_compensates_gravity=adds, limits=limits)
         self.controller = Controller(self.arm, settings)
         self.controller.load(POLICY)
         self.plant = Plant(q, **({"delay": 2, "sensing": True, "friction": 1.0} | plant))

@@ -312,7 +312,7 @@ def test_a_velocity_delayed_by_a_filter_is_plausible_and_one_too_small_is_not() 
 
 @pytest.mark.requirement("S-26")
 def test_a_reset_needs_rest_for_a_time_and_not_a_turning_point() -> None:
-    controller, plant = begin(friction=0.0)
+    controller, plant = begin(friction=1.0)
     swing = [0.0]
 
     def push(t: float, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
@@ -527,7 +527,9 @@ def test_the_residual_is_the_torque_that_none_of_the_last_seven_commands_explain
         residual = keep * residual + (1.0 - keep) * unexplained
         np.testing.assert_allclose(check.residual, residual, rtol=0.0, atol=1e-9)
         torque = MODEL.mass_matrix(state.q) @ (state.qd - last.qd) / dt
-        assert (check.since_step == 0) == bool(np.any(abs(torque) > MODEL.tau_max))
+        if np.any(abs(torque) > plausibility.STEP_FACTOR * MODEL.tau_max):
+            assert fault is not None and fault.kind is FaultKind.VELOCITY
+            continue
         inertial = keep * inertial + (1.0 - keep) * np.abs(torque)
         bounds = np.where(unchanged >= 12, bound.standing, bound.moving)
         excess = np.abs(residual) - bound.inertial * inertial - 2.0 * MODEL.friction - bounds

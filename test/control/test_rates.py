@@ -59,7 +59,7 @@ def test_a_fault_is_found_after_the_same_time_at_both_rates(
 def test_five_refused_states_within_a_tenth_of_a_second_are_a_fault_at_both_rates(
     period: float, every: int
 ) -> None:
-    states, bad = StateChecks(7, period, 180.0), np.full(7, np.nan)
+    states, bad = StateChecks(7, period, 180.0, np.full(7, 100.0)), np.full(7, np.nan)
     for k in range(1, 5 * every + 1):
         states.take(k * round(period * 1e9), Q if k % every else bad, STILL, restart=False)
         assert (states.fault is None) == (k < 5 * every)

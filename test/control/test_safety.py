@@ -211,7 +211,7 @@ def test_limits_default_to_the_urdf_and_to_defaults() -> None:
         ("spring_torque", 0.1 * ARM.tau_max),
         ("elbow_speed", 2.0),
         ("tool_speed", 4.0),
-        ("teaching_tool_speed", 4.0),
+        ("teaching_tool_speed", 0.5),
         ("workspace_min", [-1.5, -1.5, -0.5]),
         ("workspace_max", [1.5, 1.5, 2.0]),
         ("plane", [0.0, 0.0, 1.0, -0.5]),

@@ -16,10 +16,10 @@ def test_the_torque_is_known_once_the_arm_has_rested_for_a_tenth_of_a_second() -
     unexplained = UnexplainedTorque(MODEL)
     for rests in ([True] * 9, [False], [True] * 9):
         for at_rest in rests:
-            unexplained.observe(at_rest, HOME, JOINT_2, DT)
+            unexplained.observe(at_rest, HOME, 0.0, JOINT_2, DT)
         assert not unexplained.known
     for _ in range(2):
-        unexplained.observe(True, HOME, JOINT_2, DT)
+        unexplained.observe(True, HOME, 0.0, JOINT_2, DT)
     assert unexplained.known
     unexplained.begin()
     assert not unexplained.known
@@ -29,7 +29,7 @@ def test_the_torque_is_known_once_the_arm_has_rested_for_a_tenth_of_a_second() -
 def test_a_moving_arm_tells_nothing() -> None:
     unexplained = UnexplainedTorque(MODEL)
     for _ in range(100):
-        unexplained.observe(False, HOME, 10.0 * JOINT_2, DT)
+        unexplained.observe(False, HOME, 0.0, 10.0 * JOINT_2, DT)
     assert not unexplained.torque.any()
 
 
@@ -38,14 +38,14 @@ def test_what_friction_may_explain_is_not_compensated_elsewhere() -> None:
         unexplained = UnexplainedTorque(MODEL)
         beyond = share * MODEL.friction
         for _ in range(200):
-            unexplained.observe(True, HOME, beyond, DT)
+            unexplained.observe(True, HOME, 0.0, beyond, DT)
         np.testing.assert_allclose(unexplained.compensation, beyond * certain, rtol=1e-6)
 
 
 def test_a_guided_arm_starts_with_the_torque_that_held_it_which_fades_with_the_way() -> None:
     unexplained = UnexplainedTorque(MODEL)
     for _ in range(200):
-        unexplained.observe(True, HOME, JOINT_2, DT)
+        unexplained.observe(True, HOME, 0.0, JOINT_2, DT)
     ways = (
         (0.0, 1.0),
         (0.025, 0.5),
@@ -64,7 +64,7 @@ def test_an_arm_that_was_put_elsewhere_is_not_carried_by_what_held_it_before(
 ) -> None:
     unexplained = UnexplainedTorque(MODEL)
     for _ in range(200):
-        unexplained.observe(True, HOME, JOINT_2, DT)
+        unexplained.observe(True, HOME, 0.0, JOINT_2, DT)
     unexplained.guided(HOME, step)
     np.testing.assert_allclose(unexplained.guided(HOME, 0.0), share * JOINT_2, atol=1e-6)
 
@@ -76,7 +76,7 @@ def test_only_what_friction_cannot_explain_is_in_excess(joint: int, sign: float)
     for share, excess in ((0.99, False), (1.01, True)):
         unexplained = UnexplainedTorque(MODEL)
         for _ in range(200):
-            unexplained.observe(True, HOME, sign * share * explained * np.eye(7)[joint], DT)
+            unexplained.observe(True, HOME, 0.0, sign * share * explained * np.eye(7)[joint], DT)
         assert (f"wam_j{joint + 1}: " in unexplained.excess()) is excess
 
 
@@ -153,7 +153,7 @@ def test_rounding_errors_of_the_model_are_not_compensated() -> None:
     for share in (0.009, 0.011):
         unexplained = UnexplainedTorque(MODEL)
         for _ in range(200):
-            unexplained.observe(True, HOME, share * MODEL.friction, DT)
+            unexplained.observe(True, HOME, 0.0, share * MODEL.friction, DT)
         assert unexplained.guided(HOME, 0.0).all() == (share > 0.01)
 
 
@@ -167,3 +167,36 @@ def test_in_lockstep_a_guided_arm_does_not_depend_on_the_hold_before_it() -> Non
         run(controller, plant, 0.1)
         torques.append(run(controller, plant, 0.002)[0])
     np.testing.assert_array_equal(*torques)
+
+
+def watched(torques: np.ndarray, speed: float = 0.0) -> UnexplainedTorque:
+    """An arm at rest that is held by torques at joint 2, for 10 ms each."""
+    unexplained = UnexplainedTorque(MODEL)
+    for torque in torques:
+        unexplained.observe(True, HOME, speed, torque * JOINT_2, DT)
+    return unexplained
+
+
+@pytest.mark.requirement("S-132")
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_torque_that_changes_while_no_joint_reports_a_motion_is_a_drift(sign: float) -> None:
+    bound = 1.5 * MODEL.friction[1] + 0.01 * MODEL.tau_max[1]
+    for size, drifts in ((0.99, False), (1.01, True)):
+        slow = sign * np.concatenate([np.zeros(100), np.linspace(0.0, size * bound, 200)])
+        assert bool(watched(slow).crept) == drifts
+        assert not watched(slow, speed=0.03).crept  # a hand moves it
+    assert "joint 2" in watched(2.0 * slow).crept
+
+
+@pytest.mark.requirement("S-132")
+def test_an_arm_that_follows_a_drift_is_carried_without_the_friction_of_its_motion() -> None:
+    """The torque steps by the friction as the motion begins, then follows gravity."""
+    friction, unexplained = MODEL.friction[1], UnexplainedTorque(MODEL)
+    for k in range(400):
+        moves = k >= 100
+        speed = 0.1 if 100 <= k < 105 else 0.0  # until the feedback has caught up
+        torque = moves * (-friction + 0.02 * (k - 100))
+        unexplained.observe(True, HOME, speed, torque * JOINT_2, DT)
+        if unexplained.crept:
+            break
+    assert unexplained.compensation[1] == pytest.approx(torque + friction)

@@ -19,7 +19,7 @@ import numpy as np
 from wam_power_ros.control import safety
 from wam_power_ros.control.arm import Arm, Motion, Speeds
 from wam_power_ros.control.controller_settings import ControllerSettings
-from wam_power_ros.control.fault_hold import BrakeWithoutModel, FaultHold
+from wam_power_ros.control.fault_hold import BrakeWithoutModel
 from wam_power_ros.control.joint_control import JointControl, TrackingError, TrackingLost
 from wam_power_ros.control.joint_references import Sampled
 from wam_power_ros.control.modes import (
@@ -48,7 +48,6 @@ from wam_power_ros.learning.rollout import EndEffectorPath
 
 Law = Callable[[JointState, Motion | Speeds], np.ndarray]
 
-FAULT_BRAKING = 0.25  # [s] after a fault until the arm is held where it is: e^-5 of its speed
 OBSERVED_STATES = 5  # states, at 500 Hz, from one measurement of the unexplained torque to the next
 STANDSTILL = 0.05  # [rad/s] largest joint speed of an arm at rest, where no tool speed is known
 
@@ -95,7 +94,7 @@ class Controller:
         self.error: Exception | None = None
 
         self._observed_states = at_rate(OBSERVED_STATES, settings.period)
-        self._states = StateChecks(arm.n, settings.period, settings.velocity_cutoff)
+        self._states = StateChecks(arm.n, settings.period, settings.velocity_cutoff, arm.qd_max)
         self.counters: Counter[str] = self._states.counters
         compensated = settings.driver_compensates_gravity
         self._output = TorqueOutput(arm, self.limits, compensated, self.counters)
@@ -103,12 +102,10 @@ class Controller:
         self._joints = JointControl(arm, self.limits)
         self._rollouts = Rollouts(arm, settings)
         self.unexplained = UnexplainedTorque(arm)
-        self._hold = FaultHold(arm)
         self._brake = BrakeWithoutModel(arm, compensated, settings.period)
         self._failed = False  # no torque could be computed for the last state
         self._springs = safety.LimitSprings(self.limits)
         self._unanswered = 0.0  # time since the last state that stale torques have used [s]
-        self._braking = 0.0  # time since the fault in which states were trusted [s]
         self._lockstep = False  # the stamps are the only clock
         self._held_states = 0  # since the last measurement of the unexplained torque
         self._laws: dict[Mode, Law] = {
@@ -300,14 +297,16 @@ class Controller:
             return
         self.latched = fault
         self.counters["faults"] += 1
-        self._supervision.faulted()
-        self._hold.release()
-        self._braking = 0.0
+        mode = self._mode
         try:
             self._enter(Mode.FAULT)
         except Exception as error:  # the path of the rollout is lost
             self.error = error
             self._set(Mode.FAULT)
+        try:
+            self._supervision.faulted(mode, fault.kind)
+        except Exception as error:  # without a model: `BrakeWithoutModel` answers the next states
+            self.error = error
 
     def reset(self) -> None:
         """Clear the latched fault and hold.
@@ -473,9 +472,9 @@ class Controller:
         states = self._states
         state = states.take(stamp_ns, q, qd, self._mode in PASSIVE_MODES, elapsed)
         if (fault := states.fault) is not None:
+            if self._mode is Mode.FAULT:
+                self._supervision.doubt(fault.kind)
             self.fault(fault)
-            if fault.kind is FaultKind.JUMP:
-                self._supervision.jumped(states.before)
         self.fresh = state is not None
         if state is None:
             return self._output.sent
@@ -510,8 +509,7 @@ class Controller:
         self._unanswered += dt
         before = self._output.sent
         try:
-            state = self._supervision.predict(last, dt)
-            self._hold.release()
+            state = self._supervision.missing(last, dt)
             dt = min(dt, 2.0 * self.settings.period)
             tau = self._with_springs(self._braking_torque(state), state.q, dt)
             return _finite(self._send(tau, state.q, dt))
@@ -536,7 +534,6 @@ class Controller:
         self._failed = True
         self._fault_of(error)
         self._supervision.begin()  # it does not see what happens meanwhile
-        self._supervision.end_estimate()
         dt = self.settings.period if elapsed is None else min(elapsed, self.settings.period)
         tau = self._brake.torque(state, dt)
         if tau is None or self._mode is Mode.INACTIVE:
@@ -562,8 +559,8 @@ class Controller:
             state: Accepted state.
             dt: Time since the last torque was sent [s].
         """
-        mode, supervision = self._mode, self._supervision
-        fault = supervision.plausibility_fault(mode, self._states.before, state)
+        supervision = self._supervision
+        fault = supervision.plausibility_fault(self._mode, self._states.before, state)
         if fault is not None:
             self.fault(fault)
         # Holding needs the speeds only.
@@ -574,12 +571,11 @@ class Controller:
             self.fault(fault)
         if self.settings.hold_to_run and self._lacks_switch(self._mode):
             self.fault(Fault(FaultKind.RELEASED, "the enabling switch was released"))
-        if self._mode is Mode.FAULT:
-            state = supervision.estimate(state, motion, new=mode is not Mode.FAULT)
-        else:
-            supervision.end_estimate()
-
-        sent = self._send(self._torque(state, motion), state.q, dt)
+        if self._mode is not Mode.FAULT:
+            supervision.reaction.end()
+        tau = self._torque(state, motion)
+        q = supervision.reaction.posture if self._mode is Mode.FAULT else state.q
+        sent = self._send(self._with_springs(tau, q, state.span), q, dt)
         rollout = self._rollouts.active_id
         self._label = self._mode_label if rollout is None else f"rollout {rollout}"
         return sent
@@ -597,8 +593,8 @@ class Controller:
             fault = Fault(FaultKind.COMPUTATION, f"no torque could be computed: {error}")
         if fault is not None:
             self.fault(fault)
-            tau = self._braking_torque(state, motion)
-        return self._with_springs(tau, state.q, state.span)
+            tau = self._law(state, motion)
+        return tau
 
     def _with_springs(self, tau: np.ndarray, q: np.ndarray, dt: float) -> np.ndarray:
         springs = self._springs.torque(q, dt)
@@ -610,14 +606,9 @@ class Controller:
         beyond = self.unexplained.compensation
         return self._damped_gravity(state, safety.FAULT_DAMPING, beyond)
 
-    def _fault_torque(self, state: JointState, _: Motion | Speeds | None = None) -> np.ndarray:
-        """Brake by the estimated state; then hold where trusted states say that the arm is."""
-        tau, measured = self._braking_torque(state), self._states.last
-        if not self._supervision.trusted or measured is None:
-            self._hold.release()
-            return tau
-        self._braking += state.span
-        return tau if self._braking < FAULT_BRAKING else tau + self._hold.torque(measured.q)
+    def _fault_torque(self, state: JointState, motion: Motion | Speeds) -> np.ndarray:
+        carried = self.unexplained.compensation
+        return self._supervision.reaction_torque(state, motion, carried)
 
     def _teaching_torque(self, state: JointState, motion: Motion | Speeds) -> np.ndarray:
         before, step = self._states.before, 0.0
@@ -648,7 +639,11 @@ class Controller:
             at_rest = max(*motion.guarded_speeds, motion.tool_speed) < safety.REST_SPEED
             beyond = self._output.motor_torque(state.q) - self.arm.gravity(state.q)
             dt = self._observed_states * self.settings.period
-            self.unexplained.observe(at_rest, state.q, beyond, dt)
+            speed = max(map(abs, state.speeds))
+            self.unexplained.observe(at_rest, state.q, speed, beyond, dt)
+            if self.unexplained.crept:
+                self.fault(Fault(FaultKind.DRIFT, self.unexplained.crept))
+                return self._law(state, motion)
         return tau
 
     def _rollout_torque(self, state: JointState, motion: Motion | Speeds) -> np.ndarray:

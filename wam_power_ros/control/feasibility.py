@@ -19,11 +19,11 @@ import numpy as np
 from wam_power_ros import rotations
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller_settings import ControllerSettings
-from wam_power_ros.control.estimate import TORQUE_DELAY
 from wam_power_ros.control.joint_control import TrackingLost
 from wam_power_ros.control.modes import ControllerError, Mode
 from wam_power_ros.control.policy_execution import Execution
 from wam_power_ros.control.prepared_policy import prepare
+from wam_power_ros.control.reaction import TORQUE_DELAY
 from wam_power_ros.control.safety import Limits, LimitSprings, MotionCheck, limits_of
 from wam_power_ros.control.state_checks import JointState, at_rate
 from wam_power_ros.control.torque_output import TorqueOutput

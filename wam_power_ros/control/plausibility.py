@@ -20,7 +20,6 @@ import numpy as np
 
 from wam_power_ros import compiled
 from wam_power_ros.control.arm import FRICTION_SPEED, Arm
-from wam_power_ros.control.estimate import STANDSTILL_SPEED, TORQUE_DELAY, Estimate
 from wam_power_ros.control.state_checks import JointState, at_rate
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.policy import PERIOD
@@ -38,9 +37,8 @@ _MISMATCH_PER_STATE = 0.003  # [rad] largest mismatch that one state adds: one a
 _LEAP = 0.015  # [rad] beyond the velocity's in one state, too much for a lag: 7.5 rad/s
 LATENCY_STATES = 7  # states until a torque shows in velocities: 8 ms of delay, 6 ms of a filter
 CONTRADICTIONS_TO_FAULT = 3  # consecutive states beyond a bound that are a fault
-HISTORY_LENGTH = 100  # states kept for the estimate that begins at a fault
-HISTORY_STRIDE = 4  # states in one step of this estimate
-SUSPECT_STATES = 4 * HISTORY_STRIDE  # latest states that may be false when a fault is found
+STEP_FACTOR = 2.0  # multiple of a joint's full torque beyond which a change of speed is a step
+STANDSTILL_SPEED = 0.05  # [rad/s] below this speed a joint may count as standing still
 FRICTION_FACTOR = 2.0  # multiple of a joint's Coulomb friction that may be unexplained
 STANDSTILL_STATES = 12  # states with the same position after which a joint stands still
 
@@ -180,8 +178,6 @@ class TorqueCheck:
     Attributes:
         residual: Low-passed torque that neither the model nor the commands explain [N m].
             n numbers.
-        since_step: Number of states since a velocity last changed in one state by more than the
-            full torque of its joint can change it.
     """
 
     def __init__(self, arm: Arm, period: float = PERIOD) -> None:
@@ -189,8 +185,7 @@ class TorqueCheck:
         self._latency = at_rate(LATENCY_STATES, period)
         self._to_fault = at_rate(CONTRADICTIONS_TO_FAULT, period)
         self._standstill = at_rate(STANDSTILL_STATES, period)
-        self._history = at_rate(HISTORY_LENGTH, period)
-        self._full_torque = arm.tau_max.tolist()
+        self._full_torque = (STEP_FACTOR * arm.tau_max).tolist()
         self._allowance = (FRICTION_FACTOR * arm.friction).tolist()
         self._constants = (
             *(RESIDUAL_TIME_CONSTANT, FRICTION_SPEED, float(self._standstill)),
@@ -205,7 +200,6 @@ class TorqueCheck:
         self._sent: np.ndarray | None = None  # latest torques, in any order: (states, n) [N m]
         self._row = 0  # of the oldest of them
         self._in_row = 0
-        self.since_step = self._history
 
     def fault(
         self,
@@ -241,9 +235,8 @@ class TorqueCheck:
             )
             if new is not None:
                 self.residual, self._inertial, stepped = new
-                self.since_step = 0 if stepped else self.since_step + 1
                 self._in_row = 0
-                return None
+                return self._step(state) if stepped else None
         keep = math.exp(-dt / RESIDUAL_TIME_CONSTANT)
         accelerating = mass.dot(state.qd - last.qd) / dt
         # The same in both directions, as in the compiled loop: the bounds have room for more.
@@ -265,7 +258,8 @@ class TorqueCheck:
             sizes.append(size)
             excess.append(abs(residual) - lag * size - allowed - more)
         self.residual, self._inertial = residuals, sizes
-        self.since_step = 0 if stepped else self.since_step + 1
+        if stepped:
+            return self._step(state)
         if max(unchanged) >= self._standstill:
             rows = zip(unchanged, excess, moving, bound.standing.tolist(), strict=True)
             excess = [
@@ -281,6 +275,10 @@ class TorqueCheck:
         text += "commanded torques: a contact, a payload, another commander, or a motor that gives "
         return Fault(FaultKind.EXTERNAL_TORQUE, f"{text}less than commanded")
 
+    def _step(self, state: JointState) -> Fault:
+        text = f"a speed changed within one state, to {np.abs(state.qd).max():.2f} rad/s, by more "
+        return Fault(FaultKind.VELOCITY, f"{text}than {STEP_FACTOR:.0f} times the full torque can")
+
     def _sent_with(self, tau: np.ndarray) -> np.ndarray:
         """Torques sent in the last states, this one included, in any order: (states, n) [N m]."""
         if self._sent is None:
@@ -295,35 +293,33 @@ class Plausibility:
 
     Attributes:
         implausible_ns: Stamp of the last state that failed a check [ns], None before the first.
-        contradictory: Whether the last state that failed a check contradicts itself or the one
-            before it. Otherwise the motion may be true and the model wrong: a contact, a payload.
     """
 
     def __init__(self, arm: Arm, period: float = PERIOD) -> None:
         self._arm, self._period = arm, period
         self._velocity, self._torque = VelocityCheck(arm.n, period), TorqueCheck(arm, period)
-        self._history: deque[_PastState] = deque(maxlen=at_rate(HISTORY_LENGTH, period))
-        self._suspect = at_rate(SUSPECT_STATES, period)
         self.implausible_ns: int | None = None
-        self.contradictory = False
         self.begin()
 
     def begin(self) -> None:
         """Restart: the next state has no predecessor."""
-        self._history.clear()
         self._stamps: deque[int] = deque(
             maxlen=at_rate(STAMP_WINDOW, self._period)
         )  # of the latest states [ns]
         self._checked: JointState | None = None  # last state that did not repeat the one before
         self._repeats = 0  # states that repeat the one before, up to the last
         self._skipped = 0  # states since the last one that was checked
-        self._guided = False  # by a person, with an unknown force
         self._unchanged = [0] * self._arm.n  # states for which each position has stayed the same
         self._velocity.begin()
         self._torque.begin()
 
+    @property
+    def residual(self) -> list[float]:
+        """Low-passed torque that neither the model nor the commands explain [N m]. n numbers."""
+        return self._torque.residual
+
     def fault(
-        self, last: JointState | None, state: JointState, tau: np.ndarray, bound: Bound | None
+        self, last: JointState | None, state: JointState, tau: np.ndarray, bound: Bound
     ) -> Fault | None:
         """Fault of a state that fails a plausibility check, or None.
 
@@ -331,13 +327,12 @@ class Plausibility:
             last: Previous state, None when it is too long ago to compare with.
             state: Current state.
             tau: Motor torque commanded between the two [N m]. Shape (n,).
-            bound: Bound on the torque residual, None while a person guides the arm.
+            bound: Bound on the torque residual.
         """
         if last is None:
             self.begin()
             return None
         self._unchanged = _standing(self._unchanged, last.positions, state.positions)
-        self._guided = bound is None
         fault = None
         if self._repeated(last, state):
             self._skipped += 1
@@ -346,9 +341,6 @@ class Plausibility:
             self._checked, self._skipped = state, 0
         if fault is not None:
             self.implausible_ns = state.stamp_ns
-            stepped = self._torque.since_step < self._suspect
-            self.contradictory = fault.kind is FaultKind.VELOCITY or stepped
-        self._history.append(_PastState(last.q, last.qd, tau, state.span))
         return fault
 
     def _repeated(self, last: JointState, state: JointState) -> bool:
@@ -362,7 +354,7 @@ class Plausibility:
         return 0 < self._repeats <= REPEATS_MAX
 
     def _contradiction(
-        self, last: JointState, state: JointState, tau: np.ndarray, bound: Bound | None
+        self, last: JointState, state: JointState, tau: np.ndarray, bound: Bound
     ) -> Fault | None:
         """Fault of either check; arguments as for `fault`."""
         stamps = self._stamps
@@ -370,50 +362,9 @@ class Plausibility:
         dt = (state.stamp_ns - last.stamp_ns) * 1e-9
         interval = Interval(mean, min(dt, mean), max(dt, mean))
         fault = self._velocity.fault(last, state, self._unchanged, interval)
-        if bound is None:
-            self._torque.begin()
-            return fault
         return fault or self._torque.fault(
             last, state, self._unchanged, tau, bound, interval.longest
         )
-
-    def estimate_at(self, state: JointState) -> Estimate:
-        """Estimate that begins at a state which is true, as measured."""
-        return Estimate(self._arm, state.q, state.qd, period=self._period)
-
-    def estimate(self, last: JointState, suspect: int | None = None) -> Estimate:
-        """Estimate the arm's state: measured where joints were observed to move, else by the model.
-
-        Args:
-            last: Last state.
-            suspect: Number of latest states that may be false; None for SUSPECT_STATES.
-        """
-        suspect = self._suspect if suspect is None else suspect
-        step = at_rate(HISTORY_STRIDE, self._period)
-        past = list(self._history)
-        first = past[0] if past else last
-        taus = [each.tau for each in past]
-        acting = taus[:1] * at_rate(TORQUE_DELAY, self._period) + taus
-        estimate = Estimate(self._arm, first.q, first.qd, acting[len(taus) :], self._period)
-        positions = np.array([each.q for each in past[::step]] + [last.q])
-        moved = np.diff(positions, axis=0)
-        for k in range(len(moved)):
-            stride = slice(k * step, (k + 1) * step)
-            dt = sum(each.dt for each in past[stride])
-            suspected = (len(moved) - k) * step <= suspect
-            if suspected and self._guided:
-                estimate.q = estimate.q + dt * estimate.qd
-                continue
-            qd = estimate.qd
-            estimate.predict(np.mean(acting[stride], axis=0), dt)
-            if not suspected:
-                # In the stride in which a joint froze, its measured motion is too small.
-                after = moved[min(k + 1, len(moved) - 1)]
-                continues = np.abs(after) > 0.5 * np.abs(moved[k])
-                observed = (np.abs(moved[k]) > STANDSTILL_SPEED * dt) & continues
-                estimate.q = np.where(observed, positions[k + 1], estimate.q)
-                estimate.correct(observed, moved[k] / dt - 0.5 * (qd + estimate.qd))
-        return estimate
 
 
 def _standing(counts: list[int], before: list[float], now: list[float]) -> list[int]:
@@ -422,12 +373,3 @@ def _standing(counts: list[int], before: list[float], now: list[float]) -> list[
         return compiled.kernel.standing(counts, before, now)
     rows = zip(counts, before, now, strict=True)
     return [count + 1 if x == previous else 0 for count, previous, x in rows]
-
-
-class _PastState(NamedTuple):
-    """A joint state, and the motor torque commanded for a time [s] after it."""
-
-    q: np.ndarray
-    qd: np.ndarray
-    tau: np.ndarray
-    dt: float

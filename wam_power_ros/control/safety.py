@@ -30,6 +30,9 @@ _SHAPES = {name: () for name in ("elbow_speed", "tool_speed", "teaching_tool_spe
 _SIGNED = ("q_min", "q_max", "workspace_min", "workspace_max", "plane")  # may be negative
 SPRING_RANGE = 0.1  # [rad] width of the soft springs inside the position limits
 SPRING_RISE = 0.05  # [s] in which their torque may rise to that at a limit: a joint at 2 rad/s
+START_TIME = 0.25  # [s] after standstill in which less than the teaching speed is allowed, because
+START_MARGIN = 0.25  # [m/s] so fast starts an arm that has lost its tool; at most half of the limit
+START_SPEED = 0.01  # [m/s] of the tool, below which it stands still
 FAULT_STATES = 3  # consecutive states beyond a motion limit that are a fault, at 500 Hz
 OUTWARDS = 0.05  # [rad/s] from which a joint beyond a position limit moves further outwards
 REST_SPEED = 0.05  # [m/s] largest speed of an arm at rest
@@ -59,8 +62,8 @@ class Limits:
         elbow_speed: Largest speed of the arm's guarded points [m/s]. The WAM's safety board trips
             at 1.0 m/s as delivered; a toss needs up to 2.0, and the board set accordingly.
         tool_speed: Largest tool speed in all modes but teaching [m/s]; a toss needs about 2.5.
-        teaching_tool_speed: Largest tool speed while a person guides the arm [m/s]. Teaching a toss
-            needs as much as a toss; 0.5 is enough to teach slow movements only.
+        teaching_tool_speed: Largest tool speed while a person guides the arm [m/s]; less within
+            `START_TIME` after it stood still. A task that is taught fast raises it by name.
         workspace_min: Lower corner of the box that the tool must stay in during rollout and replay
             [m]. Shape (3,).
         workspace_max: Upper corner [m]. Shape (3,).
@@ -79,7 +82,7 @@ class Limits:
     spring_torque: np.ndarray
     elbow_speed: float = 2.0
     tool_speed: float = 4.0
-    teaching_tool_speed: float = 4.0
+    teaching_tool_speed: float = 0.5
     workspace_min: np.ndarray = field(default_factory=lambda: np.array([-1.5, -1.5, -0.5]))
     workspace_max: np.ndarray = field(default_factory=lambda: np.array([1.5, 1.5, 2.0]))
     plane: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, 1.0, -0.5]))
@@ -365,11 +368,12 @@ class MotionCheck:
     def __init__(self, limits: Limits, guarded: Sequence[str], period: float = PERIOD) -> None:
         self._limits, self._guarded = limits, guarded
         self._to_fault = at_rate(FAULT_STATES, period)
-        self._in_row = 0  # consecutive states beyond a limit
+        self.begin()
 
     def begin(self) -> None:
-        """Restart the count, for another mode."""
-        self._in_row = 0
+        """Restart the counts, for another mode."""
+        self._in_row = 0  # consecutive states beyond a limit
+        self._moved = 0.0  # time since the arm stood still [s]
 
     def fault(self, mode: Mode, state: JointState, motion: Motion | Speeds) -> Fault | None:
         """Fault of a limit that `FAULT_STATES` consecutive states exceed, or None.
@@ -384,6 +388,9 @@ class MotionCheck:
         limits, guarded = self._limits, self._guarded
         teaching = mode is Mode.GRAVITY_COMPENSATION
         tool_speed = limits.teaching_tool_speed if teaching else limits.tool_speed
+        self._moved = self._moved + state.dt if motion.tool_speed > START_SPEED else 0.0
+        if teaching and self._moved < START_TIME:
+            tool_speed -= min(START_MARGIN, 0.5 * tool_speed)
         workspace = mode in WORKSPACE_MODES
         joints = state.positions, state.speeds
         fault = motion_fault(*joints, motion, guarded, limits, tool_speed, workspace)

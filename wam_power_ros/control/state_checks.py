@@ -14,7 +14,11 @@ from wam_power_ros.learning.policy import PERIOD
 STATE_LOSS_TIMEOUT = 0.02  # [s] without a joint state until the loss of states is a fault
 IMPLAUSIBLE_Q = 20.0  # [rad] positions from here on are refused: no joint turns that far
 IMPLAUSIBLE_QD = 500.0  # [rad/s] speeds from here on are refused
-Q_JUMP = 0.1  # [rad] larger change in one period is a jump: the encoder's zero has changed
+Q_JUMP = 0.1  # [rad] larger change in one period is a jump: the encoder's zero has changed, and so
+JUMP_FACTOR, JUMP_MIN = (
+    2.0,
+    0.01,
+)  # is more than this multiple of the joint's speed limit, and [rad]
 _REFUSALS_TO_FAULT, _REFUSAL_WINDOW = 5, 50  # refused states within 0.1 s, at 500 Hz: a fault
 _RESTART_WINDOW = 500  # states, at 500 Hz, within which a driver restarts once: 1 s
 _INTEGERS = (int, np.integer)
@@ -90,15 +94,18 @@ class StateChecks:
         n: Number of joints.
         period: Sampling period of the states [s].
         velocity_cutoff: Cut-off of the low-pass for differentiated positions [rad/s].
+        qd_max: Speed limits of the joints [rad/s]. Shape (n,).
     """
 
-    def __init__(self, n: int, period: float, velocity_cutoff: float) -> None:
+    def __init__(self, n: int, period: float, velocity_cutoff: float, qd_max: np.ndarray) -> None:
         self.counters: Counter[str] = Counter()
         self.last: JointState | None = None
         self.before: JointState | None = None
         self.fault: Fault | None = None
         self.refused_in_row, self.refusal = 0, ""
         self._n, self._period, self._cutoff = n, period, velocity_cutoff
+        self._jumps = np.minimum(Q_JUMP, JUMP_FACTOR * qd_max * period + JUMP_MIN)
+        self._least_jump = float(self._jumps.min())
         self._gap_ns = 3 * round(period * 1e9)  # positions are not differentiated across a gap
         self._window = at_rate(_REFUSAL_WINDOW, period)
         self._count = 0  # states so far
@@ -205,10 +212,13 @@ class StateChecks:
             if dt > STATE_LOSS_TIMEOUT:
                 text = f"no joint state for {dt * 1e3:.0f} ms"
                 self.fault = Fault(FaultKind.STATES_LOST, text)
-        allowed = Q_JUMP * max(1.0, dt / self._period)
-        if math.dist(state.positions, last.positions) > allowed:  # else no joint moved by more
-            jump = max(map(abs, (state.q - last.q).tolist()))
-            if jump > allowed:
+        periods = max(1.0, dt / self._period)
+        if math.dist(state.positions, last.positions) > self._least_jump * periods:
+            moved = np.abs(state.q - last.q)
+            excess = moved - self._jumps * periods
+            if excess[joint := int(excess.argmax())] > 0.0:
                 self.counters["jumps"] += 1
-                text = f"a joint jumped by {jump:.3f} rad from one state to the next"
+                text = (
+                    f"joint {joint + 1} jumped by {moved[joint]:.3f} rad from one state to the next"
+                )
                 self.fault = self.fault or Fault(FaultKind.JUMP, text)

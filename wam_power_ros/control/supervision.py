@@ -1,47 +1,51 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Supervision of the arm: plausibility of its states, motion limits, and estimate of its state.
-
-The state is estimated while joint states are missing, and in a fault.
-"""
-
-import math
-from collections import deque
-from collections.abc import Callable
+"""Supervision of the arm: are its states believed, does it move within its limits, does it rest."""
 
 import numpy as np
 
 from wam_power_ros.control import safety
 from wam_power_ros.control.arm import Arm, Motion, Speeds
 from wam_power_ros.control.controller_settings import ControllerSettings
-from wam_power_ros.control.estimate import Estimate
-from wam_power_ros.control.modes import Mode
+from wam_power_ros.control.modes import MOVING_MODES, Mode
+from wam_power_ros.control.payload import PayloadCheck
 from wam_power_ros.control.plausibility import Bound, Plausibility
+from wam_power_ros.control.reaction import (
+    BEFORE,
+    BEFORE_GUIDED,
+    BEFORE_STEP,
+    FALL_SPEED,
+    MotorTorque,
+    Reaction,
+)
 from wam_power_ros.control.state_checks import JointState, at_rate
-from wam_power_ros.faults import Fault
+from wam_power_ros.faults import Fault, FaultKind
 
 INERTIAL_SHARE = 0.3  # of the accelerating torque, may be unexplained: sensors and motors lag
 STANDING_SHARE = 0.05  # share of a torque limit: bound at a joint that stands still in a rollout
+FAULT_SHARE = (
+    0.15  # share of a torque limit: bound in a fault, beyond which states are not believed
+)
+USUAL_TIME = 1.0  # [s] in which an unexplained torque that stays becomes usual
+EXPLAINED_SHARE = 0.02  # share of a torque limit within which the motion counts as explained
 # Numbers of states are those at 500 Hz: at a higher rate they are more, see `at_rate`.
 REST_NS = 200_000_000  # [ns] at rest before a fault may be reset
-TRUST_STATES = 50  # consecutive states that agree until states are used again: 0.1 s
-SPEED_STATES = 25  # states over which a reported speed is measured: 50 ms
-FALL_SPEED = 0.15  # [rad/s] growth of a reported speed after which the arm is taken to fall
+DOUBTFUL_STATES = 5  # consecutive states that nothing explains until none is believed
+BELIEF_STATES = 50  # consecutive states that agree until states are believed again: 0.1 s
 AGREEMENT = 0.005  # [rad] in that time, between the motion reported and that of the model
-
-MotorTorque = Callable[[np.ndarray], np.ndarray]  # posture (n,) [rad] -> motor torque (n,) [N m]
 
 
 class Supervision:
-    """Checks every joint state, and estimates the arm's state when it is missing or not plausible.
+    """Asks of every joint state whether it is believed, and reacts to a fault.
 
-    Nothing acts on a state that was called false: from then on the model alone says where the arm
-    is, until for `TRUST_STATES` states in a row every check passes and the joints report the motion
-    that the model predicts, which is rest. After a jump of a joint that is not enough: its position
-    remains unknown. An arm whose model is wrong, too, may fall meanwhile. A zero that drifts does
-    so at a constant speed; a speed that grows, in states that pass every check, is braked.
+    States are not believed any more when a joint jumped, when positions and velocities contradict
+    each other, when any fault comes soon after a step of a velocity that no motor and no hand can
+    make, and when in a fault a torque that nothing explains moves the arm: then the brake does not
+    brake. They are believed again when `BELIEF_STATES` in a row have passed every check and report
+    the motion that the model predicts; after a jump never before the reset.
 
     Attributes:
-        trusted: Whether joint states are used: none was called false, or they agree again.
+        believed: Whether joint states are believed.
+        reaction: What brakes and holds the arm in a fault.
 
     Args:
         arm: Model of the arm.
@@ -57,59 +61,72 @@ class Supervision:
         settings: ControllerSettings,
         motor_torque: MotorTorque,
     ) -> None:
-        self._motor_torque, self._period = motor_torque, settings.period
-        self._trust_states = at_rate(TRUST_STATES, settings.period)
-        self._speed_states = at_rate(SPEED_STATES, settings.period)
+        self._arm, self._motor_torque = arm, motor_torque
+        self._explainable = 2.0 * arm.friction + EXPLAINED_SHARE * arm.tau_max
+        self._unexplainable = 2.0 * arm.friction + FAULT_SHARE * arm.tau_max
+        self._usual = np.zeros(arm.n)  # residual, low-passed: of a model that is wrong [N m]
+        self._possible = False  # the same with much left
+        self._explains = False  # model, friction and torques explain the motion of the last state
+        self._unexplained = 0  # consecutive states of a motion that they do not explain
+        self._doubtful = at_rate(DOUBTFUL_STATES, settings.period)
+        self._payload = PayloadCheck(arm, settings.period)
+        self._belief_states = at_rate(BELIEF_STATES, settings.period)
         self._motion = safety.MotionCheck(limits, arm.guarded, settings.period)
         self._plausibility = Plausibility(arm, settings.period)
-        self._estimate: Estimate | None = None
+        self.reaction = Reaction(arm, motor_torque, settings.period)
         self._rest_since_ns: int | None = None  # stamp since which an arm in a fault is at rest
-        self.trusted, self._lasting = True, False
-        self._before_jump: JointState | None = None  # last state before the jump of this fault
+        self.believed, self._lasting = True, False
+        self._drifts = (
+            False  # after a motion that the torques explain only are states believed again
+        )
+        self._contradicted = False  # a reason not to believe them that no torque removes
         self._agreed = 0  # consecutive states that agree with the model
         self._agreed_from: np.ndarray | None = None  # reported minus predicted at their first [rad]
-        self._plausible = 0  # consecutive states that passed every check since `doubt`
-        self._reported: deque[np.ndarray] = deque(maxlen=self._speed_states + 1)  # positions [rad]
-        self._slowest = np.full(arm.n, math.inf)  # least reported speeds since then [rad/s]
-        self._falling = False  # one of them has grown since then
+        self._weight: np.ndarray | None = None  # unexplained torque that is a weight's [N m]
+        self._speeds = np.zeros(arm.n)  # reported at the first of these [rad/s]
+        self._explained = 0  # consecutive states whose motion the torques explain
         bound = settings.contact_share * arm.tau_max
         contact = Bound(bound, bound, INERTIAL_SHARE)
-        in_rollout = Bound(settings.unexplained_share * arm.tau_max, STANDING_SHARE * arm.tau_max)
-        self._bounds: dict[Mode, Bound | None] = {
-            Mode.GRAVITY_COMPENSATION: None,
+        standing = STANDING_SHARE * arm.tau_max
+        self._bounds: dict[Mode, Bound] = {
+            Mode.GRAVITY_COMPENSATION: Bound(np.full(arm.n, np.inf), np.full(arm.n, np.inf)),
             Mode.HOLD: contact,
             Mode.MOVE_TO_START: contact,
-            Mode.ROLLOUT: in_rollout,
+            Mode.ROLLOUT: Bound(settings.unexplained_share * arm.tau_max, standing),
             Mode.REPLAY: contact,
-            Mode.FAULT: in_rollout,
+            Mode.FAULT: Bound(FAULT_SHARE * arm.tau_max, FAULT_SHARE * arm.tau_max),
         }
 
     def begin(self) -> None:
         """Restart the plausibility checks: the next state has no predecessor."""
         self._plausibility.begin()
-        self.trusted, self._lasting, self._before_jump = True, False, None
-
-    def jumped(self, before: JointState | None) -> None:
-        """Use no state any more, but the last one before the jump, if it was true."""
-        if self.trusted:
-            self._doubt()
-            self._before_jump = before
-        self._lasting = True
-
-    def _doubt(self) -> None:
-        """Use no state until states have agreed with the model for a while."""
-        self.trusted, self._agreed, self._estimate = False, 0, None
-        self._reported.clear()
-        self._plausible, self._falling = 0, False
-        self._slowest = np.full(self._slowest.shape, math.inf)
+        self.reaction.forget()
+        self.reaction.end()
+        self.believed, self._lasting = True, False
 
     def mode_changed(self) -> None:
         """Restart the count of states beyond a motion limit: other limits apply."""
         self._motion.begin()
 
-    def faulted(self) -> None:
-        """Restart the time at rest that a reset requires."""
+    def faulted(self, mode: Mode, kind: FaultKind) -> None:
+        """React to a fault of any kind, found in a mode."""
         self._rest_since_ns = None
+        self.believed, self._contradicted, self._lasting = True, False, False
+        self._drifts = False
+        self._payload.begin()
+        guided = mode is Mode.GRAVITY_COMPENSATION
+        sudden = BEFORE_STEP if kind.of_states else BEFORE_GUIDED
+        alone = kind.of_states or mode in MOVING_MODES
+        self.reaction.begin(sudden if guided else BEFORE, alone)
+        if kind.of_states:
+            self.doubt(kind)
+
+    def doubt(self, kind: FaultKind) -> None:
+        """Believe no state until they agree again; never again in this fault after a jump."""
+        self.believed, self._agreed, self._explained = False, 0, 0
+        self._contradicted |= kind.of_states
+        self._lasting |= kind is FaultKind.JUMP
+        self._drifts |= kind is FaultKind.DRIFT
 
     def plausibility_fault(
         self, mode: Mode, before: JointState | None, state: JointState
@@ -123,84 +140,88 @@ class Supervision:
         """
         if mode is Mode.INACTIVE:
             return None
-        tau = self._motor_torque(state.q)
-        fault = self._plausibility.fault(before, state, tau, self._bounds[mode])
-        if fault is not None:
-            self._agreed = 0
-            if self.trusted and self._plausibility.contradictory:
-                self._doubt()
+        tau, checks = self._motor_torque(state.q), self._plausibility
+        if before is None:
+            self.reaction.forget()
+        fault = checks.fault(before, state, tau, self._bounds[mode])
+        self.reaction.record(state, tau, checks.residual)
+        if mode is not Mode.FAULT:
+            self._usual = np.zeros(self._arm.n)
+            return fault
+        braking = self.believed and not self.reaction.rested
+        self._weight = self._payload.torque(self.reaction.past) if braking else None
+        residual = np.array(checks.residual)
+        self._usual = self._usual + state.span / USUAL_TIME * (residual - self._usual)
+        left = np.abs(residual - self._usual)
+        self._explains = self._weight is not None or bool((left <= self._explainable).all())
+        self._possible = self._weight is not None or bool((left <= self._unexplainable).all())
+        self._unexplained = 0 if self._possible else self._unexplained + 1
+        if fault is not None and fault.kind.of_states:
+            self.doubt(fault.kind)
+        elif self._unexplained >= self._doubtful or (
+            self.believed and ((braking and self._payload.refuted) or self.reaction.unanswered)
+        ):
+            self.doubt(FaultKind.EXTERNAL_TORQUE)
         return fault
 
     def limit_fault(self, mode: Mode, state: JointState, motion: Motion | Speeds) -> Fault | None:
         """Fault of a motion beyond the limits of the mode, or None."""
         return self._motion.fault(mode, state, motion)
 
-    def end_estimate(self) -> None:
-        """Use the measured states again."""
-        self._estimate = None
+    def missing(self, last: JointState, dt: float) -> JointState:
+        """State of the arm by its model while none is received, see `Reaction.missing`."""
+        return self.reaction.missing(last, self.believed, dt)
 
-    def predict(self, last: JointState, dt: float) -> JointState:
-        """Predict the arm's state while joint states are missing.
-
-        Args:
-            last: Last state received.
-            dt: Time since this state or since the last call [s].
-        """
-        arm = self._estimate = self._estimate or self._plausibility.estimate(last, suspect=0)
-        arm.advance(self._motor_torque(arm.q), dt)
-        return last.moved(arm.q, arm.qd)
-
-    def estimate(self, state: JointState, motion: Motion | Speeds, new: bool) -> JointState:
-        """Estimate the arm's state in a fault, when the measured one may be false.
+    def reaction_torque(
+        self, state: JointState, motion: Motion | Speeds, carried: np.ndarray
+    ) -> np.ndarray:
+        """Motor torque in a fault [N m], shape (n,); see `Reaction.torque`.
 
         Args:
             state: Measured state.
             motion: Kinematics of the measured state.
-            new: Whether the fault was found in this state.
+            carried: Torque that carries the arm beyond g(q) [N m]. Shape (n,).
         """
         plausible = self._plausibility.implausible_ns != state.stamp_ns
         if not isinstance(motion, Motion) or safety.rest_violation(motion) or not plausible:
             self._rest_since_ns = None
         elif self._rest_since_ns is None:
             self._rest_since_ns = state.stamp_ns
-        arm = self._estimate = self._estimate or self._begun(state)
-        if not new:
-            self._watch_speed(state, plausible)
-            used = self.trusted or self._falling
-            arm.follow(state, self._motor_torque(arm.q), used)
-        if not self.trusted:
-            self._compare(state.q - arm.q)
-        return state.moved(arm.q, arm.qd)
+        tau = self.reaction.torque(state, self.believed, carried, self._weight)
+        if not self.believed and not self._lasting:
+            agrees = self._agrees(state.q - self.reaction.posture)
+            rests = self._rest_since_ns is not None
+            if self._falls(plausible):
+                self.reaction.follow(state.q)
+                self.believed = True
+            elif self._contradicted:
+                self.believed = agrees and not self._drifts
+            else:
+                self.believed = agrees and rests and self._explains
+        return tau
 
-    def _begun(self, state: JointState) -> Estimate:
-        """Estimate to begin with at a state; after a jump from the true state before it."""
-        before, self._before_jump = self._before_jump, None
-        if before is None:
-            return self._plausibility.estimate(state)
-        arm = self._plausibility.estimate_at(before)
-        arm.advance(self._motor_torque(arm.q), state.span)
-        return arm
+    def _falls(self, plausible: bool) -> bool:
+        """Whether states have long reported an arm that falls, as the torques explain.
 
-    def _watch_speed(self, state: JointState, plausible: bool) -> None:
-        """Notice that states which pass every check report a speed that grows."""
-        self._plausible = self._plausible + 1 if plausible else 0
-        reported = self._reported
-        reported.append(state.q)
-        if len(reported) <= self._speed_states:
-            return
-        speeds = np.abs(reported[-1] - reported[0]) / (self._speed_states * self._period)
-        self._slowest = np.minimum(self._slowest, speeds)
-        grown = float((speeds - self._slowest).max())
-        if self._plausible > self._trust_states and grown > FALL_SPEED:
-            self._falling = True
+        A zero that drifts at a constant speed is explained nearly as well, and so is an answer to
+        the brake, which is added to whatever is false.
+        """
+        if not (plausible and self._possible and self.reaction.settled):
+            self._explained = 0
+            return False
+        speeds = np.abs(self.reaction.reported())
+        self._speeds = np.minimum(self._speeds, speeds) if self._explained else speeds
+        self._explained += 1
+        states = self._belief_states if self._contradicted else self._belief_states // 5
+        return self._explained > states and bool((speeds - self._speeds).max() > FALL_SPEED)
 
-    def _compare(self, difference: np.ndarray) -> None:
-        """Count a state whose position differs from the model's by (n,) [rad]."""
+    def _agrees(self, difference: np.ndarray) -> bool:
+        """Whether reported minus predicted position (n,) [rad] has long stayed the same."""
         begun = self._agreed_from
         if not self._agreed or begun is None or np.abs(difference - begun).max() > AGREEMENT:
             self._agreed, self._agreed_from = 0, difference
         self._agreed += 1
-        self.trusted = self._agreed > self._trust_states and not self._lasting
+        return self._agreed > self._belief_states
 
     def rested(self, stamp_ns: int) -> bool:
         """Whether the arm has been at rest for `REST_NS`, in plausible states."""

@@ -19,6 +19,9 @@ NEGLIGIBLE_SHARE = 0.01  # of a joint's friction: rounding errors of the model a
 FADE_RANGE = 0.05  # [rad] from the posture where the arm was held, to where that tells nothing
 STEP = 0.0015  # [rad] change in one state beyond its velocity: the arm was put elsewhere
 FRICTION_FACTOR = 1.5  # multiple of a joint's friction up to which friction may explain it
+SETTLED_AFTER = 0.5  # [s] without motion until the torque that holds the arm must stay the same
+MOTION = 0.02  # [rad/s] reported speed from which a joint counts as moved, by a hand say
+CREEP_FACTOR, CREEP_SHARE = 1.5, 0.01  # by how much it may change: of the friction, of the limit
 TORQUE_SHARE = 0.005  # share of a joint's torque limit added to that: resolution of the torques
 
 
@@ -30,11 +33,14 @@ class UnexplainedTorque:
         compensation: Torque to add to g(q) in any posture: `torque` at the joints where it exceeds
             the friction, so that the model is wrong for certain, else zero [N m]. Shape (n,).
         known: Whether the arm has been held at rest for `KNOWN_AFTER` since `begin`.
+        crept: How the torque has changed although the arm reports rest, so that a zero drifts and
+            the arm follows it; empty if it has not.
     """
 
     def __init__(self, arm: Arm) -> None:
         self._names = arm.joint_names
         self._friction, self._negligible = arm.friction, NEGLIGIBLE_SHARE * arm.friction
+        self._creep = CREEP_FACTOR * arm.friction + CREEP_SHARE * arm.tau_max
         self._explained = FRICTION_FACTOR * arm.friction + TORQUE_SHARE * arm.tau_max
         self._n = arm.n
         self.begin()
@@ -44,28 +50,61 @@ class UnexplainedTorque:
         self.torque = np.zeros(self._n)
         self.compensation = np.zeros(self._n)
         self.known = False
-        self._rested = 0.0  # time at rest so far [s]
+        self.crept = ""
+        self._rested = self._still = 0.0  # time at rest, and without motion, so far [s]
+        self._settled: np.ndarray | None = None  # torque after SETTLED_AFTER without motion [N m]
+        self._before = np.zeros(self._n)  # the same before the last motion
         self._held_at: np.ndarray | None = None  # posture of the last observation at rest [rad]
 
-    def observe(self, at_rest: bool, q: np.ndarray, beyond: np.ndarray, dt: float) -> None:
+    def observe(
+        self, at_rest: bool, q: np.ndarray, speed: float, beyond: np.ndarray, dt: float
+    ) -> None:
         """Register a state of the held arm.
 
         Args:
             at_rest: Whether the arm was at rest.
             q: Joint positions [rad]. Shape (n,).
+            speed: Largest reported speed of a joint [rad/s].
             beyond: Motor torque commanded, minus g(q) [N m]. Shape (n,).
             dt: Time since the last call [s].
         """
+        self._watch(speed, beyond, dt)
         if not at_rest:
             self._rested = 0.0
             return
         self._rested += dt
+        if self.crept:
+            return
         share = 1.0 - math.exp(-dt / TIME_CONSTANT)
         self.torque = self.torque + share * (beyond - self.torque)
         certain = np.abs(self.torque) > self._friction
         self.compensation = np.where(certain, self.torque, np.zeros(self._n))
         self._held_at = q
         self.known = self.known or self._rested >= KNOWN_AFTER
+
+    def _watch(self, speed: float, beyond: np.ndarray, dt: float) -> None:
+        """Notice a torque that changes while no joint reports a motion."""
+        self._still = self._still + dt if speed < MOTION else 0.0
+        if self._still < SETTLED_AFTER:
+            self._before, self._settled = (
+                self._before if self._settled is None else self._settled,
+                None,
+            )
+            return
+        if self._settled is None:
+            self._settled = beyond
+        change = beyond - self._settled
+        excess = np.abs(change) - self._creep
+        if excess[joint := int(excess.argmax())] > 0.0:
+            self.crept = (
+                f"the torque that holds joint {joint + 1} has changed by {change[joint]:.1f} N m, "
+                "and no joint reports a motion: its zero drifts, or something leans on the arm"
+            )
+            # What carries the arm, without the friction of the motion that has begun since then.
+            begun = self._settled - self._before
+            moving = np.abs(begun) > 0.5 * self._friction
+            drag = np.where(moving, np.copysign(self._friction, begun), 0.0)
+            self.compensation = beyond - drag
 
     def guided(self, q: np.ndarray, step: float) -> np.ndarray:
         """Torque to add to g(q) while a person guides the arm [N m]. Shape (n,).

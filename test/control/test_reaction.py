@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reaction to a fault: what two witnesses confirm, and what the states alone may ask for."""
+
+import numpy as np
+import pytest
+from rigid_arm import A_TEST, HOME, MODEL, begin, make, run, tool
+
+from wam_power_ros.control.modes import Mode
+from wam_power_ros.control.past import PastState
+from wam_power_ros.control.payload import GRAVITY, PayloadCheck
+from wam_power_ros.control.reaction import (
+    ANSWER_TIME,
+    REACTION_SPEED,
+    ModelState,
+    Reaction,
+    confirmed,
+)
+from wam_power_ros.control.state_checks import JointState
+
+STILL = np.zeros(7)
+
+
+def state(k: int, q: np.ndarray, qd: np.ndarray = STILL) -> JointState:
+    return JointState(10**12 + 2_000_000 * k, q, qd, 0.002, 0.002)
+
+
+def test_two_witnesses_confirm_the_slower_speed_and_none_where_they_contradict() -> None:
+    first = np.array([1.0, -2.0, 0.5, -0.1, 0.0])
+    second = np.array([0.4, -3.0, -0.5, 0.2, 1.0])
+    np.testing.assert_array_equal(confirmed(first, second), [0.4, -2.0, 0.0, 0.0, 0.0])
+    np.testing.assert_array_equal(confirmed(second, first), confirmed(first, second))
+
+
+@pytest.mark.requirement("S-131")
+def test_what_the_states_alone_ask_for_gives_a_resting_arm_no_speed_beyond_the_bound() -> None:
+    rng = np.random.default_rng(0)
+    reaction = Reaction(MODEL, lambda q: MODEL.gravity(q))
+    for _ in range(200):
+        q = HOME + rng.uniform(-0.5, 0.5, 7)
+        mass = MODEL.mass_matrix(q)
+        wanted = mass.dot(rng.normal(size=7) * 10.0 ** rng.uniform(-1.0, 4.0))
+        given = reaction._bounded(wanted, mass, q)
+        driving = given - np.clip(given, -MODEL.friction, MODEL.friction)
+        motion = MODEL.motion(q, np.linalg.solve(mass, driving) * ANSWER_TIME)
+        assert motion.tool_speed < REACTION_SPEED * (1.0 + 1e-9)
+        assert np.all(given * wanted >= 0.0)
+        if np.all(np.abs(wanted) < MODEL.friction):
+            np.testing.assert_array_equal(given, wanted)
+
+
+@pytest.mark.requirement("S-131")
+def test_the_brake_takes_energy_from_the_motion_that_either_witness_sees() -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(100):
+        seen, foreseen = rng.normal(size=7), rng.normal(size=7)
+        reaction = Reaction(MODEL, lambda q: MODEL.gravity(q))
+        for k in range(120):
+            q = HOME + 0.002 * (k - 119) * foreseen
+            reaction.record(state(k, q), MODEL.gravity(q), [0.0] * 7)
+        reaction.begin(0.05, alone=True)
+        for k in range(120, 125):
+            last = state(k, HOME + 0.002 * (k - 119) * seen)
+            reaction.record(last, MODEL.gravity(HOME), [0.0] * 7)
+        tau = reaction.torque(last, True, STILL, None)
+        braking = tau - MODEL.gravity(reaction.posture)
+        bounded = np.linalg.norm(MODEL.friction) + 15.0  # what the states alone may ask for
+        assert braking.dot(seen) < bounded * np.linalg.norm(seen)
+
+
+@pytest.mark.parametrize("share", [-0.9, 0.9])
+def test_the_model_keeps_joints_at_rest_that_friction_holds(share: float) -> None:
+    model = ModelState(MODEL, HOME, STILL, STILL, [], 0.002)
+    for _ in range(50):
+        model.predict(MODEL.gravity(HOME) + share * MODEL.friction, 0.002)
+    assert np.abs(model.qd).max() < 0.02
+
+
+def test_a_torque_acts_on_the_model_with_the_delay_of_the_arm() -> None:
+    carried = MODEL.gravity(HOME)
+    model = ModelState(MODEL, HOME, STILL, STILL, [carried, carried], 0.002)
+    for expected in (0.0, 0.0, 1.0):
+        model.advance(carried + 10.0 * MODEL.friction, 0.002)
+        assert (model.qd[1] > 0.01) == bool(expected)
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_no_predicted_speed_is_beyond_the_limit_of_its_joint(sign: float) -> None:
+    model = ModelState(MODEL, HOME, STILL, STILL, [], 0.002)
+    for _ in range(500):
+        model.predict(sign * MODEL.tau_max, 0.002)
+        assert np.all(np.abs(model.qd) <= MODEL.qd_max)
+
+
+def fall(mass: float, steps: int = 40) -> list[PastState]:
+    """States of an arm that a mass has been put on, carried as if it were not there."""
+    tool = MODEL.jacobian(HOME)[:3]
+    inertia = MODEL.mass_matrix(HOME) + mass * tool.T.dot(tool)
+    qdd = np.linalg.solve(inertia, -mass * GRAVITY * tool[2])
+    external = -mass * tool.T.dot([0.0, 0.0, GRAVITY]) - mass * tool.T.dot(tool.dot(qdd))
+    return [
+        PastState(HOME + 0.5 * qdd * (0.002 * k) ** 2, STILL, external.tolist(), 0.002)
+        for k in range(steps)
+    ]
+
+
+@pytest.mark.requirement("S-133")
+@pytest.mark.parametrize("mass", [-0.3, 2.0, 3.0])
+def test_a_mass_on_the_tool_is_recognized_by_the_fall_of_the_arm(mass: float) -> None:
+    torque = PayloadCheck(MODEL).torque(fall(mass))
+    assert torque is not None
+    expected = -mass * GRAVITY * MODEL.jacobian(HOME)[2]
+    np.testing.assert_allclose(torque, expected, atol=0.3 * np.abs(expected).max())
+
+
+@pytest.mark.requirement("S-133")
+@pytest.mark.parametrize("joint", [1, 3])
+def test_a_joint_that_runs_away_is_no_mass(joint: int) -> None:
+    t = 0.002 * np.arange(60)
+    speed = 4.0 * np.sin(np.pi * t / 0.4) ** 2
+    change = np.gradient(speed, t)
+    way = np.cumsum(speed) * 0.002
+    check = PayloadCheck(MODEL)
+    past = [
+        PastState(
+            HOME + x * np.eye(7)[joint], STILL, list(MODEL.mass_matrix(HOME)[joint] * a), 0.002
+        )
+        for x, a in zip(way, change, strict=True)
+    ]
+    for k in range(30, 60):
+        assert check.torque(past[:k]) is None
+
+
+@pytest.mark.requirement("S-133")
+def test_a_mass_that_does_not_answer_to_being_carried_is_none() -> None:
+    check, past = PayloadCheck(MODEL), fall(2.0)
+    assert check.torque(past) is not None
+    other = [each._replace(external=[-x for x in each.external]) for each in past]
+    given = [check.torque(past + other[: k + 1]) for k in range(15)]
+    assert given[0] is not None
+    assert given[-1] is None
+    assert check.refuted
+
+
+@pytest.mark.requirement("S-122")
+@pytest.mark.parametrize("torque", [-8.0, 8.0])
+@pytest.mark.parametrize("delay", [0, 4])
+def test_a_fault_holds_an_arm_whose_model_is_wrong_and_can_be_reset(
+    torque: float, delay: int
+) -> None:
+    """8 N m at joint 2: 0.9 kg at the tool, or a motor that gives 70 %."""
+    controller, plant = begin(friction=1.0, delay=delay, sensing=True)
+    controller.execute()
+    run(controller, plant, 0.3)
+    controller.fault(A_TEST)
+    plant.push = lambda *_: torque * np.eye(7)[1]
+    run(controller, plant, 0.5)
+    at = tool(plant)
+    run(controller, plant, 5.0)
+    assert np.linalg.norm(tool(plant) - at) < 0.05
+    controller.reset()
+    assert controller.mode is Mode.HOLD
+
+
+@pytest.mark.requirement("S-122")
+def test_a_brake_that_is_too_weak_never_pulls_the_arm_back() -> None:
+    """The arm falls while its motors are cut; then they act again."""
+    controller, plant = begin(controller=make(contact_share=100.0), friction=1.0)
+    controller.fault(A_TEST)
+    plant.push = lambda t, q, qd: -25.0 * np.eye(7)[1]
+    run(controller, plant, 0.1)
+    plant.push = None
+    speeds = []
+    for _ in range(500):
+        tau = controller.step(*plant.state())
+        plant.step(tau)
+        speeds.append(plant.qd[1])
+    assert min(speeds) < -0.5
+    assert max(speeds) < 0.1
+    assert abs(speeds[-1]) < 0.01

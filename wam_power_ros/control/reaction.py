@@ -1,0 +1,337 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reaction to a fault: what brakes and holds the arm, whatever its states say.
+
+There are two witnesses of the arm's motion: the reported positions, and the model, integrated with
+the torques that were sent since a time before the fault. The brake acts in full on the speed that
+both confirm. What the states alone say is answered by a torque that, in `ANSWER_TIME`, gives the
+tool of an arm that in truth rests no more than `REACTION_SPEED`; within that time `Supervision`
+asks again whether they are believed. States that are not believed are not used at all. Once the
+arm rests, the torque that holds it stays as it is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+
+import numpy as np
+
+from wam_power_ros.control import safety
+from wam_power_ros.control.arm import Arm
+from wam_power_ros.control.past import PastState
+from wam_power_ros.control.state_checks import JointState, at_rate
+from wam_power_ros.learning.policy import PERIOD
+
+# Numbers of states are those at 500 Hz: at a higher rate they are more, see `at_rate`.
+TORQUE_DELAY = 2  # states until a torque acts: 4 ms, of the 2 to 8 ms of drivers and motors
+RATE_STATES = 4  # states over which a reported speed is measured
+STRIDE_COUNT = 25  # steps in which the model is integrated up to a fault
+BEFORE, BEFORE_GUIDED = 0.2, 0.4  # [s] before a fault at which states were true
+BEFORE_STEP, BEFORE_SILENCE = 0.05, 0.02  # [s] the same before a contradiction, before a silence
+FRICTION_ITERATIONS = 3  # fixed-point iterations of the implicit friction
+CREEP_SPEED = 0.005  # [rad/s] speed below which friction holds a joint
+BRAKE_TIME = 0.3  # [s] until an arm that is braked rests: e^-6 of its speed
+SETTLED_SPEED = 0.1  # [rad/s] of the model, below which it rests once it has braked
+REACTION_SPEED = 0.1  # [m/s] that the answer to unconfirmed states may give a resting arm's tool
+ANSWER_TIME = 0.03  # [s] within which states that are false are no longer believed
+GROWTH = 1.5  # of the reported energy in that time, although the brake gives all that it may
+HOLD_FREQUENCY = 20.0  # [rad/s] of the hold, with a damping of 20 1/s: half of the critical one
+STILL = 0.002  # [rad] change of the reported positions within STILL_TIME, below which it rests
+STILL_SPEED = 0.05  # [rad/s] above which a brake that gives all it may must slow the arm
+STILL_TIME = 0.15  # [s]
+FALL_SPEED = 0.15  # [rad/s] growth of a reported speed after which a held arm is taken to fall
+
+MotorTorque = Callable[[np.ndarray], np.ndarray]  # posture (n,) [rad] -> motor torque (n,) [N m]
+
+
+class ModelState:
+    """State of the arm by its model alone.
+
+    Attributes:
+        q: Joint positions [rad]. Shape (n,).
+        qd: Joint speeds [rad/s]. Shape (n,).
+
+    Args:
+        arm: Model of the arm.
+        q: Positions to begin with [rad]. Shape (n,).
+        qd: Speeds to begin with [rad/s]. Shape (n,).
+        external: Constant torque beyond the model [N m]. Shape (n,).
+        acting: Motor torques commanded that do not act yet [N m], oldest first. Shapes (n,).
+        period: Sampling period of the states [s].
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        q: np.ndarray,
+        qd: np.ndarray,
+        external: np.ndarray,
+        acting: list[np.ndarray],
+        period: float,
+    ) -> None:
+        self._arm, self.q, self.qd, self.external = arm, q, qd, external
+        self._acting = deque(acting, maxlen=at_rate(TORQUE_DELAY, period) + 1)
+
+    def advance(self, tau: np.ndarray, dt: float) -> None:
+        """Integrate over a time [s] with a commanded motor torque (n,) [N m]; it acts later."""
+        self._acting.append(tau)
+        self.predict(self._acting[0], dt)
+
+    def predict(self, tau: np.ndarray, dt: float) -> None:
+        """Integrate over a time [s] in which a torque (n,) [N m] acts; friction only brakes."""
+        arm, qd = self._arm, self.qd
+        mass = arm.mass_matrix(self.q)
+        driving = tau + self.external - arm.bias(self.q, qd) - arm.damping * qd
+        momentum = mass.dot(qd) + dt * driving
+        # Implicit: friction of the light wrist joints also acts on the joints coupled to them.
+        for _ in range(FRICTION_ITERATIONS):
+            held = dt * arm.friction / np.maximum(np.abs(qd), CREEP_SPEED)
+            qd = np.linalg.solve(mass + np.diag(held), momentum)
+        qd[np.abs(qd) < 1e-6] = 0.0  # so that it comes to rest bit for bit
+        self.qd = np.minimum(np.maximum(qd, -arm.qd_max), arm.qd_max)
+        self.q = self.q + dt * self.qd
+
+
+def confirmed(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Speeds that two witnesses confirm: the slower one, zero where they contradict. Shape (n,)."""
+    slower = np.minimum(np.abs(first), np.abs(second))
+    return np.where(first * second > 0.0, np.copysign(slower, first), 0.0)
+
+
+class Reaction:
+    """Brakes the arm in a fault and while states are missing, then holds it.
+
+    Attributes:
+        unanswered: Whether the states go on moving against all that the reaction may give.
+
+    Args:
+        arm: Model of the arm.
+        motor_torque: Motor torque that results from the last command, as a function of posture.
+        period: Sampling period of the states [s].
+    """
+
+    def __init__(self, arm: Arm, motor_torque: MotorTorque, period: float = PERIOD) -> None:
+        self._arm, self._motor_torque, self._period = arm, motor_torque, period
+        self._rates = at_rate(RATE_STATES, period)
+        self.past: deque[PastState] = deque(maxlen=round(BEFORE_GUIDED / period))
+        self._recent: deque[np.ndarray] = deque(maxlen=round(STILL_TIME / period))  # [rad]
+        self._model: ModelState | None = None
+        self._external: np.ndarray  # torque beyond the model before the fault [N m]
+        self._reference: tuple[np.ndarray, np.ndarray] | None  # that comes to rest: q, qd
+        self._asked: tuple[float, float] | None  # energy, and time since then [s]
+        self._weight: np.ndarray | None  # of a mass at the tool, once recognized [N m]
+        # Torque that last held the resting arm, and its share that the states alone ask for [N m].
+        self._held: tuple[np.ndarray, np.ndarray] | None
+        self._held_at = np.zeros(arm.n)  # posture reported then [rad]
+        self._kept: np.ndarray | None  # that torque beyond g, when states are believed again [N m]
+        self._offset: np.ndarray  # of g at the reported posture, when they are [N m]
+        self._seconds: float  # since the brake began
+        self.end()
+
+    def forget(self) -> None:
+        """Forget the past: the next state has no predecessor."""
+        self.past.clear()
+
+    def record(self, state: JointState, tau: np.ndarray, external: list[float]) -> None:
+        """Keep a state, the motor torque (n,) and the external one (n numbers) before it [N m]."""
+        self.past.append(PastState(state.q, tau, external, state.span))
+
+    @property
+    def posture(self) -> np.ndarray:
+        """Posture of the arm by its model, while it brakes or holds the arm [rad]. Shape (n,)."""
+        return np.zeros(self._arm.n) if self._model is None else self._model.q
+
+    @property
+    def settled(self) -> bool:
+        """Whether the arm rests by its model, which then does not change any more."""
+        model = self._model
+        if model is None or np.abs(model.qd).max() > SETTLED_SPEED:
+            return False
+        return not self._alone or self._seconds > BRAKE_TIME
+
+    @property
+    def rested(self) -> bool:
+        """Whether the arm has reported rest since the fault."""
+        return self._held is not None or self._kept is not None
+
+    def end(self) -> None:
+        """Use the measured states again, and forget what was held."""
+        self._model = self._reference = self._asked = None
+        self._weight = self._held = self._kept = None
+        self._offset = self._external = np.zeros(self._arm.n)
+        self._believed = self._alone = True
+        self.unanswered = self._fallen = False
+        self._seconds = 0.0
+        self._recent.clear()
+
+    def begin(self, before: float, alone: bool = False) -> None:
+        """Begin at the state a time [s] ago, unless the model is followed already.
+
+        Args:
+            before: How long ago the states were true [s].
+            alone: Whether the model alone tells what came of it: the states since then contradict
+                themselves, or the arm moved by itself, under torques that are known. Else the model
+                only confirms what they report.
+        """
+        if self._model is None:
+            self.end()
+            self._model = self._before(before)
+            self._alone = alone
+            if not alone and self._model is not None:
+                last = self.past[-1].q
+                self._model.q = last
+                self._model.qd = confirmed(self._model.qd, self.reported())
+
+    def _before(self, seconds: float) -> ModelState | None:
+        """State by the model that began a time [s] ago; None if that is not known."""
+        past = list(self.past)[-max(round(seconds / self._period), self._rates + 1) :]
+        return self._integrated(past) if len(past) > self._rates else None
+
+    def _integrated(self, past: list[PastState]) -> ModelState:
+        first = past[0]
+        seconds = sum(each.dt for each in past[1 : self._rates + 1])
+        qd = (past[self._rates].q - first.q) / seconds
+        delay = at_rate(TORQUE_DELAY, self._period)
+        taus = [first.tau] * delay + [each.tau for each in past]
+        external = np.array(first.external)
+        self._external = external
+        model = ModelState(self._arm, first.q, qd, external, taus[len(past) :], self._period)
+        stride = max(1, math.ceil(len(past) / STRIDE_COUNT))
+        for k in range(1, len(past), stride):
+            rows = past[k : k + stride]
+            tau = np.mean(taus[k : k + len(rows)], axis=0)
+            model.predict(tau, sum(each.dt for each in rows))
+        return model
+
+    def missing(self, last: JointState, believed: bool, dt: float) -> JointState:
+        """State of the arm while none is received, by the model.
+
+        Args:
+            last: Last state received.
+            believed: Whether it is believed.
+            dt: Time since this state or since the last call [s].
+        """
+        if self._model is None:
+            model = self._before(BEFORE_SILENCE if believed else BEFORE)
+            if model is None:
+                model = self._at_posture(last.q)
+                model.qd = last.qd
+            if believed:
+                model.q = last.q
+            self._model = model
+        self._reference = None
+        self._model.advance(self._motor_torque(self._model.q), dt)
+        return last.moved(self._model.q, self._model.qd)
+
+    def _at_posture(self, q: np.ndarray) -> ModelState:
+        self._external = zero = np.zeros(self._arm.n)
+        return ModelState(self._arm, q, zero, zero, [], self._period)
+
+    def follow(self, q: np.ndarray) -> None:
+        """Carry an arm that truly falls where it is reported (n,) [rad]."""
+        model = self._model = self._model or self._at_posture(q)
+        if self._held is not None:
+            self._kept = self._held[0] - self._arm.gravity(self._held_at)
+        model.q, model.qd, self._held, self._believed = q, 0.0 * q, None, True
+        self._offset, self._fallen = 0.0 * q, True
+
+    def reported(self) -> np.ndarray:
+        """Speeds by the reported positions [rad/s], shape (n,); the velocities are not used."""
+        past = list(self.past)[-self._rates - 1 :]
+        if len(past) < 2:
+            return np.zeros(self._arm.n)  # not known yet
+        return (past[-1].q - past[0].q) / sum(each.dt for each in past[1:])
+
+    def torque(
+        self, state: JointState, believed: bool, carried: np.ndarray, weight: np.ndarray | None
+    ) -> np.ndarray:
+        """Motor torque that brakes and holds the arm [N m]. Shape (n,).
+
+        Args:
+            state: Measured state.
+            believed: Whether it is believed.
+            carried: Torque that carries the arm beyond g(q) [N m]. Shape (n,).
+            weight: Torque of a weight at the tool that the model does not have [N m]. Shape (n,).
+        """
+        model = self._model = self._model or self._at_posture(state.q)
+        before, self._seconds = model.qd, self._seconds + state.span
+        if not self.settled:
+            model.advance(self._motor_torque(model.q), state.span)
+        reported = self.reported()
+        if not self._alone or self._seconds > BRAKE_TIME:
+            model.qd = confirmed(model.qd, before)  # a brake starts no motion
+        if not self._alone:
+            model.qd = confirmed(model.qd, reported)
+        elif believed and self._seconds <= BRAKE_TIME:
+            slower = confirmed(model.qd, before)  # no error of the model moves it against them
+            model.qd = np.where(model.qd * reported < 0.0, slower, model.qd)
+        late = np.abs(model.qd).max() < SETTLED_SPEED or self._seconds > 2.0 * BRAKE_TIME
+        if self._seconds > BRAKE_TIME and late:
+            model.qd = np.zeros(self._arm.n)  # an error of the model would let it creep
+        model.external = self._external if weight is None else weight
+        if weight is not None:
+            self._weight = weight
+        elif self._held is None:
+            self._weight = None
+        carried = carried if self._weight is None else -self._weight
+        carried = carried if self._kept is None else self._kept
+        arm, damping = self._arm, safety.FAULT_DAMPING
+        mass, gravity = arm.mass_matrix(model.q), arm.gravity(model.q)
+        if believed and not self._believed:
+            self._offset = arm.gravity(state.q) - gravity
+            self._kept = self._held[0] - gravity if self._held is not None else None
+            self._held = None
+        self._believed = believed
+        if not believed:
+            self._reference, self.unanswered = None, False
+            self._recent.clear()
+            qd = model.qd if self._alone else confirmed(model.qd, reported)
+            tau = gravity + carried if self._held is None else self._held[0]
+            return tau - damping * mass.dot(qd)
+        qd = confirmed(model.qd, reported)
+        braking = mass.dot(qd)
+        if braking.dot(reported) < 0.0 or braking.dot(model.qd) < 0.0:
+            qd, braking = 0.0 * qd, 0.0 * braking  # coupled joints: it would drive one of the two
+        alone = arm.gravity(state.q) - gravity - self._offset - damping * mass.dot(reported - qd)
+        q_ref, qd_ref = self._reference or (state.q, reported)
+        self._reference = q_ref + state.span * qd_ref, math.exp(-damping * state.span) * qd_ref
+        alone = alone + HOLD_FREQUENCY**2 * mass.dot(q_ref - state.q)
+        base, usual = self._held or (gravity + carried, 0.0 * alone)
+        change = alone - usual
+        bounded = self._bounded(change, mass, model.q)
+        moves = bounded is not change and np.abs(reported).max() > STILL_SPEED
+        if moves:
+            self._reference = state.q, reported  # it never pulls back what it could not stop
+        new = weight is None and self._held is None and not self._fallen
+        asked = moves and new and bounded.dot(reported) < 0.0
+        self._ask(bool(asked), float(reported.dot(mass.dot(reported))), state.span)
+        tau = base - damping * braking + bounded
+        recent = self._recent
+        recent.append(state.q)
+        still = np.abs(recent[-1] - recent[0]).max() < STILL
+        if still and len(recent) == recent.maxlen:
+            self._held, self._held_at = (tau, usual + bounded), state.q
+        return tau
+
+    def _ask(self, insufficient: bool, energy: float, dt: float) -> None:
+        """Notice that a brake which gives all that it may for ANSWER_TIME does not brake."""
+        if not insufficient:
+            self._asked = None
+            return
+        begun, seconds = self._asked or (energy, 0.0)
+        self._asked = begun, seconds + dt
+        if seconds + dt > ANSWER_TIME:
+            self.unanswered = energy > GROWTH * begun
+            self._asked = None
+
+    def _bounded(self, tau: np.ndarray, mass: np.ndarray, q: np.ndarray) -> np.ndarray:
+        """Bound the torque that only the states ask for, see the module. [N m], shape (n,)."""
+        arm = self._arm
+        held = np.minimum(np.maximum(tau, -arm.friction), arm.friction)  # moves no resting joint
+        driving = tau - held
+        if not driving.any():
+            return tau
+        twist = arm.jacobian(q).dot(np.linalg.solve(mass, driving)) * ANSWER_TIME
+        speed = max(float(np.linalg.norm(twist[:3])), 0.25 * float(np.linalg.norm(twist[3:])))
+        return tau if speed <= REACTION_SPEED else held + driving * (REACTION_SPEED / speed)
