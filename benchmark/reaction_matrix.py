@@ -233,7 +233,7 @@ def _guide(loop: Loop) -> None:
     def hand(t: float, position: np.ndarray) -> np.ndarray:
         way = 0.12 * (1.0 - np.cos(2.5 * (t - begun)))
         velocity, last[0] = (position - last[0]) / PERIOD, position
-        pull = 600.0 * (start + [0.3 * way, 0.5 * way, way] - position) - 30.0 * velocity
+        pull = 600.0 * (start + way * np.array([0.3, 0.5, 1.0]) - position) - 30.0 * velocity
         return pull * min(1.0, 80.0 / max(float(np.linalg.norm(pull)), 1e-9))
 
     loop.hand = hand
