@@ -92,9 +92,9 @@ ALLOWED["benchmark"] = {*ALLOWED}
 # Lines that a folder may have, docstrings and blanks included. Needing more is a reason to look for
 # what can go; where nothing can, the commit that raises a figure says why.
 BUDGET = {
-    "ground": 1360,  # the modules of wam_power_ros/ itself
+    "ground": 1370,  # the modules of wam_power_ros/ itself
     "learning": 3070,
-    "control": 4530,
+    "control": 4840,  # the reaction asks in every state what is believed, and recognizes a mass
     "commissioning": 1230,
     "tracking": 620,
     "tasks": 3960,
@@ -102,7 +102,7 @@ BUDGET = {
     "conformance": 1130,
     "bags": 2660,
     "params": 1140,
-    "ros": 2800,
+    "ros": 2810,
     "client": 1450,
     "nodes": 3310,
     "console": 990,
@@ -114,7 +114,7 @@ BUDGET = {
     "launch": 260,
     "examples": 380,
     "reproduction": 4100,
-    "benchmark": 6090,
+    "benchmark": 6760,  # the matrix of the reaction has a plant of its own
 }
 PURE = (
     "faults",

@@ -166,8 +166,11 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
     if in_simulation:  # the stand-ins do what a person does in the lab
         for node, values in _read(share(f"config/{SIMULATION}.yaml")).items():
             parameters[node] |= values
-        # A set-up may leave the scene to the task, to try what an arm does without a person.
-        parameters["learner"] |= {k: v for k, v in given["learner"].items() if k == "scene_reset"}
+        # A set-up may leave the scene to the task, to try what an arm does without a person, and
+        # keep the arm as slow as it is in the lab.
+        kept = {"learner": "scene_reset", "torque_controller": "teaching_tool_speed_max"}
+        for node, key in kept.items():
+            parameters[node] |= {k: v for k, v in given[node].items() if k == key}
         if parameters["wam_sim"]["pace"] == "lockstep":  # wam_sim publishes the time for all nodes
             for node in set(NODES) - set(STAND_INS):
                 parameters[node]["use_sim_time"] = True
