@@ -35,7 +35,7 @@ BRAKE_TIME = 0.3  # [s] until an arm that is braked rests: e^-6 of its speed
 SETTLED_SPEED = 0.1  # [rad/s] of the model, below which it rests once it has braked
 REACTION_SPEED = 0.1  # [m/s] that the answer to unconfirmed states may give a resting arm's tool
 ANSWER_TIME = 0.03  # [s] within which states that are false are no longer believed
-GROWTH = 1.5  # of the reported energy in that time, although the brake gives all that it may
+GROWTH = 1.5  # of the reported energy in that time, in spite of the brake
 HOLD_FREQUENCY = 20.0  # [rad/s] of the hold, with a damping of 20 1/s: half of the critical one
 STILL = 0.002  # [rad] change of the reported positions within STILL_TIME, below which it rests
 STILL_SPEED = 0.05  # [rad/s] above which a brake that gives all it may must slow the arm
@@ -103,7 +103,7 @@ class Reaction:
     """Brakes the arm in a fault and while states are missing, then holds it.
 
     Attributes:
-        unanswered: Whether the states go on moving against all that the reaction may give.
+        unanswered: Whether the states report an arm that the brake makes faster.
 
     Args:
         arm: Model of the arm.
@@ -161,7 +161,7 @@ class Reaction:
         self._weight = self._held = self._kept = None
         self._offset = self._external = np.zeros(self._arm.n)
         self._believed = self._alone = True
-        self.unanswered = self._fallen = False
+        self.unanswered = False
         self._seconds = 0.0
         self._recent.clear()
 
@@ -234,7 +234,7 @@ class Reaction:
         if self._held is not None:
             self._kept = self._held[0] - self._arm.gravity(self._held_at)
         model.q, model.qd, self._held, self._believed = q, 0.0 * q, None, True
-        self._offset, self._fallen = 0.0 * q, True
+        self._offset = 0.0 * q
 
     def reported(self) -> np.ndarray:
         """Speeds by the reported positions [rad/s], shape (n,); the velocities are not used."""
@@ -261,9 +261,9 @@ class Reaction:
         reported = self.reported()
         if not self._alone or self._seconds > BRAKE_TIME:
             model.qd = confirmed(model.qd, before)  # a brake starts no motion
-        if not self._alone:
-            model.qd = confirmed(model.qd, reported)
-        elif believed and self._seconds <= BRAKE_TIME:
+        if not self._alone or (believed and self._seconds > ANSWER_TIME):
+            model.qd = confirmed(model.qd, reported)  # believed so long, they are true
+        elif believed:
             slower = confirmed(model.qd, before)  # no error of the model moves it against them
             model.qd = np.where(model.qd * reported < 0.0, slower, model.qd)
         late = np.abs(model.qd).max() < SETTLED_SPEED or self._seconds > 2.0 * BRAKE_TIME
@@ -300,11 +300,10 @@ class Reaction:
         base, usual = self._held or (gravity + carried, 0.0 * alone)
         change = alone - usual
         bounded = self._bounded(change, mass, model.q)
-        moves = bounded is not change and np.abs(reported).max() > STILL_SPEED
-        if moves:
+        moves = np.abs(reported).max() > STILL_SPEED
+        if moves and bounded is not change:
             self._reference = state.q, reported  # it never pulls back what it could not stop
-        new = weight is None and self._held is None and not self._fallen
-        asked = moves and new and bounded.dot(reported) < 0.0
+        asked = moves and weight is None and self._held is None and bounded.dot(reported) < 0.0
         self._ask(bool(asked), float(reported.dot(mass.dot(reported))), state.span)
         tau = base - damping * braking + bounded
         recent = self._recent
@@ -314,9 +313,9 @@ class Reaction:
             self._held, self._held_at = (tau, usual + bounded), state.q
         return tau
 
-    def _ask(self, insufficient: bool, energy: float, dt: float) -> None:
-        """Notice that a brake which gives all that it may for ANSWER_TIME does not brake."""
-        if not insufficient:
+    def _ask(self, brakes: bool, energy: float, dt: float) -> None:
+        """Notice that states move ever faster against the brake for ANSWER_TIME."""
+        if not brakes:
             self._asked = None
             return
         begun, seconds = self._asked or (energy, 0.0)

@@ -31,6 +31,7 @@ EXPLAINED_SHARE = 0.02  # share of a torque limit within which the motion counts
 REST_NS = 200_000_000  # [ns] at rest before a fault may be reset
 DOUBTFUL_STATES = 5  # consecutive states that nothing explains until none is believed
 BELIEF_STATES = 50  # consecutive states that agree until states are believed again: 0.1 s
+FALL_STATES = 75  # consecutive states of an arm that falls until they are believed again: 0.15 s
 AGREEMENT = 0.005  # [rad] in that time, between the motion reported and that of the model
 
 
@@ -71,6 +72,7 @@ class Supervision:
         self._doubtful = at_rate(DOUBTFUL_STATES, settings.period)
         self._payload = PayloadCheck(arm, settings.period)
         self._belief_states = at_rate(BELIEF_STATES, settings.period)
+        self._fall_states = at_rate(FALL_STATES, settings.period)
         self._motion = safety.MotionCheck(limits, arm.guarded, settings.period)
         self._plausibility = Plausibility(arm, settings.period)
         self.reaction = Reaction(arm, motor_torque, settings.period)
@@ -206,14 +208,15 @@ class Supervision:
         A zero that drifts at a constant speed is explained nearly as well, and so is an answer to
         the brake, which is added to whatever is false.
         """
-        if not (plausible and self._possible and self.reaction.settled):
+        if not (plausible and self._explains and self.reaction.settled):
             self._explained = 0
             return False
         speeds = np.abs(self.reaction.reported())
         self._speeds = np.minimum(self._speeds, speeds) if self._explained else speeds
         self._explained += 1
-        states = self._belief_states if self._contradicted else self._belief_states // 5
-        return self._explained > states and bool((speeds - self._speeds).max() > FALL_SPEED)
+        return self._explained > self._fall_states and bool(
+            (speeds - self._speeds).max() > FALL_SPEED
+        )
 
     def _agrees(self, difference: np.ndarray) -> bool:
         """Whether reported minus predicted position (n,) [rad] has long stayed the same."""

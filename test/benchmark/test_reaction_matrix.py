@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A few cells of the matrix of the reaction, on its own plant."""
+
+import pytest
+
+from benchmark import reaction_matrix
+from benchmark.reaction_matrix import Cell, run
+
+
+@pytest.fixture(autouse=True)
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reaction_matrix, "AFTER", 2.0)
+    monkeypatch.setattr(reaction_matrix, "UNFOUND", 5.0)
+
+
+@pytest.mark.requirement("S-131")
+@pytest.mark.parametrize(
+    ("kind", "joint", "mode"),
+    [
+        ("runaway step", 1, "untouched"),
+        ("runaway step", 1, "guided"),
+        ("runaway step", 3, "hold"),
+        ("gradual swap", 1, "hold"),
+        ("sign", 1, "replay"),
+        ("smooth bump", 1, "rollout late"),
+        ("swap", 3, "rollout early"),
+        ("relay", -1, "guided"),
+    ],
+)
+def test_no_false_state_drives_the_arm_faster_than_it_was(
+    kind: str, joint: int, mode: str
+) -> None:
+    outcome = run(Cell(kind, joint, mode, "model"))
+    assert outcome.fault
+    assert outcome.peak < outcome.nominal + 0.12
+    assert outcome.way < 0.03
+
+
+@pytest.mark.requirement("S-131")
+@pytest.mark.parametrize("joint", [1, 3, 5])
+def test_a_joint_that_runs_away_smoothly_moves_a_held_arm_slowly_and_little(joint: int) -> None:
+    outcome = run(Cell("smooth runaway", joint, "hold", "model"))
+    assert outcome.fault
+    assert outcome.peak < 0.3
+    assert outcome.way < 0.06
+
+
+@pytest.mark.requirement("S-132")
+@pytest.mark.parametrize("kind", ["drift +0.1", "drift -0.1"])
+def test_a_zero_that_drifts_in_a_hold_is_found_and_not_followed_after_the_fault(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reaction_matrix, "UNFOUND", 8.0)
+    outcome = run(Cell(kind, 1, "hold", "model"))
+    assert outcome.fault == "drift"
+    assert outcome.before < 0.3
+    assert outcome.peak < 0.1
+    assert outcome.way < 0.03
+
+
+@pytest.mark.requirement("S-133")
+@pytest.mark.parametrize("mode", ["hold", "untouched", "sweep"])
+def test_a_weight_that_is_put_on_the_tool_is_caught(mode: str) -> None:
+    outcome = run(Cell("+2 kg", -1, mode, "model"))
+    assert outcome.fault
+    assert outcome.peak < 0.45
+    assert outcome.way < 0.08
+
+
+@pytest.mark.requirement("S-22")
+@pytest.mark.parametrize("kind", ["-0.55 kg", "+0.5 kg", "motor 2 to 70 %"])
+def test_an_arm_that_leaves_while_nobody_touches_it_is_stopped(kind: str) -> None:
+    outcome = run(Cell(kind, -1, "untouched", "model"))
+    assert outcome.fault == "tool_speed"
+    assert outcome.peak < 0.5
+    assert outcome.way < 0.08
+
+
+@pytest.mark.requirement("S-122")
+@pytest.mark.parametrize("mode", ["hold", "sweep", "rollout late"])
+@pytest.mark.parametrize("arm", ["+0.5 kg", "friction halved", "drawn 1"])
+def test_a_fault_of_true_states_stops_an_arm_that_is_not_its_model(mode: str, arm: str) -> None:
+    outcome = run(Cell("fault", -1, mode, arm))
+    assert outcome.peak < outcome.nominal + 0.12
+    assert outcome.way < 0.02
+    assert outcome.reset
