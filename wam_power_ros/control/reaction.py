@@ -5,8 +5,9 @@ There are two witnesses of the arm's motion: the reported positions, and the mod
 the torques that were sent since a time before the fault. The brake acts in full on the speed that
 both confirm. What the states alone say is answered by a torque that, in `ANSWER_TIME`, gives the
 tool of an arm that in truth rests no more than `REACTION_SPEED`; within that time `Supervision`
-asks again whether they are believed. States that are not believed are not used at all. Once the
-arm rests, the torque that holds it stays as it is.
+asks again whether they are believed. States that are not believed change no torque, but that they
+may confirm a speed of the model. Once the arm rests, the answer is counted from the torque that
+holds it.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ RATE_STATES = 4  # states over which a reported speed is measured
 STRIDE_COUNT = 25  # steps in which the model is integrated up to a fault
 BEFORE, BEFORE_GUIDED = 0.2, 0.4  # [s] before a fault at which states were true
 BEFORE_STEP, BEFORE_SILENCE = 0.05, 0.02  # [s] the same before a contradiction, before a silence
+EFFECT_TIME = 0.02  # [s] after which the reaction shows in the states, with all delays of a loop
 FRICTION_ITERATIONS = 3  # fixed-point iterations of the implicit friction
 CREEP_SPEED = 0.005  # [rad/s] speed below which friction holds a joint
 BRAKE_TIME = 0.3  # [s] until an arm that is braked rests: e^-6 of its speed
@@ -255,20 +257,8 @@ class Reaction:
             weight: Torque of a weight at the tool that the model does not have [N m]. Shape (n,).
         """
         model = self._model = self._model or self._at_posture(state.q)
-        before, self._seconds = model.qd, self._seconds + state.span
-        if not self.settled:
-            model.advance(self._motor_torque(model.q), state.span)
         reported = self.reported()
-        if not self._alone or self._seconds > BRAKE_TIME:
-            model.qd = confirmed(model.qd, before)  # a brake starts no motion
-        if not self._alone or (believed and self._seconds > ANSWER_TIME):
-            model.qd = confirmed(model.qd, reported)  # believed so long, they are true
-        elif believed:
-            slower = confirmed(model.qd, before)  # no error of the model moves it against them
-            model.qd = np.where(model.qd * reported < 0.0, slower, model.qd)
-        late = np.abs(model.qd).max() < SETTLED_SPEED or self._seconds > 2.0 * BRAKE_TIME
-        if self._seconds > BRAKE_TIME and late:
-            model.qd = np.zeros(self._arm.n)  # an error of the model would let it creep
+        self._advance(model, believed, reported, state.span)
         model.external = self._external if weight is None else weight
         if weight is not None:
             self._weight = weight
@@ -300,18 +290,35 @@ class Reaction:
         base, usual = self._held or (gravity + carried, 0.0 * alone)
         change = alone - usual
         bounded = self._bounded(change, mass, model.q)
-        moves = np.abs(reported).max() > STILL_SPEED
-        if moves and bounded is not change:
-            self._reference = state.q, reported  # it never pulls back what it could not stop
-        asked = moves and weight is None and self._held is None and bounded.dot(reported) < 0.0
-        self._ask(bool(asked), float(reported.dot(mass.dot(reported))), state.span)
+        if np.abs(reported).max() < STILL_SPEED or self._seconds < EFFECT_TIME:
+            self._asked = None  # at rest, or torques from before the fault still act
+        else:
+            if bounded is not change:
+                self._reference = state.q, reported  # it never pulls back what it could not stop
+            asked = weight is None and self._held is None and bounded.dot(reported) < 0.0
+            self._ask(bool(asked), float(reported.dot(mass.dot(reported))), state.span)
         tau = base - damping * braking + bounded
-        recent = self._recent
-        recent.append(state.q)
-        still = np.abs(recent[-1] - recent[0]).max() < STILL
-        if still and len(recent) == recent.maxlen:
+        self._recent.append(state.q)
+        still = np.abs(state.q - self._recent[0]).max() < STILL
+        if still and len(self._recent) == self._recent.maxlen:
             self._held, self._held_at = (tau, usual + bounded), state.q
         return tau
+
+    def _advance(self, model: ModelState, believed: bool, reported: np.ndarray, dt: float) -> None:
+        """Let the model brake for a time [s]; states that are believed correct its speeds."""
+        before, self._seconds = model.qd, self._seconds + dt
+        if not self.settled:
+            model.advance(self._motor_torque(model.q), dt)
+        if not self._alone or self._seconds > BRAKE_TIME:
+            model.qd = confirmed(model.qd, before)  # a brake starts no motion
+        if not self._alone or (believed and self._seconds > ANSWER_TIME):
+            model.qd = confirmed(model.qd, reported)  # believed so long, they are true
+        elif believed:
+            slower = confirmed(model.qd, before)  # no error of the model moves it against them
+            model.qd = np.where(model.qd * reported < 0.0, slower, model.qd)
+        late = np.abs(model.qd).max() < SETTLED_SPEED or self._seconds > 2.0 * BRAKE_TIME
+        if self._seconds > BRAKE_TIME and late:
+            model.qd = np.zeros(self._arm.n)  # an error of the model would let it creep
 
     def _ask(self, brakes: bool, energy: float, dt: float) -> None:
         """Notice that states move ever faster against the brake for ANSWER_TIME."""

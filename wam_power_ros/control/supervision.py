@@ -22,9 +22,7 @@ from wam_power_ros.faults import Fault, FaultKind
 
 INERTIAL_SHARE = 0.3  # of the accelerating torque, may be unexplained: sensors and motors lag
 STANDING_SHARE = 0.05  # share of a torque limit: bound at a joint that stands still in a rollout
-FAULT_SHARE = (
-    0.15  # share of a torque limit: bound in a fault, beyond which states are not believed
-)
+FAULT_SHARE = 0.15  # share of a torque limit: beyond it no motion in a fault is believed
 USUAL_TIME = 1.0  # [s] in which an unexplained torque that stays becomes usual
 EXPLAINED_SHARE = 0.02  # share of a torque limit within which the motion counts as explained
 # Numbers of states are those at 500 Hz: at a higher rate they are more, see `at_rate`.
@@ -39,10 +37,11 @@ class Supervision:
     """Asks of every joint state whether it is believed, and reacts to a fault.
 
     States are not believed any more when a joint jumped, when positions and velocities contradict
-    each other, when any fault comes soon after a step of a velocity that no motor and no hand can
-    make, and when in a fault a torque that nothing explains moves the arm: then the brake does not
-    brake. They are believed again when `BELIEF_STATES` in a row have passed every check and report
-    the motion that the model predicts; after a jump never before the reset.
+    each other, when a hold's torque creeps although no joint reports a motion, and when in a fault
+    nothing explains the motion, or the brake makes the reported arm faster. They are believed again
+    when they have agreed with the model for `BELIEF_STATES` in a row, at rest if nothing else was
+    wrong with them, or when they report an arm that falls as the torques explain; after a jump
+    never before the reset.
 
     Attributes:
         believed: Whether joint states are believed.
