@@ -102,7 +102,7 @@ BUDGET = {
     "conformance": 1130,
     "bags": 2660,
     "params": 1140,
-    "ros": 2800,
+    "ros": 2810,
     "client": 1450,
     "nodes": 3310,
     "console": 990,
@@ -114,7 +114,7 @@ BUDGET = {
     "launch": 260,
     "examples": 380,
     "reproduction": 4100,
-    "benchmark": 6090,
+    "benchmark": 6100,  # stops of sessions and spoilt laboratories are measured
 }
 PURE = (
     "faults",
