@@ -57,6 +57,10 @@ def test_nothing_moves_after_a_stop_until_a_person_continues_and_kill_9_changes_
         values = [{each.key: each.value for each in status.values} for status in found]
         return bool(values) and values[-1][LEARNER_STATE] == "paused"
 
+    def lets_go_on() -> bool:
+        """Continue; a report may be one of the killed learner, so the session may not be there."""
+        return probe.call(SetBool, interface.LEARNER_PAUSE, ON).success
+
     running = learner(processes, folder)
     probe.until(lambda: read(folder).records, "a first rollout", 300.0)
     for do, (kind, service, given) in ENDS:
@@ -72,7 +76,7 @@ def test_nothing_moves_after_a_stop_until_a_person_continues_and_kill_9_changes_
         probe.until(paused, "the pause of the resumed session", 120.0)
         probe.spin(QUIET)
         assert begun()[before:] == []
-        assert probe.call(SetBool, interface.LEARNER_PAUSE, ON).success
+        probe.until(lets_go_on, "the session to go on", 120.0)
 
     # A stop while no learner runs is one of the session that is resumed.
     before = len(begun())
@@ -84,7 +88,7 @@ def test_nothing_moves_after_a_stop_until_a_person_continues_and_kill_9_changes_
     probe.until(paused, "the pause of the resumed session", 120.0)
     probe.spin(QUIET)
     assert begun()[before:] == []
-    assert probe.call(SetBool, interface.LEARNER_PAUSE, ON).success
+    probe.until(lets_go_on, "the session to go on", 120.0)
 
     probe.until(lambda: running.poll() is not None, "the end of the session", 300.0)
     assert running.returncode == 0, processes.output(running)
