@@ -269,7 +269,10 @@ def begin(loop: Loop, mode: str) -> None:
         loop.play({"rollout early": 0.1, "rollout late": 0.4}[mode] * loop.policy.basis.duration)
     else:
         loop.begin(HOME)
-        if mode in ("untouched", "guided"):
+        if mode == "fault":
+            core.fault(A_FAULT)
+            loop.play(1.0)
+        elif mode in ("untouched", "guided"):
             core.set_gravity_compensation(True)
             if mode == "guided":
                 _guide(loop)
@@ -284,7 +287,7 @@ def begin(loop: Loop, mode: str) -> None:
 
 MODES = (
     *("hold", "move", "untouched", "guided", "replay", "sweep"),
-    *("rollout early", "rollout late"),
+    *("rollout early", "rollout late", "fault"),
 )
 
 

@@ -34,6 +34,7 @@ EFFECT_TIME = 0.02  # [s] after which the reaction shows in the states, with all
 FRICTION_ITERATIONS = 3  # fixed-point iterations of the implicit friction
 CREEP_SPEED = 0.005  # [rad/s] speed below which friction holds a joint
 BRAKE_TIME = 0.3  # [s] until an arm that is braked rests: e^-6 of its speed
+KNOWN_FRICTION, KNOWN_SHARE = 2.0, 0.02  # a torque so close to the known one carries nothing else
 SETTLED_SPEED = 0.1  # [rad/s] of the model, below which it rests once it has braked
 REACTION_SPEED = 0.1  # [m/s] that the answer to unconfirmed states may give a resting arm's tool
 ANSWER_TIME = 0.03  # [s] within which states that are false are no longer believed
@@ -115,6 +116,7 @@ class Reaction:
 
     def __init__(self, arm: Arm, motor_torque: MotorTorque, period: float = PERIOD) -> None:
         self._arm, self._motor_torque, self._period = arm, motor_torque, period
+        self._known = KNOWN_FRICTION * arm.friction + KNOWN_SHARE * arm.tau_max
         self._rates = at_rate(RATE_STATES, period)
         self.past: deque[PastState] = deque(maxlen=round(BEFORE_GUIDED / period))
         self._recent: deque[np.ndarray] = deque(maxlen=round(STILL_TIME / period))  # [rad]
@@ -126,6 +128,8 @@ class Reaction:
         # Torque that last held the resting arm, and its share that the states alone ask for [N m].
         self._held: tuple[np.ndarray, np.ndarray] | None
         self._held_at = np.zeros(arm.n)  # posture reported then [rad]
+        self._anchor: np.ndarray | None  # torque when the arm came to rest [N m]
+        self._frozen: np.ndarray | None  # torque that rests the arm whatever is reported [N m]
         self._kept: np.ndarray | None  # that torque beyond g, when states are believed again [N m]
         self._offset: np.ndarray  # of g at the reported posture, when they are [N m]
         self._seconds: float  # since the brake began
@@ -153,6 +157,11 @@ class Reaction:
         return not self._alone or self._seconds > BRAKE_TIME
 
     @property
+    def frozen(self) -> bool:
+        """Whether the torque rests the arm, whatever its states report."""
+        return self._frozen is not None
+
+    @property
     def rested(self) -> bool:
         """Whether the arm has reported rest since the fault."""
         return self._held is not None or self._kept is not None
@@ -160,7 +169,7 @@ class Reaction:
     def end(self) -> None:
         """Use the measured states again, and forget what was held."""
         self._model = self._reference = self._asked = None
-        self._weight = self._held = self._kept = None
+        self._weight = self._held = self._kept = self._frozen = self._anchor = None
         self._offset = self._external = np.zeros(self._arm.n)
         self._believed = self._alone = True
         self.unanswered = False
@@ -235,7 +244,8 @@ class Reaction:
         model = self._model = self._model or self._at_posture(q)
         if self._held is not None:
             self._kept = self._held[0] - self._arm.gravity(self._held_at)
-        model.q, model.qd, self._held, self._believed = q, 0.0 * q, None, True
+        self._frozen = self._anchor = None
+        model.q, model.qd, self._held, self._believed = q, self.reported(), None, True
         self._offset = 0.0 * q
 
     def reported(self) -> np.ndarray:
@@ -268,6 +278,8 @@ class Reaction:
         carried = carried if self._kept is None else self._kept
         arm, damping = self._arm, safety.FAULT_DAMPING
         mass, gravity = arm.mass_matrix(model.q), arm.gravity(model.q)
+        if self._frozen is not None:
+            return self._frozen
         if believed and not self._believed:
             self._offset = arm.gravity(state.q) - gravity
             self._kept = self._held[0] - gravity if self._held is not None else None
@@ -302,7 +314,22 @@ class Reaction:
         still = np.abs(state.q - self._recent[0]).max() < STILL
         if still and len(self._recent) == self._recent.maxlen:
             self._held, self._held_at = (tau, usual + bounded), state.q
+            self._freeze(tau, tau - gravity - carried)
         return tau
+
+    def _freeze(self, tau: np.ndarray, beyond: np.ndarray) -> None:
+        """Keep a torque that rests the arm if it is known, or if it changes although it rests."""
+        if self._anchor is None:
+            self._anchor = tau
+        known = self._kept is None and self._weight is None
+        known = known and bool((np.abs(beyond) <= self._known).all())
+        change = tau - self._anchor
+        if not known and (np.abs(change) <= self._known).all():
+            return
+        # Without half of the friction of a motion that is not reported.
+        half = 0.5 * self._arm.friction
+        drag = beyond if known else change
+        self._frozen = tau - np.minimum(np.maximum(drag, -half), half)
 
     def _advance(self, model: ModelState, believed: bool, reported: np.ndarray, dt: float) -> None:
         """Let the model brake for a time [s]; states that are believed correct its speeds."""

@@ -27,7 +27,7 @@ USUAL_TIME = 1.0  # [s] in which an unexplained torque that stays becomes usual
 EXPLAINED_SHARE = 0.02  # share of a torque limit within which the motion counts as explained
 # Numbers of states are those at 500 Hz: at a higher rate they are more, see `at_rate`.
 REST_NS = 200_000_000  # [ns] at rest before a fault may be reset
-DOUBTFUL_STATES = 5  # consecutive states that nothing explains until none is believed
+DOUBTFUL_STATES = 12  # consecutive states that nothing explains until none is believed
 BELIEF_STATES = 50  # consecutive states that agree until states are believed again: 0.1 s
 FALL_STATES = 75  # consecutive states of an arm that falls until they are believed again: 0.15 s
 AGREEMENT = 0.005  # [rad] in that time, between the motion reported and that of the model
@@ -68,6 +68,8 @@ class Supervision:
         self._possible = False  # the same with much left
         self._explains = False  # model, friction and torques explain the motion of the last state
         self._unexplained = 0  # consecutive states of a motion that they do not explain
+        self._carried: np.ndarray | None = None  # beyond the model, measured in a motion [N m]
+        self._suspect = False  # something moved the arm at the fault that they do not explain
         self._doubtful = at_rate(DOUBTFUL_STATES, settings.period)
         self._payload = PayloadCheck(arm, settings.period)
         self._belief_states = at_rate(BELIEF_STATES, settings.period)
@@ -84,7 +86,7 @@ class Supervision:
         self._agreed = 0  # consecutive states that agree with the model
         self._agreed_from: np.ndarray | None = None  # reported minus predicted at their first [rad]
         self._weight: np.ndarray | None = None  # unexplained torque that is a weight's [N m]
-        self._speeds = np.zeros(arm.n)  # reported at the first of these [rad/s]
+        self._speeds: tuple[np.ndarray, np.ndarray]  # slowest, fastest in these [rad/s]
         self._explained = 0  # consecutive states whose motion the torques explain
         bound = settings.contact_share * arm.tau_max
         contact = Bound(bound, bound, INERTIAL_SHARE)
@@ -113,9 +115,15 @@ class Supervision:
         """React to a fault of any kind, found in a mode."""
         self._rest_since_ns = None
         self.believed, self._contradicted, self._lasting = True, False, False
-        self._drifts = False
+        self._drifts, self._explained = False, 0
         self._payload.begin()
+        begun = np.abs(self._plausibility.residual)
+        self._suspect = bool((begun > self._explainable).any())
         guided = mode is Mode.GRAVITY_COMPENSATION
+        if guided:
+            self._usual = 0.0 * self._usual
+        certain = np.abs(self._usual) > self._arm.friction
+        self._carried = np.where(certain, -self._usual, 0.0) if mode in MOVING_MODES else None
         sudden = BEFORE_STEP if kind.of_states else BEFORE_GUIDED
         alone = kind.of_states or mode in MOVING_MODES
         self.reaction.begin(sudden if guided else BEFORE, alone)
@@ -146,21 +154,22 @@ class Supervision:
             self.reaction.forget()
         fault = checks.fault(before, state, tau, self._bounds[mode])
         self.reaction.record(state, tau, checks.residual)
+        residual = np.array(checks.residual)
+        self._usual = self._usual + state.span / USUAL_TIME * (residual - self._usual)
         if mode is not Mode.FAULT:
-            self._usual = np.zeros(self._arm.n)
             return fault
         braking = self.believed and not self.reaction.rested
         self._weight = self._payload.torque(self.reaction.past) if braking else None
-        residual = np.array(checks.residual)
-        self._usual = self._usual + state.span / USUAL_TIME * (residual - self._usual)
         left = np.abs(residual - self._usual)
         self._explains = self._weight is not None or bool((left <= self._explainable).all())
         self._possible = self._weight is not None or bool((left <= self._unexplainable).all())
         self._unexplained = 0 if self._possible else self._unexplained + 1
         if fault is not None and fault.kind.of_states:
             self.doubt(fault.kind)
-        elif self._unexplained >= self._doubtful or (
-            self.believed and ((braking and self._payload.refuted) or self.reaction.unanswered)
+        elif self._suspect and (
+            self._unexplained >= self._doubtful
+            or (braking and self._payload.refuted)
+            or (self.believed and self.reaction.unanswered)
         ):
             self.doubt(FaultKind.EXTERNAL_TORQUE)
         return fault
@@ -188,34 +197,40 @@ class Supervision:
             self._rest_since_ns = None
         elif self._rest_since_ns is None:
             self._rest_since_ns = state.stamp_ns
+        carried = carried if self._carried is None else self._carried
         tau = self.reaction.torque(state, self.believed, carried, self._weight)
-        if not self.believed and not self._lasting:
+        if self._lasting or (self.believed and not self.reaction.frozen):
+            self._explained = -self._fall_states
+            return tau
+        if self._falls():
+            self.reaction.follow(state.q)
+            self.believed, self._explained = True, 0
+        elif not self.believed:
             agrees = self._agrees(state.q - self.reaction.posture)
             rests = self._rest_since_ns is not None
-            if self._falls(plausible):
-                self.reaction.follow(state.q)
-                self.believed = True
-            elif self._contradicted:
+            if self._contradicted:
                 self.believed = agrees and not self._drifts
             else:
                 self.believed = agrees and rests and self._explains
         return tau
 
-    def _falls(self, plausible: bool) -> bool:
+    def _falls(self) -> bool:
         """Whether states have long reported an arm that falls, as the torques explain.
 
         A zero that drifts at a constant speed is explained nearly as well, and so is an answer to
         the brake, which is added to whatever is false.
         """
-        if not (plausible and self._explains and self.reaction.settled):
-            self._explained = 0
+        if not (self._explains and self.reaction.settled):
+            self._explained = min(self._explained, 0)
             return False
         speeds = np.abs(self.reaction.reported())
-        self._speeds = np.minimum(self._speeds, speeds) if self._explained else speeds
+        if self._explained <= 0:
+            self._speeds = speeds, speeds
+        slowest, fastest = self._speeds
+        self._speeds = np.minimum(slowest, speeds), np.maximum(fastest, speeds)
         self._explained += 1
-        return self._explained > self._fall_states and bool(
-            (speeds - self._speeds).max() > FALL_SPEED
-        )
+        changed = np.maximum(speeds - slowest, fastest - speeds).max()
+        return self._explained > self._fall_states and bool(changed > FALL_SPEED)
 
     def _agrees(self, difference: np.ndarray) -> bool:
         """Whether reported minus predicted position (n,) [rad] has long stayed the same."""
