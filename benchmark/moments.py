@@ -37,8 +37,9 @@ from hardware_sim.scenes.flip import wrist_flick
 from hardware_sim.wam import PERIOD_NS
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller import Controller
+from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.modes import ControllerError, Mode
-from wam_power_ros.control.safety import REST_SPEED
+from wam_power_ros.control.safety import REST_SPEED, limits_of
 from wam_power_ros.faults import Fault, FaultKind
 
 PERIOD = PERIOD_NS * 1e-9
@@ -52,6 +53,11 @@ ALL_FALSE_STATES = FALSE_STATES | {
 PHASES = ("rollout", "move", "teaching")
 
 
+def taught_fast(arm: Arm) -> Controller:
+    """Controller of an arm that is guided at the speed of a toss."""
+    return Controller(arm, ControllerSettings(limits=limits_of(arm, teaching_tool_speed=4.0)))
+
+
 class Loop:
     """The arm and its controller, connected by calls.
 
@@ -62,19 +68,19 @@ class Loop:
     Args:
         delay: Periods until a torque acts.
         hidden: Deviations of the arm from its model.
-        make: Makes the controller.
+        make: Makes the controller; None: one for a task that is taught fast.
     """
 
     def __init__(
         self,
         delay: int,
         hidden: HiddenArm | None = None,
-        make: Callable[[Arm], Controller] = Controller,
+        make: Callable[[Arm], Controller] | None = None,
     ) -> None:
         hidden = hidden or NOMINAL
         self._world, self._zeros = world(hidden, delay), hidden.zeros
         self._arm = Arm(self._world.urdf, JOINTS)
-        self.controller = make(Arm(self._world.urdf, JOINTS))
+        self.controller = (make or taught_fast)(Arm(self._world.urdf, JOINTS))
         self.policy = taught()
         self.controller.load(self.policy)
         self._world.reset("moments", self.policy.q_start)

@@ -24,6 +24,7 @@ import joblib
 import mujoco
 import numpy as np
 
+from benchmark.false_states import Falsifier, Reading, frozen
 from benchmark.nodes import JOINTS
 from benchmark.soak import taught
 from wam_power_ros.control.arm import Arm
@@ -78,17 +79,6 @@ ARMS = {
     "friction halved": Deviation(friction=(0.5,) * N),
     **{f"drawn {k}": drawn(k) for k in range(6)},
 }
-
-
-class Reading(NamedTuple):
-    """One joint state."""
-
-    stamp_ns: int
-    q: np.ndarray
-    qd: np.ndarray
-
-
-Falsifier = Callable[[Reading], Reading | None]  # None: nothing is published
 
 
 class Plant:
@@ -339,19 +329,6 @@ def mirrored(joint: int) -> Falsifier:
     def falsify(state: Reading) -> Reading:
         kept.append(state.q[joint])
         return _moving(state, joint, 2.0 * (kept[0] - state.q[joint]), -2.0 * state.qd[joint])
-
-    return falsify
-
-
-def frozen(joint: int) -> Falsifier:
-    """Freeze a joint, position and velocity."""
-    kept: list[Reading] = []
-
-    def falsify(state: Reading) -> Reading:
-        kept.append(state)
-        q, qd = state.q.copy(), state.qd.copy()
-        q[joint], qd[joint] = kept[0].q[joint], kept[0].qd[joint]
-        return Reading(state.stamp_ns, q, qd)
 
     return falsify
 

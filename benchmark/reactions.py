@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the arm does after a fault: false states, arms that are not the model, hands off.
+"""What an arm does that is not the model: after a fault of true states, and with hands off.
 
-    python -m benchmark.reactions [--cases lies jumps faults hands_off] [--delay 2] [--arms 12]
+    python -m benchmark.reactions [--cases faults hands_off] [--delay 2] [--arms 12]
 
 Controller and arm are in one process; the arm keeps the last torque. For each case and phase the
 largest speed of the tool is printed, also that from 0.5 s after the fault on, and how far the tool
@@ -12,12 +12,12 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
-from benchmark.false_states import REST_TICKS, SPEED_MARGIN, Falsifier, Reading
+from benchmark.false_states import REST_TICKS, SPEED_MARGIN
 from benchmark.hidden_arm import KNOWN, draw
 from benchmark.moments import PERIOD, Loop
 from hardware_sim.hidden_arm import HiddenArm
@@ -31,51 +31,6 @@ AFTER = 10.0  # [s] of observation
 MOMENTS = {"early": 0.10, "upwards": 0.25, "late": 0.40}  # as shares of the rollout's movement
 PHASES = (*MOMENTS, "move", "hold", "teaching")
 A_FAULT = Fault(FaultKind.OVERLOAD, "a fault that has nothing to do with the states")
-
-
-def swapped(first: int, second: int) -> Falsifier:
-    """Exchange two joints, position and velocity."""
-    order = np.arange(7)
-    order[[first, second]] = order[[second, first]]
-    return lambda state: Reading(state.stamp_ns, state.q[order], state.qd[order])
-
-
-def reversed_sign(joint: int) -> Falsifier:
-    """Change the sign of a joint, position and velocity."""
-    sign = np.where(np.arange(7) == joint, -1.0, 1.0)
-    return lambda state: Reading(state.stamp_ns, sign * state.q, sign * state.qd)
-
-
-def drifting(joint: int, speed: float) -> Falsifier:
-    """Let the zero of a joint drift at a speed [rad/s], position and velocity."""
-    at, begun = np.eye(7)[joint] * speed, list[int]()
-
-    def falsify(state: Reading) -> Reading:
-        begun.append(state.stamp_ns)
-        elapsed = (state.stamp_ns - begun[0]) * 1e-9
-        return Reading(state.stamp_ns, state.q + elapsed * at, state.qd + at)
-
-    return falsify
-
-
-def jumped(joint: int, size: float) -> Falsifier:
-    """Move the zero of a joint by a size [rad]."""
-    return lambda state: state._replace(q=state.q + size * np.eye(7)[joint])
-
-
-LIES: dict[str, Callable[[], Falsifier]] = {
-    "joints 2 and 4 swapped": lambda: swapped(1, 3),
-    "sign of joint 4": lambda: reversed_sign(3),
-    "zero of joint 2 drifts at 0.1 rad/s": lambda: drifting(1, 0.1),
-    "zero of joint 2 drifts at -0.1 rad/s": lambda: drifting(1, -0.1),
-    "zero of joint 2 drifts at 0.3 rad/s": lambda: drifting(1, 0.3),
-}
-JUMPS: dict[str, Callable[[], Falsifier]] = {
-    f"joint {joint + 1} jumps by {size:+.2f} rad": lambda joint=joint, size=size: jumped(
-        joint, size
-    )
-    for joint, size in ((1, 0.2), (1, 0.5), (1, 1.0), (1, 2.0), (1, -0.5), (3, 2.0 * np.pi))
-}
 
 
 class Outcome(NamedTuple):
@@ -185,31 +140,6 @@ def nominal_peak(phase: str, delay: int, hidden: HiddenArm | None = None) -> flo
     return begin(loop, phase) or max(loop.play(1.2))
 
 
-def lies(delay: int, arms: int) -> Iterator[tuple[str, bool]]:
-    """False states that agree in position and velocity."""
-    for phase in PHASES:
-        nominal = nominal_peak(phase, delay)
-        for name, make in LIES.items():
-            loop = Loop(delay)
-            begin(loop, phase)
-            loop.falsify = make()
-            outcome = observe(loop)
-            good = acceptable(outcome, nominal)
-            yield row(name, phase, nominal, outcome, good), good
-
-
-def jumps(delay: int, arms: int) -> Iterator[tuple[str, bool]]:
-    """Jumps of a joint while the arm is taught, hands off."""
-    for name, make in JUMPS.items():
-        loop = Loop(delay)
-        loop.controller.set_gravity_compensation(True)
-        loop.play(0.4)
-        loop.falsify = make()
-        outcome = observe(loop)
-        good = acceptable(outcome, 0.0) and outcome.fault is not None
-        yield row(name, "teaching, hands off", 0.0, outcome, good), good
-
-
 def all_arms(arms: int) -> Iterator[tuple[str, HiddenArm]]:
     """The known arms, then drawn ones."""
     yield from KNOWN.items()
@@ -250,7 +180,7 @@ def hands_off(delay: int, arms: int) -> Iterator[tuple[str, bool]]:
         yield row(name, "hands off", 0.0, outcome, good), good
 
 
-CASES = {"lies": lies, "jumps": jumps, "faults": faults, "hands_off": hands_off}
+CASES = {"faults": faults, "hands_off": hands_off}
 
 
 def main(arguments: list[str] | None = None) -> int:

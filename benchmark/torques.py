@@ -188,7 +188,11 @@ def pulled(loop: Loop) -> None:
 def drives(every: int = 1) -> Iterator[Drive]:
     """Record every drive, or only each n-th."""
     home = Loop(2).policy.q_start
-    near = limits_of(Arm(URDF, JOINTS), q_max=home + np.array([0.05, 2, 2, 0.02, 2, 2, 2]))
+    near = limits_of(
+        Arm(URDF, JOINTS),
+        teaching_tool_speed=4.0,
+        q_max=home + np.array([0.05, 2, 2, 0.02, 2, 2, 2]),
+    )
     rows: list[tuple[Callable[[Loop], None], dict[str, Any], HiddenArm | None]] = [
         (whole, {}, None),
         (partial(reactions.begin, phase="hold"), {}, KNOWN["payload of 0.5 kg"]),
@@ -204,12 +208,13 @@ def drives(every: int = 1) -> Iterator[Drive]:
     falsified = [
         (lambda state: state._replace(qd=None), "upwards"),
         (lambda state: state._replace(q=np.full(7, np.nan)), "hold"),
-        (reactions.jumped(1, 0.5), "teaching"),
+        (lambda state: state._replace(q=state.q + 0.5 * np.eye(7)[1]), "teaching"),
         *zip((make() for make in ALL_FALSE_STATES.values()), cycle(reactions.PHASES)),
     ]
     rows += [(partial(recovered, falsify=lie, phase=phase), {}, None) for lie, phase in falsified]
     for drive, choices, hidden in rows[::every]:
-        settings = ControllerSettings(**choices)
+        fast = {"limits": limits_of(Arm(URDF, JOINTS), teaching_tool_speed=4.0)}
+        settings = ControllerSettings(**fast | choices)
         loop = Loop(2, hidden, partial(Recorded, settings=settings))
         with suppress(ControllerError):  # of an arm that has faulted
             drive(loop)

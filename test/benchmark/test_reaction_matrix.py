@@ -21,15 +21,13 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
         ("runaway step", 1, "guided"),
         ("runaway step", 3, "hold"),
         ("gradual swap", 1, "hold"),
-        ("sign", 1, "replay"),
+        ("swap", 1, "sweep"),
         ("smooth bump", 1, "rollout late"),
         ("swap", 3, "rollout early"),
         ("relay", -1, "guided"),
     ],
 )
-def test_no_false_state_drives_the_arm_faster_than_it_was(
-    kind: str, joint: int, mode: str
-) -> None:
+def test_no_false_state_drives_the_arm_faster_than_it_was(kind: str, joint: int, mode: str) -> None:
     outcome = run(Cell(kind, joint, mode, "model"))
     assert outcome.fault
     assert outcome.peak < outcome.nominal + 0.12

@@ -313,6 +313,10 @@ class Plausibility:
         self._velocity.begin()
         self._torque.begin()
 
+    def let_go(self) -> None:
+        """Forget the torque of a person who guided the arm."""
+        self._torque.begin()
+
     @property
     def residual(self) -> list[float]:
         """Low-passed torque that neither the model nor the commands explain [N m]. n numbers."""

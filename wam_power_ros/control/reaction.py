@@ -172,11 +172,11 @@ class Reaction:
         self._weight = self._held = self._kept = self._frozen = self._anchor = None
         self._offset = self._external = np.zeros(self._arm.n)
         self._believed = self._alone = True
-        self.unanswered = False
+        self.unanswered = self._rested_before = False
         self._seconds = 0.0
         self._recent.clear()
 
-    def begin(self, before: float, alone: bool = False) -> None:
+    def begin(self, before: float, alone: bool = False, guided: bool = False) -> None:
         """Begin at the state a time [s] ago, unless the model is followed already.
 
         Args:
@@ -184,6 +184,7 @@ class Reaction:
             alone: Whether the model alone tells what came of it: the states since then contradict
                 themselves, or the arm moved by itself, under torques that are known. Else the model
                 only confirms what they report.
+            guided: Whether a person moved the arm, who may let go now.
         """
         if self._model is None:
             self.end()
@@ -193,6 +194,9 @@ class Reaction:
                 last = self.past[-1].q
                 self._model.q = last
                 self._model.qd = confirmed(self._model.qd, self.reported())
+            self._rested_before = self.settled
+            if guided:
+                self._external = np.zeros(self._arm.n)
 
     def _before(self, seconds: float) -> ModelState | None:
         """State by the model that began a time [s] ago; None if that is not known."""
@@ -314,22 +318,22 @@ class Reaction:
         still = np.abs(state.q - self._recent[0]).max() < STILL
         if still and len(self._recent) == self._recent.maxlen:
             self._held, self._held_at = (tau, usual + bounded), state.q
-            self._freeze(tau, tau - gravity - carried)
+            self._freeze(tau, tau - gravity - carried, usual + bounded)
         return tau
 
-    def _freeze(self, tau: np.ndarray, beyond: np.ndarray) -> None:
+    def _freeze(self, tau: np.ndarray, beyond: np.ndarray, share: np.ndarray) -> None:
         """Keep a torque that rests the arm if it is known, or if it changes although it rests."""
         if self._anchor is None:
             self._anchor = tau
-        known = self._kept is None and self._weight is None
+        known = self._rested_before and self._kept is None and self._weight is None
         known = known and bool((np.abs(beyond) <= self._known).all())
         change = tau - self._anchor
         if not known and (np.abs(change) <= self._known).all():
             return
-        # Without half of the friction of a motion that is not reported.
-        half = 0.5 * self._arm.friction
-        drag = beyond if known else change
-        self._frozen = tau - np.minimum(np.maximum(drag, -half), half)
+        # Where it was enough to move the arm: without half of the friction of this motion.
+        drag, friction = share if known else change, self._arm.friction
+        moved = np.abs(drag) > friction
+        self._frozen = tau - np.where(moved, np.copysign(0.5 * friction, drag), 0.0)
 
     def _advance(self, model: ModelState, believed: bool, reported: np.ndarray, dt: float) -> None:
         """Let the model brake for a time [s]; states that are believed correct its speeds."""

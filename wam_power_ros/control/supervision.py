@@ -69,6 +69,7 @@ class Supervision:
         self._explains = False  # model, friction and torques explain the motion of the last state
         self._unexplained = 0  # consecutive states of a motion that they do not explain
         self._carried: np.ndarray | None = None  # beyond the model, measured in a motion [N m]
+        self._guided = False  # a person guided the arm in the last state
         self._suspect = False  # something moved the arm at the fault that they do not explain
         self._doubtful = at_rate(DOUBTFUL_STATES, settings.period)
         self._payload = PayloadCheck(arm, settings.period)
@@ -126,7 +127,7 @@ class Supervision:
         self._carried = np.where(certain, -self._usual, 0.0) if mode in MOVING_MODES else None
         sudden = BEFORE_STEP if kind.of_states else BEFORE_GUIDED
         alone = kind.of_states or mode in MOVING_MODES
-        self.reaction.begin(sudden if guided else BEFORE, alone)
+        self.reaction.begin(sudden if guided else BEFORE, alone, guided)
         if kind.of_states:
             self.doubt(kind)
 
@@ -152,6 +153,9 @@ class Supervision:
         tau, checks = self._motor_torque(state.q), self._plausibility
         if before is None:
             self.reaction.forget()
+        guided, self._guided = self._guided, mode is Mode.GRAVITY_COMPENSATION
+        if guided and not self._guided and mode is not Mode.FAULT:
+            checks.let_go()
         fault = checks.fault(before, state, tau, self._bounds[mode])
         self.reaction.record(state, tau, checks.residual)
         residual = np.array(checks.residual)
