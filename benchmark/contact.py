@@ -80,12 +80,19 @@ class Replay:
         periods: Duration of the present movement [periods].
     """
 
-    def __init__(self, seed: int, condition: dict[str, Any]) -> None:
+    def __init__(self, seed: int, condition: dict[str, Any], habits: Habits | None = None) -> None:
         self.environment = stand_in(seed, **condition)
+        if habits is not None:
+            report(self.environment.world, habits, seed)
         script = wrist_flick(np.random.default_rng([seed, 0]))
         stamps_ns, q = self.environment.demonstrate(script, "demonstration")
         self._stamps_ns, self._q = stamps_ns, q
         self._count = self.periods = 0
+
+    @property
+    def start(self) -> np.ndarray:
+        """Posture at the start of the movement [rad]. Shape (7,)."""
+        return replay_trajectory.movement(self._stamps_ns, self._q, 1.0)[1][0]
 
     def begin(self, speed: float) -> None:
         """Hold at the start of the movement, then start the replay."""
@@ -125,6 +132,47 @@ def replays(count: int) -> tuple[int, list[str]]:
         for _ in arm.ticks():
             pass
         if (latched := arm.environment.controller.latched) is not None:
+            faults.append(latched.text)
+    return count, faults
+
+
+HOLD_TIME = 8.0  # [s]
+TOUCH = 3.0  # [N] of a hand that touches a held arm
+
+
+class Touch:
+    """A hand that touches the tool: its force rises and falls within a second."""
+
+    def __init__(self, force: np.ndarray) -> None:
+        self._force = force
+
+    def wrench(
+        self, t: float, position: np.ndarray, rotation: np.ndarray, twist: np.ndarray
+    ) -> np.ndarray:
+        """Wrench at the pan's centre; see `hardware_sim.demonstrator.Demonstrator`."""
+        share = float(np.sin(np.pi * min(t, 1.0))) ** 2
+        return np.concatenate([share * self._force, np.zeros(3)])
+
+
+def holds(count: int) -> tuple[int, list[str]]:
+    """Hold for `HOLD_TIME` under all conditions, touched once a second; returns as `rollouts`."""
+    faults, rng = [], np.random.default_rng(SEED)
+    cases = [(each, None) for each in CONDITIONS.values()]
+    cases += [({}, habits) for habits in HONEST.values()]
+    for k, (condition, habits) in enumerate(islice(cycle(cases), count)):
+        replay = Replay(SEED + k, condition, habits)
+        environment = replay.environment
+        environment.world.attach(None)
+        environment.place(f"hold-{k}", replay.start)
+        for tick in range(round(HOLD_TIME * 1e9 / PERIOD_NS)):
+            if tick == 100:
+                environment.world.release()
+            if tick % 500 == 400:
+                direction = rng.normal(size=3)
+                force = TOUCH * direction / np.linalg.norm(direction)
+                environment.world.attach(Touch(force))
+            environment.tick()
+        if (latched := environment.controller.latched) is not None:
             faults.append(latched.text)
     return count, faults
 
@@ -246,6 +294,7 @@ def main() -> int:
         "--rollouts", type=int, default=72, help="number of rollouts under each condition"
     )
     parser.add_argument("--replays", type=int, default=100)
+    parser.add_argument("--holds", type=int, default=60)
     parser.add_argument("--contacts", type=int, default=50, help="number of contacts of each kind")
     options = parser.parse_args()
     alarms, done = 0, 0
@@ -260,6 +309,11 @@ def main() -> int:
     print(
         f"{count} replays at half and full speed, under all conditions: {len(faults)} {faults[:3]}"
     )
+    count, stopped = holds(options.holds)
+    print(
+        f"{count} holds of {HOLD_TIME:.0f} s, touched with {TOUCH:.0f} N: {len(stopped)} {stopped}"
+    )
+    faults += stopped
     rng = np.random.default_rng(SEED)
     print(f"pushed with {PUSH:.0f} N at half speed: {summary(pushes(options.contacts, rng))}")
     for stiffness in WALLS:

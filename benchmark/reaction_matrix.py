@@ -497,7 +497,7 @@ def nominal(mode: str, arm: str) -> tuple[np.ndarray, np.ndarray, str]:
         begin(loop, mode)
     except ControllerError as error:
         return np.zeros((0, 3)), np.zeros(0), str(error)
-    if loop.controller.latched:
+    if loop.controller.latched and mode != "fault":
         return np.zeros((0, 3)), np.zeros(0), loop.controller.latched.text
     path, speeds = [], []
 

@@ -24,7 +24,7 @@ def test_fuzzed_messages_give_no_torque_over_a_limit(seed: int) -> None:
     found = bombard(controller, faults.fuzz_policy(), 4000, seed)
     assert found["torques"] > 3000 and found["refused"] > 50
     assert found["not finite"] == found["over"] == found["rate"] == 0
-    assert controller.counters["faults"] > 2  # there was something to get wrong
+    assert controller.counters["faults"] > 1  # there was something to get wrong
 
 
 @pytest.mark.requirement("S-53")

@@ -643,6 +643,7 @@ class Controller:
             self.unexplained.observe(at_rest, state.q, speed, beyond, dt)
             if self.unexplained.crept:
                 self.fault(Fault(FaultKind.DRIFT, self.unexplained.crept))
+                self.unexplained.rest_again()
                 return self._law(state, motion)
         return tau
 

@@ -274,36 +274,54 @@ class Reaction:
         reported = self.reported()
         self._advance(model, believed, reported, state.span)
         model.external = self._external if weight is None else weight
-        if weight is not None:
+        if weight is not None or self._held is None:
             self._weight = weight
-        elif self._held is None:
-            self._weight = None
-        carried = carried if self._weight is None else -self._weight
-        carried = carried if self._kept is None else self._kept
-        arm, damping = self._arm, safety.FAULT_DAMPING
-        mass, gravity = arm.mass_matrix(model.q), arm.gravity(model.q)
         if self._frozen is not None:
             return self._frozen
+        mass, gravity = self._arm.mass_matrix(model.q), self._arm.gravity(model.q)
         if believed and not self._believed:
-            self._offset = arm.gravity(state.q) - gravity
+            self._offset = self._arm.gravity(state.q) - gravity
             self._kept = self._held[0] - gravity if self._held is not None else None
             self._held = None
         self._believed = believed
-        if not believed:
-            self._reference, self.unanswered = None, False
-            self._recent.clear()
-            qd = model.qd if self._alone else confirmed(model.qd, reported)
-            tau = gravity + carried if self._held is None else self._held[0]
-            return tau - damping * mass.dot(qd)
+        beyond = carried if self._weight is None else -self._weight
+        carrying = gravity + (beyond if self._kept is None else self._kept)
+        if believed:
+            return self._answer(state, reported, mass, gravity, carrying)
+        self._reference, self.unanswered = None, False
+        self._recent.clear()
+        qd = model.qd if self._alone else confirmed(model.qd, reported)
+        tau = carrying if self._held is None else self._held[0]
+        return tau - safety.FAULT_DAMPING * mass.dot(qd)
+
+    def _answer(
+        self,
+        state: JointState,
+        reported: np.ndarray,
+        mass: np.ndarray,
+        gravity: np.ndarray,
+        carrying: np.ndarray,
+    ) -> np.ndarray:
+        """Motor torque in a state that is believed [N m]. Shape (n,).
+
+        Args:
+            state: Measured state.
+            reported: Speeds by the reported positions [rad/s]. Shape (n,).
+            mass: Mass matrix at the posture of the model [kg m^2]. Shape (n, n).
+            gravity: g there [N m]. Shape (n,).
+            carrying: Torque that carries the arm there [N m]. Shape (n,).
+        """
+        model, damping = self._model or self._at_posture(state.q), safety.FAULT_DAMPING
         qd = confirmed(model.qd, reported)
         braking = mass.dot(qd)
         if braking.dot(reported) < 0.0 or braking.dot(model.qd) < 0.0:
             qd, braking = 0.0 * qd, 0.0 * braking  # coupled joints: it would drive one of the two
-        alone = arm.gravity(state.q) - gravity - self._offset - damping * mass.dot(reported - qd)
+        alone = self._arm.gravity(state.q) - gravity - self._offset
         q_ref, qd_ref = self._reference or (state.q, reported)
         self._reference = q_ref + state.span * qd_ref, math.exp(-damping * state.span) * qd_ref
-        alone = alone + HOLD_FREQUENCY**2 * mass.dot(q_ref - state.q)
-        base, usual = self._held or (gravity + carried, 0.0 * alone)
+        spring = HOLD_FREQUENCY**2 * mass.dot(q_ref - state.q)
+        alone = alone + spring - damping * mass.dot(reported - qd)
+        base, usual = self._held or (carrying, 0.0 * alone)
         change = alone - usual
         bounded = self._bounded(change, mass, model.q)
         if np.abs(reported).max() < STILL_SPEED or self._seconds < EFFECT_TIME:
@@ -311,14 +329,14 @@ class Reaction:
         else:
             if bounded is not change:
                 self._reference = state.q, reported  # it never pulls back what it could not stop
-            asked = weight is None and self._held is None and bounded.dot(reported) < 0.0
+            asked = self._weight is None and self._held is None and bounded.dot(reported) < 0.0
             self._ask(bool(asked), float(reported.dot(mass.dot(reported))), state.span)
         tau = base - damping * braking + bounded
         self._recent.append(state.q)
         still = np.abs(state.q - self._recent[0]).max() < STILL
         if still and len(self._recent) == self._recent.maxlen:
             self._held, self._held_at = (tau, usual + bounded), state.q
-            self._freeze(tau, tau - gravity - carried, usual + bounded)
+            self._freeze(tau, tau - carrying, usual + bounded)
         return tau
 
     def _freeze(self, tau: np.ndarray, beyond: np.ndarray, share: np.ndarray) -> None:

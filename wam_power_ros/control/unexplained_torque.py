@@ -56,6 +56,10 @@ class UnexplainedTorque:
         self._before = np.zeros(self._n)  # the same before the last motion
         self._held_at: np.ndarray | None = None  # posture of the last observation at rest [rad]
 
+    def rest_again(self) -> None:
+        """Compare with the torque of the next rest: what has changed was said."""
+        self.crept, self._still, self._settled = "", 0.0, None
+
     def observe(
         self, at_rest: bool, q: np.ndarray, speed: float, beyond: np.ndarray, dt: float
     ) -> None:
