@@ -94,7 +94,7 @@ ALLOWED["benchmark"] = {*ALLOWED}
 BUDGET = {
     "ground": 1370,  # the modules of wam_power_ros/ itself
     "learning": 3070,
-    "control": 4930,  # the reaction asks in every state what is believed, and recognizes a mass
+    "control": 4940,  # the reaction asks in every state what is believed, and recognizes a mass
     "commissioning": 1230,
     "tracking": 620,
     "tasks": 3960,
@@ -114,7 +114,7 @@ BUDGET = {
     "launch": 260,
     "examples": 380,
     "reproduction": 4100,
-    "benchmark": 6720,  # the matrix of the reaction has a plant of its own
+    "benchmark": 6730,  # the matrix of the reaction has a plant of its own
 }
 PURE = (
     "faults",

@@ -52,7 +52,17 @@ def test_a_controller_without_the_kernel_answers_every_recorded_call_the_same() 
     recorded = list(torques.drives(every=5))
     assert sum(len(drive.calls) for drive in recorded) > 5000
     with Without():
-        assert not [found for drive in recorded for found in torques.differences(drive)]
+        found = [each for drive in recorded for each in torques.differences(drive)]
+    assert not [each for each in found if not _equal_but_for_rounding(*each)]
+
+
+def _equal_but_for_rounding(_: int, call: torques.Call, now: torques.Answer) -> bool:
+    """Whether torques differ by rounding only: a reaction carries what the residual says."""
+    then = call.answer
+    if then._replace(result="") != now._replace(result="") or call.name != "step":
+        return False
+    pair = [np.frombuffer(bytes.fromhex(each.result)) for each in (then, now)]
+    return bool(np.abs(pair[0] - pair[1]).max() < 1e-9)
 
 
 def _pairs(seed: int) -> Iterator[tuple[JointState, JointState, list[int]]]:
@@ -113,7 +123,7 @@ def test_the_check_of_torques_finds_the_same_faults_and_nearly_the_same_residual
             other = checks[1].fault(last, state, counts, tau, bound, 0.002)
         assert found == other
         assert np.allclose(checks[0].residual, checks[1].residual, rtol=1e-12, atol=1e-11)
-        assert checks[0].since_step == checks[1].since_step
+        assert checks[0]._in_row == checks[1]._in_row
 
 
 @needs_kernel

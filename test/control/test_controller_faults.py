@@ -428,3 +428,24 @@ def test_an_activation_trusts_the_states_again() -> None:
     assert controller._supervision.believed
     run(controller, plant, 0.1)
     assert controller.mode is Mode.HOLD
+
+
+@pytest.mark.requirement("S-134")
+@pytest.mark.parametrize(
+    ("adds", "meant", "settings"),
+    [(1.0, "true", {}), (0.0, "false", {"driver_compensates_gravity": True})],
+)
+def test_gravity_that_is_carried_twice_or_by_nobody_is_refused_by_name_and_then_carried_once(
+    adds: float, meant: str, settings: dict[str, bool]
+) -> None:
+    def driver(t: float, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+        return adds * MODEL.gravity(q)
+
+    controller, plant = begin(controller=make(**settings), push=driver, friction=1.0)
+    assert controller.mode is Mode.FAULT
+    assert f"driver_compensates_gravity: {meant}" in controller.latched.text
+    run(controller, plant, 0.3)
+    at = plant.q
+    run(controller, plant, 1.0)
+    assert np.abs(plant.q - at).max() < 0.05
+    assert np.abs(plant.q - HOME).max() < 0.1

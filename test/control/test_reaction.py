@@ -6,7 +6,6 @@ import pytest
 from rigid_arm import A_TEST, HOME, MODEL, begin, make, run, tool
 
 from wam_power_ros.control.modes import Mode
-from wam_power_ros.control.past import PastState
 from wam_power_ros.control.payload import GRAVITY, PayloadCheck
 from wam_power_ros.control.reaction import (
     ANSWER_TIME,
@@ -15,7 +14,7 @@ from wam_power_ros.control.reaction import (
     Reaction,
     confirmed,
 )
-from wam_power_ros.control.state_checks import JointState
+from wam_power_ros.control.state_checks import JointState, PastState
 
 STILL = np.zeros(7)
 

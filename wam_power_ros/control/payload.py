@@ -13,8 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.control.past import PastState
-from wam_power_ros.control.state_checks import at_rate
+from wam_power_ros.control.state_checks import PastState, at_rate
 from wam_power_ros.learning.policy import PERIOD
 
 GRAVITY = 9.81  # [m/s^2]

@@ -30,9 +30,7 @@ MISMATCH_WINDOWS = ((0.02, 0.003), (0.1, 0.008))  # [s] time constant, [rad] bou
 MISMATCH_SHARE = 0.1  # share of the motion within a window that is added to the bound
 VELOCITY_LAG = 0.018  # [s] largest delay of a velocity that does not count as a mismatch
 STAMP_WINDOW = 8  # states over which stamps are averaged: single ones jitter
-REPEATS_MAX = (
-    1  # states that may repeat the one before: a driver may publish each measurement twice
-)
+REPEATS_MAX = 1  # states that may repeat the one before: a driver may publish each twice
 _MISMATCH_PER_STATE = 0.003  # [rad] largest mismatch that one state adds: one alone is no fault
 _LEAP = 0.015  # [rad] beyond the velocity's in one state, too much for a lag: 7.5 rad/s
 LATENCY_STATES = 7  # states until a torque shows in velocities: 8 ms of delay, 6 ms of a filter
@@ -236,7 +234,7 @@ class TorqueCheck:
             if new is not None:
                 self.residual, self._inertial, stepped = new
                 self._in_row = 0
-                return self._step(state) if stepped else None
+                return self._step(state) if stepped and not state.derived else None
         keep = math.exp(-dt / RESIDUAL_TIME_CONSTANT)
         accelerating = mass.dot(state.qd - last.qd) / dt
         # The same in both directions, as in the compiled loop: the bounds have room for more.
@@ -258,8 +256,6 @@ class TorqueCheck:
             sizes.append(size)
             excess.append(abs(residual) - lag * size - allowed - more)
         self.residual, self._inertial = residuals, sizes
-        if stepped:
-            return self._step(state)
         if max(unchanged) >= self._standstill:
             rows = zip(unchanged, excess, moving, bound.standing.tolist(), strict=True)
             excess = [
@@ -269,6 +265,8 @@ class TorqueCheck:
         worst = max(excess)
         joint = excess.index(worst)
         self._in_row = self._in_row + 1 if worst > 0.0 else 0
+        if stepped and not state.derived:
+            return self._step(state)
         if self._in_row < self._to_fault:
             return None
         text = f"{self.residual[joint]:.1f} N m at joint {joint + 1} are not explained by the "
@@ -303,9 +301,8 @@ class Plausibility:
 
     def begin(self) -> None:
         """Restart: the next state has no predecessor."""
-        self._stamps: deque[int] = deque(
-            maxlen=at_rate(STAMP_WINDOW, self._period)
-        )  # of the latest states [ns]
+        window = at_rate(STAMP_WINDOW, self._period)
+        self._stamps: deque[int] = deque(maxlen=window)  # of the latest states [ns]
         self._checked: JointState | None = None  # last state that did not repeat the one before
         self._repeats = 0  # states that repeat the one before, up to the last
         self._skipped = 0  # states since the last one that was checked

@@ -20,8 +20,7 @@ import numpy as np
 
 from wam_power_ros.control import safety
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.control.past import PastState
-from wam_power_ros.control.state_checks import JointState, at_rate
+from wam_power_ros.control.state_checks import JointState, PastState, at_rate
 from wam_power_ros.learning.policy import PERIOD
 
 # Numbers of states are those at 500 Hz: at a higher rate they are more, see `at_rate`.
@@ -130,8 +129,7 @@ class Reaction:
         self._held_at = np.zeros(arm.n)  # posture reported then [rad]
         self._anchor: np.ndarray | None  # torque when the arm came to rest [N m]
         self._frozen: np.ndarray | None  # torque that rests the arm whatever is reported [N m]
-        self._kept: np.ndarray | None  # that torque beyond g, when states are believed again [N m]
-        self._offset: np.ndarray  # of g at the reported posture, when they are [N m]
+        self._kept: np.ndarray | None  # torque beyond g that an arm needed before it fell [N m]
         self._seconds: float  # since the brake began
         self.end()
 
@@ -170,7 +168,7 @@ class Reaction:
         """Use the measured states again, and forget what was held."""
         self._model = self._reference = self._asked = None
         self._weight = self._held = self._kept = self._frozen = self._anchor = None
-        self._offset = self._external = np.zeros(self._arm.n)
+        self._external = np.zeros(self._arm.n)
         self._believed = self._alone = True
         self.unanswered = self._rested_before = False
         self._seconds = 0.0
@@ -246,11 +244,11 @@ class Reaction:
     def follow(self, q: np.ndarray) -> None:
         """Carry an arm that truly falls where it is reported (n,) [rad]."""
         model = self._model = self._model or self._at_posture(q)
-        if self._held is not None:
-            self._kept = self._held[0] - self._arm.gravity(self._held_at)
+        if self._frozen is not None or self._held is not None:
+            resting = self._held[0] if self._frozen is None else self._frozen
+            self._kept = resting - self._arm.gravity(self._held_at)
         self._frozen = self._anchor = None
         model.q, model.qd, self._held, self._believed = q, self.reported(), None, True
-        self._offset = 0.0 * q
 
     def reported(self) -> np.ndarray:
         """Speeds by the reported positions [rad/s], shape (n,); the velocities are not used."""
@@ -279,20 +277,20 @@ class Reaction:
         if self._frozen is not None:
             return self._frozen
         mass, gravity = self._arm.mass_matrix(model.q), self._arm.gravity(model.q)
-        if believed and not self._believed:
-            self._offset = self._arm.gravity(state.q) - gravity
-            self._kept = self._held[0] - gravity if self._held is not None else None
-            self._held = None
-        self._believed = believed
         beyond = carried if self._weight is None else -self._weight
         carrying = gravity + (beyond if self._kept is None else self._kept)
+        resting = carrying if self._held is None else self._held[0]
+        if believed and not self._believed and self.settled:
+            self._frozen, self._held_at = resting, state.q
+        self._believed = believed
+        if self._frozen is not None:
+            return self._frozen
         if believed:
             return self._answer(state, reported, mass, gravity, carrying)
         self._reference, self.unanswered = None, False
         self._recent.clear()
         qd = model.qd if self._alone else confirmed(model.qd, reported)
-        tau = carrying if self._held is None else self._held[0]
-        return tau - safety.FAULT_DAMPING * mass.dot(qd)
+        return resting - safety.FAULT_DAMPING * mass.dot(qd)
 
     def _answer(
         self,
@@ -316,7 +314,7 @@ class Reaction:
         braking = mass.dot(qd)
         if braking.dot(reported) < 0.0 or braking.dot(model.qd) < 0.0:
             qd, braking = 0.0 * qd, 0.0 * braking  # coupled joints: it would drive one of the two
-        alone = self._arm.gravity(state.q) - gravity - self._offset
+        alone = self._arm.gravity(state.q) - gravity
         q_ref, qd_ref = self._reference or (state.q, reported)
         self._reference = q_ref + state.span * qd_ref, math.exp(-damping * state.span) * qd_ref
         spring = HOLD_FREQUENCY**2 * mass.dot(q_ref - state.q)

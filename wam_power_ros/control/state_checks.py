@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,11 +15,8 @@ from wam_power_ros.learning.policy import PERIOD
 STATE_LOSS_TIMEOUT = 0.02  # [s] without a joint state until the loss of states is a fault
 IMPLAUSIBLE_Q = 20.0  # [rad] positions from here on are refused: no joint turns that far
 IMPLAUSIBLE_QD = 500.0  # [rad/s] speeds from here on are refused
-Q_JUMP = 0.1  # [rad] larger change in one period is a jump: the encoder's zero has changed, and so
-JUMP_FACTOR, JUMP_MIN = (
-    2.0,
-    0.01,
-)  # is more than this multiple of the joint's speed limit, and [rad]
+# A larger change in one period is a jump: of the way at the speed limit, [rad], at most [rad].
+JUMP_FACTOR, JUMP_MIN, Q_JUMP = 2.0, 0.01, 0.1
 _REFUSALS_TO_FAULT, _REFUSAL_WINDOW = 5, 50  # refused states within 0.1 s, at 500 Hz: a fault
 _RESTART_WINDOW = 500  # states, at 500 Hz, within which a driver restarts once: 1 s
 _INTEGERS = (int, np.integer)
@@ -46,16 +44,24 @@ class JointState:
         positions: `q` as plain floats, with which the checks compute: for seven numbers they are
             several times faster than arrays.
         speeds: `qd` as plain floats.
+        derived: Whether the speeds are differentiated, so that they step after a gap.
         bias: C(q, qd) qd + g(q) [N m], shape (n,), as the first who needed it has computed it; None
             before.
     """
 
-    __slots__ = ("bias", "dt", "positions", "q", "qd", "span", "speeds", "stamp_ns")
+    __slots__ = ("bias", "derived", "dt", "positions", "q", "qd", "span", "speeds", "stamp_ns")
 
     def __init__(
-        self, stamp_ns: int, q: np.ndarray, qd: np.ndarray, dt: float, span: float
+        self,
+        stamp_ns: int,
+        q: np.ndarray,
+        qd: np.ndarray,
+        dt: float,
+        span: float,
+        derived: bool = False,
     ) -> None:
         self.stamp_ns, self.q, self.qd, self.dt, self.span = stamp_ns, q, qd, dt, span
+        self.derived = derived
         self.positions: list[float] = q.tolist()
         self.speeds: list[float] = qd.tolist()
         self.bias: np.ndarray | None = None
@@ -63,6 +69,22 @@ class JointState:
     def moved(self, q: np.ndarray, qd: np.ndarray) -> JointState:
         """Return the state with other positions [rad] and speeds [rad/s], shapes (n,)."""
         return JointState(self.stamp_ns, q, qd, self.dt, self.span)
+
+
+class PastState(NamedTuple):
+    """A reported posture [rad], the motor torque sent for it, and the one known beyond the model.
+
+    Attributes:
+        q: Joint positions [rad]. Shape (n,).
+        tau: Motor torque commanded for `dt` after it [N m]. Shape (n,).
+        external: Torque that acted beyond the model [N m]. n numbers.
+        dt: Time until the next state [s].
+    """
+
+    q: np.ndarray
+    tau: np.ndarray
+    external: list[float]
+    dt: float
 
 
 def plausible(values: list[float], bound: float) -> bool:
@@ -160,7 +182,7 @@ class StateChecks:
         advanced = self._period if last is None else (stamp_ns - last.stamp_ns) * 1e-9
         dt, longest = advanced if elapsed is None else elapsed, 2.0 * self._period
         span = min(max(advanced, dt), longest)
-        state = JointState(stamp_ns, positions, speeds, min(dt, longest), span)
+        state = JointState(stamp_ns, positions, speeds, min(dt, longest), span, qd is None)
         if last is not None:
             self._check_continuity(last, state, advanced, gap)
         self.before, self.last = None if gap else last, state

@@ -30,6 +30,8 @@ REST_NS = 200_000_000  # [ns] at rest before a fault may be reset
 DOUBTFUL_STATES = 12  # consecutive states that nothing explains until none is believed
 BELIEF_STATES = 50  # consecutive states that agree until states are believed again: 0.1 s
 FALL_STATES = 75  # consecutive states of an arm that falls until they are believed again: 0.15 s
+FIRST_STATES = 500  # states after the activation in which gravity may turn out to be wrong: 1 s
+GRAVITY_SHARE = 0.15  # of g(q), which a low-passed residual must have then
 AGREEMENT = 0.005  # [rad] in that time, between the motion reported and that of the model
 
 
@@ -80,9 +82,9 @@ class Supervision:
         self.reaction = Reaction(arm, motor_torque, settings.period)
         self._rest_since_ns: int | None = None  # stamp since which an arm in a fault is at rest
         self.believed, self._lasting = True, False
-        self._drifts = (
-            False  # after a motion that the torques explain only are states believed again
-        )
+        self._drifts = False  # states are believed again only after a fall
+        self._states, self._first_states = 0, at_rate(FIRST_STATES, settings.period)
+        self._gravity_wrong = False  # the driver adds g(q) though it should not, or the reverse
         self._contradicted = False  # a reason not to believe them that no torque removes
         self._agreed = 0  # consecutive states that agree with the model
         self._agreed_from: np.ndarray | None = None  # reported minus predicted at their first [rad]
@@ -107,6 +109,7 @@ class Supervision:
         self.reaction.forget()
         self.reaction.end()
         self.believed, self._lasting = True, False
+        self._states, self._gravity_wrong = 0, False
 
     def mode_changed(self) -> None:
         """Restart the count of states beyond a motion limit: other limits apply."""
@@ -159,6 +162,10 @@ class Supervision:
         fault = checks.fault(before, state, tau, self._bounds[mode])
         self.reaction.record(state, tau, checks.residual)
         residual = np.array(checks.residual)
+        self._states += 1
+        self._gravity_wrong &= mode is Mode.FAULT
+        if fault is not None and mode is Mode.HOLD and self._states < self._first_states:
+            fault = self._gravity_fault(state.q, residual) or fault
         self._usual = self._usual + state.span / USUAL_TIME * (residual - self._usual)
         if mode is not Mode.FAULT:
             return fault
@@ -177,6 +184,21 @@ class Supervision:
         ):
             self.doubt(FaultKind.EXTERNAL_TORQUE)
         return fault
+
+    def _gravity_fault(self, q: np.ndarray, residual: np.ndarray) -> Fault | None:
+        """Fault of an arm whose driver adds g(q) though it should not, or does not; or None."""
+        gravity = self._arm.gravity(q)
+        share = float(residual.dot(gravity)) / max(float(gravity.dot(gravity)), 1e-9)
+        left = np.abs(residual - share * gravity)
+        if abs(share) < GRAVITY_SHARE or (left > self._explainable).any():
+            return None
+        self._gravity_wrong = True
+        text = "twice, by the driver too" if share > 0.0 else "by nobody"
+        advice = "true" if share > 0.0 else "false"
+        return Fault(
+            FaultKind.EXTERNAL_TORQUE,
+            f"gravity is compensated {text}: is driver_compensates_gravity: {advice} meant?",
+        )
 
     def limit_fault(self, mode: Mode, state: JointState, motion: Motion | Speeds) -> Fault | None:
         """Fault of a motion beyond the limits of the mode, or None."""
@@ -202,7 +224,8 @@ class Supervision:
         elif self._rest_since_ns is None:
             self._rest_since_ns = state.stamp_ns
         carried = carried if self._carried is None else self._carried
-        tau = self.reaction.torque(state, self.believed, carried, self._weight)
+        weight = np.array(self._plausibility.residual) if self._gravity_wrong else self._weight
+        tau = self.reaction.torque(state, self.believed, carried, weight)
         if self._lasting or (self.believed and not self.reaction.frozen):
             self._explained = -self._fall_states
             return tau

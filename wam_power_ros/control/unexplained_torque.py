@@ -90,10 +90,8 @@ class UnexplainedTorque:
         """Notice a torque that changes while no joint reports a motion."""
         self._still = self._still + dt if speed < MOTION else 0.0
         if self._still < SETTLED_AFTER:
-            self._before, self._settled = (
-                self._before if self._settled is None else self._settled,
-                None,
-            )
+            if self._settled is not None:
+                self._before, self._settled = self._settled, None
             return
         if self._settled is None:
             self._settled = beyond
