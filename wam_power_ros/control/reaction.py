@@ -170,7 +170,7 @@ class Reaction:
         self._weight = self._held = self._kept = self._frozen = self._anchor = None
         self._external = np.zeros(self._arm.n)
         self._believed = self._alone = True
-        self.unanswered = self._rested_before = False
+        self.unanswered = self._slow = False
         self._seconds = 0.0
         self._recent.clear()
 
@@ -192,7 +192,8 @@ class Reaction:
                 last = self.past[-1].q
                 self._model.q = last
                 self._model.qd = confirmed(self._model.qd, self.reported())
-            self._rested_before = self.settled
+            speeds = self.reported() if self._model is None else self._model.qd
+            self._slow = bool(np.abs(speeds).max() < SETTLED_SPEED)
             if guided:
                 self._external = np.zeros(self._arm.n)
 
@@ -244,8 +245,8 @@ class Reaction:
     def follow(self, q: np.ndarray) -> None:
         """Carry an arm that truly falls where it is reported (n,) [rad]."""
         model = self._model = self._model or self._at_posture(q)
-        if self._frozen is not None or self._held is not None:
-            resting = self._held[0] if self._frozen is None else self._frozen
+        resting = self._held[0] if self._frozen is None and self._held else self._frozen
+        if resting is not None:
             self._kept = resting - self._arm.gravity(self._held_at)
         self._frozen = self._anchor = None
         model.q, model.qd, self._held, self._believed = q, self.reported(), None, True
@@ -341,7 +342,7 @@ class Reaction:
         """Keep a torque that rests the arm if it is known, or if it changes although it rests."""
         if self._anchor is None:
             self._anchor = tau
-        known = self._rested_before and self._kept is None and self._weight is None
+        known = self._slow and self._kept is None and self._weight is None
         known = known and bool((np.abs(beyond) <= self._known).all())
         change = tau - self._anchor
         if not known and (np.abs(change) <= self._known).all():

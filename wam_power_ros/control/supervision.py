@@ -85,6 +85,7 @@ class Supervision:
         self._drifts = False  # states are believed again only after a fall
         self._states, self._first_states = 0, at_rate(FIRST_STATES, settings.period)
         self._gravity_wrong = False  # the driver adds g(q) though it should not, or the reverse
+        self._doubted = False  # states of this fault were not believed, so show no mass either
         self._contradicted = False  # a reason not to believe them that no torque removes
         self._agreed = 0  # consecutive states that agree with the model
         self._agreed_from: np.ndarray | None = None  # reported minus predicted at their first [rad]
@@ -119,7 +120,7 @@ class Supervision:
         """React to a fault of any kind, found in a mode."""
         self._rest_since_ns = None
         self.believed, self._contradicted, self._lasting = True, False, False
-        self._drifts, self._explained = False, 0
+        self._drifts, self._doubted, self._explained = False, False, 0
         self._payload.begin()
         begun = np.abs(self._plausibility.residual)
         self._suspect = bool((begun > self._explainable).any())
@@ -136,7 +137,7 @@ class Supervision:
 
     def doubt(self, kind: FaultKind) -> None:
         """Believe no state until they agree again; never again in this fault after a jump."""
-        self.believed, self._agreed, self._explained = False, 0, 0
+        self.believed, self._agreed, self._explained, self._doubted = False, 0, 0, True
         self._contradicted |= kind.of_states
         self._lasting |= kind is FaultKind.JUMP
         self._drifts |= kind is FaultKind.DRIFT
@@ -169,7 +170,7 @@ class Supervision:
         self._usual = self._usual + state.span / USUAL_TIME * (residual - self._usual)
         if mode is not Mode.FAULT:
             return fault
-        braking = self.believed and not self.reaction.rested
+        braking = self.believed and not self._doubted and not self.reaction.rested
         self._weight = self._payload.torque(self.reaction.past) if braking else None
         left = np.abs(residual - self._usual)
         self._explains = self._weight is not None or bool((left <= self._explainable).all())
