@@ -587,6 +587,8 @@ def cells(kinds: Sequence[str], modes: Sequence[str], arms: Sequence[str]) -> It
     for kind, mode, arm in itertools.product(kinds, modes, arms):
         if kind == "gravity twice" and mode != "hold":  # a set-up is wrong from the beginning
             continue
+        if kind == "-0.55 kg" and arm == "-0.5 kg":  # the tool has 0.6 kg
+            continue
         joints = LIED if kind in LIES and kind not in ("repeated", "late", "relay") else (-1,)
         for joint in joints:
             yield Cell(kind, joint, mode, arm)

@@ -107,6 +107,7 @@ class Controller:
         self._springs = safety.LimitSprings(self.limits)
         self._unanswered = 0.0  # time since the last state that stale torques have used [s]
         self._lockstep = False  # the stamps are the only clock
+        self._carried = np.zeros(arm.n)  # beyond g(q), in a fault [N m]
         self._held_states = 0  # since the last measurement of the unexplained torque
         self._laws: dict[Mode, Law] = {
             Mode.INACTIVE: self._braking_torque,
@@ -305,6 +306,11 @@ class Controller:
             self._set(Mode.FAULT)
         try:
             self._supervision.faulted(mode, fault.kind)
+            # What held the arm there; friction had a share in it that is not known elsewhere.
+            held = mode in (Mode.HOLD, Mode.GRAVITY_COMPENSATION)
+            at = self._supervision.reaction.posture
+            beyond = self.unexplained
+            self._carried = beyond.before(at) if held else beyond.compensation
         except Exception as error:  # without a model: `BrakeWithoutModel` answers the next states
             self.error = error
 
@@ -435,7 +441,7 @@ class Controller:
             q: Joint positions [rad]. Shape (n,).
             qd: Joint speeds, None when the driver does not send them [rad/s]. Shape (n,).
             elapsed: Time since the last accepted state by the caller's clock, None to use the
-                stamps [s]. The state estimate in a fault depends on it.
+                stamps [s]. The model of the arm in a fault depends on it.
             since_sent: Time since the last torque was sent by the caller's clock, which the torque
                 rate limit depends on; None for what is left of `elapsed` after the times of
                 `stale_torque` [s].
@@ -607,8 +613,7 @@ class Controller:
         return self._damped_gravity(state, safety.FAULT_DAMPING, beyond)
 
     def _fault_torque(self, state: JointState, motion: Motion | Speeds) -> np.ndarray:
-        carried = self.unexplained.compensation
-        return self._supervision.reaction_torque(state, motion, carried)
+        return self._supervision.reaction_torque(state, motion, self._carried)
 
     def _teaching_torque(self, state: JointState, motion: Motion | Speeds) -> np.ndarray:
         before, step = self._states.before, 0.0

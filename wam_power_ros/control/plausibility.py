@@ -287,7 +287,7 @@ class TorqueCheck:
 
 
 class Plausibility:
-    """Runs both checks, and keeps the latest states to estimate the arm's state after a fault.
+    """Runs both checks.
 
     Attributes:
         implausible_ns: Stamp of the last state that failed a check [ns], None before the first.

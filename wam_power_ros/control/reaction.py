@@ -7,7 +7,8 @@ both confirm. What the states alone say is answered by a torque that, in `ANSWER
 tool of an arm that in truth rests no more than `REACTION_SPEED`; within that time `Supervision`
 asks again whether they are believed. States that are not believed change no torque, but that they
 may confirm a speed of the model. Once the arm rests, the answer is counted from the torque that
-holds it.
+holds it; a torque that an arm is known to need at rest, or that creeps while nothing seems to move,
+stays constant, whatever is reported, until the arm falls.
 """
 
 from __future__ import annotations
@@ -126,7 +127,7 @@ class Reaction:
         self._weight: np.ndarray | None  # of a mass at the tool, once recognized [N m]
         # Torque that last held the resting arm, and its share that the states alone ask for [N m].
         self._held: tuple[np.ndarray, np.ndarray] | None
-        self._held_at = np.zeros(arm.n)  # posture reported then [rad]
+        self._resting = np.zeros(arm.n)  # torque that rests it, or carries it where the model is
         self._anchor: np.ndarray | None  # torque when the arm came to rest [N m]
         self._frozen: np.ndarray | None  # torque that rests the arm whatever is reported [N m]
         self._kept: np.ndarray | None  # torque beyond g that an arm needed before it fell [N m]
@@ -245,9 +246,7 @@ class Reaction:
     def follow(self, q: np.ndarray) -> None:
         """Carry an arm that truly falls where it is reported (n,) [rad]."""
         model = self._model = self._model or self._at_posture(q)
-        resting = self._held[0] if self._frozen is None and self._held else self._frozen
-        if resting is not None:
-            self._kept = resting - self._arm.gravity(self._held_at)
+        self._kept = self._resting - self._arm.gravity(q)  # the torque does not step
         self._frozen = self._anchor = None
         model.q, model.qd, self._held, self._believed = q, self.reported(), None, True
 
@@ -276,13 +275,14 @@ class Reaction:
         if weight is not None or self._held is None:
             self._weight = weight
         if self._frozen is not None:
+            self._resting = self._frozen
             return self._frozen
         mass, gravity = self._arm.mass_matrix(model.q), self._arm.gravity(model.q)
         beyond = carried if self._weight is None else -self._weight
         carrying = gravity + (beyond if self._kept is None else self._kept)
-        resting = carrying if self._held is None else self._held[0]
+        resting = self._resting = carrying if self._held is None else self._held[0]
         if believed and not self._believed and self.settled:
-            self._frozen, self._held_at = resting, state.q
+            self._frozen = resting
         self._believed = believed
         if self._frozen is not None:
             return self._frozen
@@ -334,7 +334,7 @@ class Reaction:
         self._recent.append(state.q)
         still = np.abs(state.q - self._recent[0]).max() < STILL
         if still and len(self._recent) == self._recent.maxlen:
-            self._held, self._held_at = (tau, usual + bounded), state.q
+            self._held = tau, usual + bounded
             self._freeze(tau, tau - carrying, usual + bounded)
         return tau
 

@@ -8,6 +8,7 @@ once the arm has been held at rest. Friction hides up to its own size of it.
 from __future__ import annotations
 
 import math
+from collections import deque
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from wam_power_ros.control.arm import Arm
 KNOWN_AFTER = 0.1  # [s] at rest until the torque is known
 TIME_CONSTANT = 0.05  # [s] of its low-pass: feedback that is still settling counts little
 NEGLIGIBLE_SHARE = 0.01  # of a joint's friction: rounding errors of the model are below
+PAST_OBSERVATIONS = 20  # the first is from before a lie or a contact was found: 0.2 s
 FADE_RANGE = 0.05  # [rad] from the posture where the arm was held, to where that tells nothing
 STEP = 0.0015  # [rad] change in one state beyond its velocity: the arm was put elsewhere
 FRICTION_FACTOR = 1.5  # multiple of a joint's friction up to which friction may explain it
@@ -54,6 +56,7 @@ class UnexplainedTorque:
         self._rested = self._still = 0.0  # time at rest, and without motion, so far [s]
         self._settled: np.ndarray | None = None  # torque after SETTLED_AFTER without motion [N m]
         self._before = np.zeros(self._n)  # the same before the last motion
+        self._past: deque[np.ndarray] = deque([self.torque], maxlen=PAST_OBSERVATIONS)
         self._held_at: np.ndarray | None = None  # posture of the last observation at rest [rad]
 
     def rest_again(self) -> None:
@@ -81,6 +84,7 @@ class UnexplainedTorque:
             return
         share = 1.0 - math.exp(-dt / TIME_CONSTANT)
         self.torque = self.torque + share * (beyond - self.torque)
+        self._past.append(self.torque)
         certain = np.abs(self.torque) > self._friction
         self.compensation = np.where(certain, self.torque, np.zeros(self._n))
         self._held_at = q
@@ -107,6 +111,7 @@ class UnexplainedTorque:
             moving = np.abs(begun) > 0.5 * self._friction
             drag = np.where(moving, np.copysign(self._friction, begun), 0.0)
             self.compensation = beyond - drag
+            self._past = deque([self.compensation], maxlen=PAST_OBSERVATIONS)
 
     def guided(self, q: np.ndarray, step: float) -> np.ndarray:
         """Torque to add to g(q) while a person guides the arm [N m]. Shape (n,).
@@ -127,6 +132,16 @@ class UnexplainedTorque:
             return self.compensation
         held = np.where(np.abs(self.torque) > self._negligible, self.torque, 0.0)
         return self.compensation + share * (held - self.compensation)
+
+    def before(self, q: np.ndarray) -> np.ndarray:
+        """Torque beyond g(q) that held a resting arm before anything happened [N m]. Shape (n,).
+
+        Args:
+            q: Joint positions [rad]. Shape (n,). Where the arm was not held it is `compensation`.
+        """
+        held = self._held_at
+        near = held is not None and np.abs(q - held).max() < FADE_RANGE
+        return self._past[0] if near else self.compensation
 
     def excess(self) -> str:
         """Joints whose unexplained torque no friction explains, as text; empty without any."""
