@@ -477,7 +477,7 @@ class Outcome(NamedTuple):
         nominal: Largest speed of the tool without the cause [m/s].
         way: Way of the tool in the 10 s after the fault, beyond the way of a stop from true states
             at this moment [m].
-        reset: Whether the fault could be reset afterwards.
+        reset: True if the controller accepted a reset after the observation.
     """
 
     fault: str

@@ -309,8 +309,7 @@ class Controller:
             # What held the arm there; friction had a share in it that is not known elsewhere.
             held = mode in (Mode.HOLD, Mode.GRAVITY_COMPENSATION)
             at = self._supervision.reaction.posture
-            beyond = self.unexplained
-            self._carried = beyond.before(at) if held else beyond.compensation
+            self._carried = self.unexplained.before(at) if held else self.unexplained.compensation
         except Exception as error:  # without a model: `BrakeWithoutModel` answers the next states
             self.error = error
 

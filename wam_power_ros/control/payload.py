@@ -32,7 +32,8 @@ class PayloadCheck:
     """Recognizes a mass at the tool by the torque that nothing explains.
 
     Attributes:
-        refuted: Whether a mass was recognized that was none: carried, it did not stay the same.
+        refuted: True once a mass that was recognized turned out to be none: while its weight was
+            carried, the estimate of the mass changed by more than half.
 
     Args:
         arm: Model of the arm.

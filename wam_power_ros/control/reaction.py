@@ -106,7 +106,9 @@ class Reaction:
     """Brakes the arm in a fault and while states are missing, then holds it.
 
     Attributes:
-        unanswered: Whether the states report an arm that the brake makes faster.
+        unanswered: True once the energy of the reported motion has grown by half within
+            `ANSWER_TIME` although the torque brakes it, so that the states are false.
+        known: Torque [N m] within which friction and model explain a difference. Shape (n,).
 
     Args:
         arm: Model of the arm.
@@ -116,7 +118,7 @@ class Reaction:
 
     def __init__(self, arm: Arm, motor_torque: MotorTorque, period: float = PERIOD) -> None:
         self._arm, self._motor_torque, self._period = arm, motor_torque, period
-        self._known = KNOWN_FRICTION * arm.friction + KNOWN_SHARE * arm.tau_max
+        self.known = KNOWN_FRICTION * arm.friction + KNOWN_SHARE * arm.tau_max
         self._rates = at_rate(RATE_STATES, period)
         self.past: deque[PastState] = deque(maxlen=round(BEFORE_GUIDED / period))
         self._recent: deque[np.ndarray] = deque(maxlen=round(STILL_TIME / period))  # [rad]
@@ -179,7 +181,7 @@ class Reaction:
         """Begin at the state a time [s] ago, unless the model is followed already.
 
         Args:
-            before: How long ago the states were true [s].
+            before: Time before now at which the model begins, because states were true then [s].
             alone: Whether the model alone tells what came of it: the states since then contradict
                 themselves, or the arm moved by itself, under torques that are known. Else the model
                 only confirms what they report.
@@ -343,9 +345,9 @@ class Reaction:
         if self._anchor is None:
             self._anchor = tau
         known = self._slow and self._kept is None and self._weight is None
-        known = known and bool((np.abs(beyond) <= self._known).all())
+        known = known and bool((np.abs(beyond) <= self.known).all())
         change = tau - self._anchor
-        if not known and (np.abs(change) <= self._known).all():
+        if not known and (np.abs(change) <= self.known).all():
             return
         # Where it was enough to move the arm: without half of the friction of this motion.
         drag, friction = share if known else change, self._arm.friction

@@ -24,7 +24,6 @@ INERTIAL_SHARE = 0.3  # of the accelerating torque, may be unexplained: sensors 
 STANDING_SHARE = 0.05  # share of a torque limit: bound at a joint that stands still in a rollout
 FAULT_SHARE = 0.15  # share of a torque limit: beyond it no motion in a fault is believed
 USUAL_TIME = 1.0  # [s] in which an unexplained torque that stays becomes usual
-EXPLAINED_SHARE = 0.02  # share of a torque limit within which the motion counts as explained
 # Numbers of states are those at 500 Hz: at a higher rate they are more, see `at_rate`.
 REST_NS = 200_000_000  # [ns] at rest before a fault may be reset
 DOUBTFUL_STATES = 12  # consecutive states that nothing explains until none is believed
@@ -64,11 +63,10 @@ class Supervision:
         motor_torque: MotorTorque,
     ) -> None:
         self._arm, self._motor_torque = arm, motor_torque
-        self._explainable = 2.0 * arm.friction + EXPLAINED_SHARE * arm.tau_max
         self._unexplainable = 2.0 * arm.friction + FAULT_SHARE * arm.tau_max
         self._usual = np.zeros(arm.n)  # residual, low-passed: of a model that is wrong [N m]
-        self._possible = False  # the same with much left
         self._explains = False  # model, friction and torques explain the motion of the last state
+        self._possible = False  # they do if up to 15 % of a torque limit may be unexplained
         self._unexplained = 0  # consecutive states of a motion that they do not explain
         self._carried: np.ndarray | None = None  # beyond the model, measured in a motion [N m]
         self._guided = False  # a person guided the arm in the last state
@@ -80,6 +78,7 @@ class Supervision:
         self._motion = safety.MotionCheck(limits, arm.guarded, settings.period)
         self._plausibility = Plausibility(arm, settings.period)
         self.reaction = Reaction(arm, motor_torque, settings.period)
+        self._explainable = self.reaction.known
         self._rest_since_ns: int | None = None  # stamp since which an arm in a fault is at rest
         self.believed, self._lasting = True, False
         self._drifts = False  # states are believed again only after a fall
