@@ -82,3 +82,19 @@ def test_a_fault_of_true_states_stops_an_arm_that_is_not_its_model(mode: str, ar
     assert outcome.peak < outcome.nominal + 0.12
     assert outcome.way < 0.02
     assert outcome.reset
+
+
+@pytest.mark.requirement("S-131")
+def test_a_drifting_zero_does_not_lead_a_held_arm_away_after_its_fault() -> None:
+    outcome = run(Cell("drift +0.3", 3, "hold", "model"))
+    assert outcome.fault
+    assert outcome.peak < 0.3
+    assert outcome.way < 0.1
+
+
+@pytest.mark.requirement("S-121")
+def test_a_held_arm_that_is_not_its_model_stays_where_a_joint_jumped() -> None:
+    outcome = run(Cell("swap", 5, "hold", "-0.5 kg"))
+    assert outcome.fault == "jump"
+    assert outcome.peak < 0.1
+    assert outcome.way < 0.1
