@@ -119,7 +119,7 @@ class Supervision:
         """React to a fault of any kind, found in a mode."""
         self._rest_since_ns = None
         self.believed, self._contradicted, self._lasting = True, False, False
-        self._drifts, self._doubted, self._explained = False, False, 0
+        self._drifts, self._doubted = False, False
         self._payload.begin()
         begun = np.abs(self._plausibility.residual)
         self._suspect = bool((begun > self._explainable).any())
@@ -136,7 +136,8 @@ class Supervision:
 
     def doubt(self, kind: FaultKind) -> None:
         """Believe no state until they agree again; never again in this fault after a jump."""
-        self.believed, self._agreed, self._explained, self._doubted = False, 0, 0, True
+        self.believed, self._agreed, self._doubted = False, 0, True
+        self._explained = -self._fall_states  # the brake that ends is no fall
         self._contradicted |= kind.of_states
         self._lasting |= kind is FaultKind.JUMP
         self._drifts |= kind is FaultKind.DRIFT
@@ -156,6 +157,7 @@ class Supervision:
         tau, checks = self._motor_torque(state.q), self._plausibility
         if before is None:
             self.reaction.forget()
+            self._explained = -self._fall_states  # no speed is known that could have changed
         guided, self._guided = self._guided, mode is Mode.GRAVITY_COMPENSATION
         if guided and not self._guided and mode is not Mode.FAULT:
             checks.let_go()
@@ -256,7 +258,7 @@ class Supervision:
         slowest, fastest = self._speeds
         self._speeds = np.minimum(slowest, speeds), np.maximum(fastest, speeds)
         self._explained += 1
-        changed = np.maximum(speeds - slowest, fastest - speeds).max()
+        changed = np.maximum(speeds - slowest, fastest - speeds)[int(speeds.argmax())]
         return self._explained > self._fall_states and bool(changed > FALL_SPEED)
 
     def _agrees(self, difference: np.ndarray) -> bool:
