@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A few cells of the matrix of the reaction, on its own plant."""
 
+import itertools
+
 import pytest
 
 from benchmark import reaction_matrix
@@ -97,4 +99,20 @@ def test_a_held_arm_that_is_not_its_model_stays_where_a_joint_jumped() -> None:
     outcome = run(Cell("swap", 5, "hold", "-0.5 kg"))
     assert outcome.fault == "jump"
     assert outcome.peak < 0.1
+    assert outcome.way < 0.1
+
+
+@pytest.mark.requirement("S-131")
+@pytest.mark.parametrize("at", [62, 72, 400])
+def test_states_that_are_lost_after_a_fault_do_not_make_a_drift_a_fall(
+    at: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drift, count = reaction_matrix.LIES["drift +0.3"](3), itertools.count()
+    monkeypatch.setitem(
+        reaction_matrix.LIES,
+        "drift, lost states",
+        lambda _: lambda state: None if at <= next(count) < at + 6 else drift(state),
+    )
+    outcome = run(Cell("drift, lost states", 3, "hold", "model"))
+    assert outcome.peak < 0.3
     assert outcome.way < 0.1
