@@ -60,7 +60,7 @@ def test_the_brake_takes_energy_from_the_motion_that_either_witness_sees() -> No
         for k in range(120, 125):
             last = state(k, HOME + 0.002 * (k - 119) * seen)
             reaction.record(last, MODEL.gravity(HOME), [0.0] * 7)
-        tau = reaction.torque(last, True, STILL, None)
+        tau = reaction.torque(last, True, True, None)
         braking = tau - MODEL.gravity(reaction.posture)
         bounded = np.linalg.norm(MODEL.friction) + 15.0  # what the states alone may ask for
         assert braking.dot(seen) < bounded * np.linalg.norm(seen)

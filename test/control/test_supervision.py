@@ -12,6 +12,7 @@ from wam_power_ros.control.modes import Mode
 from wam_power_ros.control.reaction import ANSWER_TIME, REACTION_SPEED
 from wam_power_ros.control.state_checks import JointState
 from wam_power_ros.control.supervision import AGREEMENT, BELIEF_STATES, REST_NS, Supervision
+from wam_power_ros.control.unexplained_torque import UnexplainedTorque
 from wam_power_ros.faults import FaultKind
 
 STILL = np.zeros(7)
@@ -73,7 +74,7 @@ def react(watch: Supervision, states: list[JointState]) -> list[np.ndarray]:
     for before, after in pairwise(states):
         watch.plausibility_fault(Mode.FAULT, before, after)
         motion = MODEL.motion(after.q, after.qd)
-        torques.append(watch.reaction_torque(after, motion, np.zeros(7)))
+        torques.append(watch.reaction_torque(after, motion))
     return torques
 
 
@@ -82,7 +83,7 @@ def faulted(kind: FaultKind, mode: Mode = Mode.HOLD, ticks: int = 120) -> Superv
     watch = supervision()
     for before, after in pairwise([state(k - ticks) for k in range(ticks + 1)]):
         watch.plausibility_fault(mode, before, after)
-    watch.faulted(mode, kind)
+    watch.faulted(mode, kind, UnexplainedTorque(MODEL))
     return watch
 
 
@@ -95,7 +96,7 @@ def test_an_arm_in_a_fault_counts_as_rested_only_after_the_rest_time() -> None:
     react(watch, [states[-1], state(ticks + 1)])
     assert watch.rested(state(ticks + 1).stamp_ns)
     fast = state(ticks + 2, HOME + 0.0004, np.full(7, 0.2))
-    watch.reaction_torque(fast, MODEL.motion(HOME, np.full(7, 0.2)), np.zeros(7))
+    watch.reaction_torque(fast, MODEL.motion(HOME, np.full(7, 0.2)))
     assert not watch.rested(fast.stamp_ns)
 
 
@@ -140,7 +141,7 @@ def test_a_motion_that_no_torque_explains_is_not_believed_within_the_answer_time
     ]
     for before, after in pairwise(states[:15]):
         watch.plausibility_fault(Mode.HOLD, before, after)
-    watch.faulted(Mode.HOLD, FaultKind.EXTERNAL_TORQUE)
+    watch.faulted(Mode.HOLD, FaultKind.EXTERNAL_TORQUE, UnexplainedTorque(MODEL))
     torques = react(watch, states[14:])
     assert not watch.believed
     change = np.abs(np.array(torques) - GRAVITY).max(axis=0)
@@ -185,7 +186,7 @@ def test_after_a_jump_the_arm_is_braked_from_the_states_before_it() -> None:
     states = [state(k, HOME + 0.002 * k * speed, speed) for k in range(200)]
     for before, after in pairwise(states):
         watch.plausibility_fault(Mode.GRAVITY_COMPENSATION, before, after)
-    watch.faulted(Mode.GRAVITY_COMPENSATION, FaultKind.JUMP)
+    watch.faulted(Mode.GRAVITY_COMPENSATION, FaultKind.JUMP, UnexplainedTorque(MODEL))
     at = states[-1].q
     (tau,) = react(watch, [states[-1], state(200, at + jumps, -speed)])
     braking = tau - MODEL.gravity(at)

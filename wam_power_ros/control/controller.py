@@ -107,7 +107,6 @@ class Controller:
         self._springs = safety.LimitSprings(self.limits)
         self._unanswered = 0.0  # time since the last state that stale torques have used [s]
         self._lockstep = False  # the stamps are the only clock
-        self._carried = np.zeros(arm.n)  # beyond g(q), in a fault [N m]
         self._held_states = 0  # since the last measurement of the unexplained torque
         self._laws: dict[Mode, Law] = {
             Mode.INACTIVE: self._braking_torque,
@@ -305,11 +304,7 @@ class Controller:
             self.error = error
             self._set(Mode.FAULT)
         try:
-            self._supervision.faulted(mode, fault.kind)
-            # What held the arm there; friction had a share in it that is not known elsewhere.
-            held = mode in (Mode.HOLD, Mode.GRAVITY_COMPENSATION)
-            at = self._supervision.reaction.posture
-            self._carried = self.unexplained.before(at) if held else self.unexplained.compensation
+            self._supervision.faulted(mode, fault.kind, self.unexplained)
         except Exception as error:  # without a model: `BrakeWithoutModel` answers the next states
             self.error = error
 
@@ -516,8 +511,11 @@ class Controller:
         try:
             state = self._supervision.missing(last, dt)
             dt = min(dt, 2.0 * self.settings.period)
-            tau = self._with_springs(self._braking_torque(state), state.q, dt)
-            return _finite(self._send(tau, state.q, dt))
+            if self._mode is Mode.FAULT:
+                tau = self._supervision.reaction.unseen(state)
+            else:
+                tau = self._braking_torque(state)
+            return _finite(self._send(self._with_springs(tau, state.q, dt), state.q, dt))
         except Exception as error:
             return self._answer_without_model(error, before, None, elapsed)
 
@@ -612,7 +610,7 @@ class Controller:
         return self._damped_gravity(state, safety.FAULT_DAMPING, beyond)
 
     def _fault_torque(self, state: JointState, motion: Motion | Speeds) -> np.ndarray:
-        return self._supervision.reaction_torque(state, motion, self._carried)
+        return self._supervision.reaction_torque(state, motion)
 
     def _teaching_torque(self, state: JointState, motion: Motion | Speeds) -> np.ndarray:
         before, step = self._states.before, 0.0

@@ -124,45 +124,31 @@ class VelocityCheck:
                 self._lagged, self._moved, self._mismatch = new
                 self._in_row = 0
                 return None
-        # Plain floats and comparisons: arrays of seven numbers, and calls of min and max at every
-        # joint, take twice as long.
+        before, now, qd_before, qd = map(np.array, states)
+        repeats, late, previous = map(np.array, kept)
         dt, short, long = interval
-        short, long = 0.5 * short, 0.5 * long
-        joint, size = -1, 0.0
-        added, lagged, changes = [], [], []
         keep = math.exp(-dt / VELOCITY_LAG)
-        rows = zip(*states, *kept, strict=True)
-        for i, (before, now, qd_before, qd, repeats, late, previous) in enumerate(rows):
-            moved, speeds = now - before, qd_before + qd
-            changes.append(moved)
-            late = keep * late + (1.0 - keep) * moved
-            lagged.append(late)
-            # Of the integrated velocity; the slower of the two bounds, in magnitude.
-            if speeds > 0.0:
-                least, most = short * speeds, long * speeds
-                slow = least
-            else:
-                least, most = long * speeds, short * speeds
-                slow = -most
-            low, high = (moved, late) if moved < late else (late, moved)
-            mismatch = low - most if low > most else least - high if high < least else 0.0
-            size_moved = abs(moved)
-            if moved * previous < 0.0:  # back and forth, which no lag explains
-                mismatch = max(mismatch, min(size_moved, abs(previous)))
-            if abs(moved - most) > self._leap:
-                mismatch = max(mismatch, _MISMATCH_PER_STATE)
-            motion = size_moved if size_moved < slow else slow
-            counted = mismatch if mismatch < _MISMATCH_PER_STATE else _MISMATCH_PER_STATE
-            added.append(counted - MISMATCH_SHARE * motion)
-            if repeats >= self._standstill and abs(qd) > STANDSTILL_SPEED:
-                joint, size = i, mismatch
-        self._lagged, self._moved = lagged, changes
+        moved, speeds = now - before, qd_before + qd
+        late = keep * late + (1.0 - keep) * moved
+        self._lagged, self._moved = late.tolist(), moved.tolist()
+        least, most = np.sort([0.5 * short * speeds, 0.5 * long * speeds], axis=0)
+        too_far, too_short = np.minimum(moved, late) - most, least - np.maximum(moved, late)
+        size_moved, slow = np.abs(moved), 0.5 * short * np.abs(speeds)
+        back = np.minimum(size_moved, np.abs(previous))  # and forth, which no lag explains
+        leap = _MISMATCH_PER_STATE * (np.abs(moved - most) > self._leap)
+        mismatch = np.maximum(np.maximum(too_far, too_short), leap)
+        mismatch = np.maximum(mismatch, np.where(moved * previous < 0.0, back, 0.0))
+        added = np.minimum(mismatch, _MISMATCH_PER_STATE)
+        added -= MISMATCH_SHARE * np.minimum(size_moved, slow)
+        stuck = np.flatnonzero((repeats >= self._standstill) & (np.abs(qd) > STANDSTILL_SPEED))
+        joint = int(stuck[-1]) if len(stuck) else -1
+        size = mismatch[joint]
         for k, (window, bound) in enumerate(MISMATCH_WINDOWS):
-            keep = math.exp(-dt / window)
-            sums = [keep * x + more for x, more in zip(self._mismatch[k], added, strict=True)]
-            self._mismatch[k] = sums
-            if (worst := max(sums)) > bound:
-                joint, size = sums.index(worst), worst
+            sums = math.exp(-dt / window) * np.array(self._mismatch[k]) + added
+            self._mismatch[k] = sums.tolist()
+            if sums.max() > bound:
+                joint = int(sums.argmax())
+                size = sums[joint]
         self._in_row = self._in_row + 1 if joint >= 0 else 0
         if self._in_row < self._to_fault:
             return None
@@ -240,31 +226,17 @@ class TorqueCheck:
         # The same in both directions, as in the compiled loop: the bounds have room for more.
         friction = arm.friction * np.tanh(state.qd / FRICTION_SPEED) + arm.damping * state.qd
         needed = accelerating + bias + friction
-        share = 1.0 - keep
-        now = self.residual, self._inertial, accelerating.tolist(), needed.tolist()
-        range_sent = np.minimum.reduce(sent).tolist(), np.maximum.reduce(sent).tolist()
-        joints = zip(*now, *range_sent, self._full_torque, self._allowance, moving, strict=True)
-        residuals, sizes, excess, stepped = [], [], [], False
-        for residual, size, torque, need, low, high, full, allowed, more in joints:
-            torque = abs(torque)
-            if torque > full:
-                stepped = True
-            beyond = need - low if need < low else need - high if need > high else 0.0
-            residual = keep * residual + share * beyond
-            size = keep * size + share * torque
-            residuals.append(residual)
-            sizes.append(size)
-            excess.append(abs(residual) - lag * size - allowed - more)
-        self.residual, self._inertial = residuals, sizes
-        if max(unchanged) >= self._standstill:
-            rows = zip(unchanged, excess, moving, bound.standing.tolist(), strict=True)
-            excess = [
-                size + more - standing if count >= self._standstill else size
-                for count, size, more, standing in rows
-            ]
-        worst = max(excess)
-        joint = excess.index(worst)
-        self._in_row = self._in_row + 1 if worst > 0.0 else 0
+        low, high = np.minimum.reduce(sent), np.maximum.reduce(sent)
+        beyond = needed - np.minimum(np.maximum(needed, low), high)
+        torque = np.abs(accelerating)
+        stepped = bool((torque > self._full_torque).any())
+        residual = keep * np.array(self.residual) + (1.0 - keep) * beyond
+        size = keep * np.array(self._inertial) + (1.0 - keep) * torque
+        self.residual, self._inertial = residual.tolist(), size.tolist()
+        more = np.where(np.array(unchanged) >= self._standstill, bound.standing, bound.moving)
+        excess = np.abs(residual) - lag * size - self._allowance - more
+        joint = int(excess.argmax())
+        self._in_row = self._in_row + 1 if excess[joint] > 0.0 else 0
         if stepped and not state.derived:
             return self._step(state)
         if self._in_row < self._to_fault:

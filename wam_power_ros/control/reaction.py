@@ -108,6 +108,7 @@ class Reaction:
     Attributes:
         unanswered: True once the energy of the reported motion has grown by half within
             `ANSWER_TIME` although the torque brakes it, so that the states are false.
+        carried: Torque beyond g(q) that carried the arm before the fault [N m]. Shape (n,).
         known: Torque [N m] within which friction and model explain a difference. Shape (n,).
 
     Args:
@@ -119,6 +120,7 @@ class Reaction:
     def __init__(self, arm: Arm, motor_torque: MotorTorque, period: float = PERIOD) -> None:
         self._arm, self._motor_torque, self._period = arm, motor_torque, period
         self.known = KNOWN_FRICTION * arm.friction + KNOWN_SHARE * arm.tau_max
+        self.carried = np.zeros(arm.n)
         self._rates = at_rate(RATE_STATES, period)
         self.past: deque[PastState] = deque(maxlen=round(BEFORE_GUIDED / period))
         self._recent: deque[np.ndarray] = deque(maxlen=round(STILL_TIME / period))  # [rad]
@@ -130,6 +132,7 @@ class Reaction:
         # Torque that last held the resting arm, and its share that the states alone ask for [N m].
         self._held: tuple[np.ndarray, np.ndarray] | None
         self._resting = np.zeros(arm.n)  # torque that rests it, or carries it where the model is
+        self._beyond: np.ndarray | None  # torque that carries the arm beyond g(q) [N m]
         self._anchor: np.ndarray | None  # torque when the arm came to rest [N m]
         self._frozen: np.ndarray | None  # torque that rests the arm whatever is reported [N m]
         self._kept: np.ndarray | None  # torque beyond g that an arm needed before it fell [N m]
@@ -170,7 +173,7 @@ class Reaction:
     def end(self) -> None:
         """Use the measured states again, and forget what was held."""
         self._model = self._reference = self._asked = None
-        self._weight = self._held = self._kept = self._frozen = self._anchor = None
+        self._weight = self._held = self._kept = self._beyond = self._frozen = self._anchor = None
         self._external = np.zeros(self._arm.n)
         self._believed = self._alone = True
         self.unanswered = self._slow = False
@@ -238,8 +241,19 @@ class Reaction:
                 model.q = last.q
             self._model = model
         self._reference = None
-        self._model.advance(self._motor_torque(self._model.q), dt)
+        self._recent.clear()
+        if not self.settled:
+            self._model.advance(self._motor_torque(self._model.q), dt)
+        self._seconds += dt
         return last.moved(self._model.q, self._model.qd)
+
+    def unseen(self, state: JointState) -> np.ndarray:
+        """Motor torque of a fault [N m] in a state of the model, shape (n,); see `torque`."""
+        if self._frozen is not None:
+            return self._frozen
+        beyond = self.carried if self._beyond is None else self._beyond
+        resting = self._arm.gravity(state.q) + beyond if self._held is None else self._held[0]
+        return resting - safety.FAULT_DAMPING * self._arm.mass_matrix(state.q).dot(state.qd)
 
     def _at_posture(self, q: np.ndarray) -> ModelState:
         self._external = zero = np.zeros(self._arm.n)
@@ -255,24 +269,28 @@ class Reaction:
     def reported(self) -> np.ndarray:
         """Speeds by the reported positions [rad/s], shape (n,); the velocities are not used."""
         past = list(self.past)[-self._rates - 1 :]
-        if len(past) < 2:
-            return np.zeros(self._arm.n)  # not known yet
+        if len(past) < 2:  # not known yet
+            return np.zeros(self._arm.n) if self._model is None else self._model.qd
         return (past[-1].q - past[0].q) / sum(each.dt for each in past[1:])
 
     def torque(
-        self, state: JointState, believed: bool, carried: np.ndarray, weight: np.ndarray | None
+        self,
+        state: JointState,
+        believed: bool,
+        explained: bool,
+        weight: np.ndarray | None,
     ) -> np.ndarray:
         """Motor torque that brakes and holds the arm [N m]. Shape (n,).
 
         Args:
             state: Measured state.
             believed: Whether it is believed.
-            carried: Torque that carries the arm beyond g(q) [N m]. Shape (n,).
+            explained: Whether it is, and no other torque than the known ones is seen to act.
             weight: Torque of a weight at the tool that the model does not have [N m]. Shape (n,).
         """
         model = self._model = self._model or self._at_posture(state.q)
         reported = self.reported()
-        self._advance(model, believed, reported, state.span)
+        self._advance(model, believed, explained, reported, state.span)
         model.external = self._external if weight is None else weight
         if weight is not None or self._held is None:
             self._weight = weight
@@ -280,8 +298,9 @@ class Reaction:
             self._resting = self._frozen
             return self._frozen
         mass, gravity = self._arm.mass_matrix(model.q), self._arm.gravity(model.q)
-        beyond = carried if self._weight is None else -self._weight
-        carrying = gravity + (beyond if self._kept is None else self._kept)
+        beyond = self.carried if self._weight is None else -self._weight
+        self._beyond = beyond if self._kept is None else self._kept
+        carrying = gravity + self._beyond
         resting = self._resting = carrying if self._held is None else self._held[0]
         if believed and not self._believed and self.settled:
             self._frozen = resting
@@ -354,14 +373,21 @@ class Reaction:
         moved = np.abs(drag) > friction
         self._frozen = tau - np.where(moved, np.copysign(0.5 * friction, drag), 0.0)
 
-    def _advance(self, model: ModelState, believed: bool, reported: np.ndarray, dt: float) -> None:
+    def _advance(
+        self,
+        model: ModelState,
+        believed: bool,
+        explained: bool,
+        reported: np.ndarray,
+        dt: float,
+    ) -> None:
         """Let the model brake for a time [s]; states that are believed correct its speeds."""
         before, self._seconds = model.qd, self._seconds + dt
         if not self.settled:
             model.advance(self._motor_torque(model.q), dt)
         if not self._alone or self._seconds > BRAKE_TIME:
             model.qd = confirmed(model.qd, before)  # a brake starts no motion
-        if not self._alone or (believed and self._seconds > ANSWER_TIME):
+        if not self._alone or (explained and self._seconds > ANSWER_TIME):
             model.qd = confirmed(model.qd, reported)  # believed so long, they are true
         elif believed:
             slower = confirmed(model.qd, before)  # no error of the model moves it against them

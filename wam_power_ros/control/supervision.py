@@ -18,6 +18,7 @@ from wam_power_ros.control.reaction import (
     Reaction,
 )
 from wam_power_ros.control.state_checks import JointState, at_rate
+from wam_power_ros.control.unexplained_torque import UnexplainedTorque
 from wam_power_ros.faults import Fault, FaultKind
 
 INERTIAL_SHARE = 0.3  # of the accelerating torque, may be unexplained: sensors and motors lag
@@ -68,7 +69,6 @@ class Supervision:
         self._explains = False  # model, friction and torques explain the motion of the last state
         self._possible = False  # they do if up to 15 % of a torque limit may be unexplained
         self._unexplained = 0  # consecutive states of a motion that they do not explain
-        self._carried: np.ndarray | None = None  # beyond the model, measured in a motion [N m]
         self._guided = False  # a person guided the arm in the last state
         self._suspect = False  # something moved the arm at the fault that they do not explain
         self._doubtful = at_rate(DOUBTFUL_STATES, settings.period)
@@ -115,7 +115,7 @@ class Supervision:
         """Restart the count of states beyond a motion limit: other limits apply."""
         self._motion.begin()
 
-    def faulted(self, mode: Mode, kind: FaultKind) -> None:
+    def faulted(self, mode: Mode, kind: FaultKind, unexplained: UnexplainedTorque) -> None:
         """React to a fault of any kind, found in a mode."""
         self._rest_since_ns = None
         self.believed, self._contradicted, self._lasting = True, False, False
@@ -124,13 +124,15 @@ class Supervision:
         begun = np.abs(self._plausibility.residual)
         self._suspect = bool((begun > self._explainable).any())
         guided = mode is Mode.GRAVITY_COMPENSATION
-        if guided:
-            self._usual = 0.0 * self._usual
-        certain = np.abs(self._usual) > self._arm.friction
-        self._carried = np.where(certain, -self._usual, 0.0) if mode in MOVING_MODES else None
+        self._usual = (not guided) * self._usual
         sudden = BEFORE_STEP if kind.of_states else BEFORE_GUIDED
         alone = kind.of_states or mode in MOVING_MODES
         self.reaction.begin(sudden if guided else BEFORE, alone, guided)
+        if mode in MOVING_MODES:
+            certain = np.abs(self._usual) > self._arm.friction
+            self.reaction.carried = np.where(certain, -self._usual, 0.0)
+        else:  # what held the arm there; friction had a share in it that is not known elsewhere
+            self.reaction.carried = unexplained.before(self.reaction.posture)
         if kind.of_states:
             self.doubt(kind)
 
@@ -176,7 +178,10 @@ class Supervision:
         left = np.abs(residual - self._usual)
         self._explains = self._weight is not None or bool((left <= self._explainable).all())
         self._possible = self._weight is not None or bool((left <= self._unexplainable).all())
-        self._unexplained = 0 if self._possible else self._unexplained + 1
+        if not self._possible:
+            self._unexplained += 1
+        elif before is not None:
+            self._unexplained = 0
         if fault is not None and fault.kind.of_states:
             self.doubt(fault.kind)
         elif self._suspect and (
@@ -210,24 +215,21 @@ class Supervision:
         """State of the arm by its model while none is received, see `Reaction.missing`."""
         return self.reaction.missing(last, self.believed, dt)
 
-    def reaction_torque(
-        self, state: JointState, motion: Motion | Speeds, carried: np.ndarray
-    ) -> np.ndarray:
+    def reaction_torque(self, state: JointState, motion: Motion | Speeds) -> np.ndarray:
         """Motor torque in a fault [N m], shape (n,); see `Reaction.torque`.
 
         Args:
             state: Measured state.
             motion: Kinematics of the measured state.
-            carried: Torque that carries the arm beyond g(q) [N m]. Shape (n,).
         """
         plausible = self._plausibility.implausible_ns != state.stamp_ns
         if not isinstance(motion, Motion) or safety.rest_violation(motion) or not plausible:
             self._rest_since_ns = None
         elif self._rest_since_ns is None:
             self._rest_since_ns = state.stamp_ns
-        carried = carried if self._carried is None else self._carried
         weight = np.array(self._plausibility.residual) if self._gravity_wrong else self._weight
-        tau = self.reaction.torque(state, self.believed, carried, weight)
+        explained = self.believed and not (self._suspect and self._unexplained)
+        tau = self.reaction.torque(state, self.believed, explained, weight)
         if self._lasting or (self.believed and not self.reaction.frozen):
             self._explained = -self._fall_states
             return tau
