@@ -129,8 +129,7 @@ class Supervision:
         alone = kind.of_states or mode in MOVING_MODES
         self.reaction.begin(sudden if guided else BEFORE, alone, guided)
         if mode in MOVING_MODES:
-            certain = np.abs(self._usual) > self._arm.friction
-            self.reaction.carried = np.where(certain, -self._usual, 0.0)
+            self.reaction.carried = -self._usual
         else:  # what held the arm there; friction had a share in it that is not known elsewhere
             self.reaction.carried = unexplained.before(self.reaction.posture)
         if kind.of_states:
