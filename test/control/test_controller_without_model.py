@@ -315,3 +315,16 @@ def test_without_a_model_an_arm_is_at_rest_below_a_joint_speed(
     stamp, q, _ = bench.plant.state()
     bench.controller.step(stamp + 1, q, joint_speed * np.eye(7)[3])
     assert bench.controller.at_rest is rests
+
+
+@pytest.mark.requirement("S-112")
+def test_the_brake_without_a_model_holds_ahead_of_where_the_model_failed() -> None:
+    brake = BrakeWithoutModel(MODEL, driver_compensates_gravity=False)
+    brake.observe(MODEL, HOME, np.zeros(7))
+    qd = np.eye(7)[3]
+    for k in range(500):  # an arm that follows its reference exactly: no torque but g
+        way, slower = -np.expm1(-0.04 * k) / safety.FAULT_DAMPING, np.exp(-0.04 * k)
+        state = JointState(10**12 + 2_000_000 * k, HOME + way * qd, slower * qd, 0.002, 0.002)
+        tau = brake.torque(state, 0.002)
+        assert tau is not None
+    assert np.abs(tau - MODEL.gravity(HOME)).max() < 0.1

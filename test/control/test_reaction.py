@@ -176,3 +176,18 @@ def test_a_brake_that_is_too_weak_never_pulls_the_arm_back() -> None:
     assert min(speeds) < -0.5
     assert max(speeds) < 0.1
     assert abs(speeds[-1]) < 0.01
+
+
+@pytest.mark.requirement("S-122")
+def test_a_model_that_has_braked_rests_although_a_torque_would_let_it_creep() -> None:
+    moving = 2.0 * MODEL.friction[3] * np.eye(7)[3]
+    reaction = Reaction(MODEL, lambda q: MODEL.gravity(q) + moving)
+    for k in range(120):
+        reaction.record(state(k, HOME), MODEL.gravity(HOME), [0.0] * 7)
+    reaction.begin(0.2, alone=True)
+    postures = []
+    for k in range(400):
+        reaction.torque(state(120 + k, HOME), False, False, None)
+        postures.append(reaction.posture)
+    assert np.abs(postures[100] - HOME).max() > 1e-3
+    np.testing.assert_array_equal(postures[-1], postures[-50])
