@@ -97,7 +97,7 @@ BUDGET = {
     "control": 4960,  # the reaction asks in every state what is believed, and recognizes a mass
     "commissioning": 1230,
     "tracking": 620,
-    "tasks": 3960,
+    "tasks": 3900,
     "practice": 2480,  # refusals by a person and pauses are in its log
     "conformance": 1130,
     "bags": 2660,
