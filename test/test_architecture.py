@@ -94,7 +94,7 @@ ALLOWED["benchmark"] = {*ALLOWED}
 BUDGET = {
     "ground": 1370,  # the modules of wam_power_ros/ itself
     "learning": 3070,
-    "control": 4960,  # the reaction asks in every state what is believed, and recognizes a mass
+    "control": 4900,  # the reaction asks in every state what is believed, and recognizes a mass
     "commissioning": 1230,
     "tracking": 620,
     "tasks": 3900,
