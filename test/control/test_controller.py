@@ -29,7 +29,7 @@ from wam_power_ros import rotations
 from wam_power_ros.control import safety
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller import Controller
-from wam_power_ros.control.modes import TRANSITIONS, ControllerError, Mode
+from wam_power_ros.control.modes import TRANSITIONS, ControllerError, Mode, Refusal
 from wam_power_ros.control.safety import limits_of
 from wam_power_ros.learning.policy import Policy, with_id
 
@@ -253,8 +253,9 @@ def test_nothing_begins_before_the_first_state_or_without_a_policy() -> None:
         with pytest.raises(ControllerError):
             request()
     controller, _ = begin(controller=make(None))
-    with pytest.raises(ControllerError, match="no policy"):
+    with pytest.raises(ControllerError, match="no policy") as refused:
         controller.execute()
+    assert refused.value.refusal is Refusal.NOTHING
     with pytest.raises(ControllerError, match="no policy"):
         controller.move_to_start()
 
@@ -262,8 +263,10 @@ def test_nothing_begins_before_the_first_state_or_without_a_policy() -> None:
 @pytest.mark.requirement("S-28")
 def test_a_rollout_starts_only_at_rest_at_its_start() -> None:
     controller, plant = begin(HOME + np.array([0, 0, 0, 0.06, 0, 0, 0]))
-    with pytest.raises(ControllerError, match=r"wam_j4 is 0\.060 rad"):
+    with pytest.raises(ControllerError, match=r"wam_j4 is 0\.060 rad from the start") as refused:
         controller.execute()
+    assert refused.value.refusal is Refusal.NOT_AT_START
+    assert refused.value.values == {"policy": POLICY.id}
     controller, plant = begin()
     stamp, q, _ = plant.state()
     controller.step(stamp, q, np.array([0.2, 0, 0, 0, 0, 0, 0]))

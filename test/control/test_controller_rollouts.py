@@ -168,7 +168,20 @@ def test_an_aborted_rollout_leaves_a_shorter_path() -> None:
     controller, plant = begin()
     controller.execute()
     controller.stop()  # before its first state
+    assert controller.rollout_stamp_ns is None
     assert len(controller.take_finished().t) == 1
+
+
+def test_a_path_that_was_not_taken_is_dropped_when_the_next_rollout_begins() -> None:
+    controller, plant = begin()
+    controller.execute()
+    assert controller.take_finished() is None
+    run(controller, plant, 0.002)
+    controller.stop()
+    assert controller.rollout_stamp_ns is not None
+    run(controller, plant, 0.5, until=lambda: controller.ready)
+    controller.execute()
+    assert controller.take_finished() is None and controller.rollout_stamp_ns is None
 
 
 def test_the_label_belongs_to_the_torque_and_not_to_the_request() -> None:
@@ -284,6 +297,7 @@ def test_a_policy_that_was_stopped_in_a_region_does_not_count_as_completed() -> 
     controller.enabled = True
     controller.execute()
     assert rollout_to_end(controller, plant).t[-1] < 1.0
+    assert controller.stopped_in == "box"
     run(controller, plant, 1.0)
     controller.move_to_start()
     run(controller, plant, 10.0, until=lambda: controller.ready)

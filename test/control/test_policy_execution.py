@@ -13,6 +13,7 @@ from wam_power_ros.control.policy_execution import Execution
 from wam_power_ros.control.prepared_policy import prepare
 from wam_power_ros.control.state_checks import JointState
 from wam_power_ros.learning.policy import Basis, Policy
+from wam_power_ros.learning.rollout import EndEffectorPath
 from wam_power_ros.params.resources import share
 from wam_power_ros.regions import Region
 
@@ -47,13 +48,20 @@ def answer(rollout: Execution, tick: float, q: np.ndarray = HOME) -> np.ndarray 
     return rollout.torque(JointState(stamp_ns, q, STILL, 0.002, 0.002), ARM.motion(q, STILL))
 
 
+def path_of(rollout: Execution, q: np.ndarray = HOME) -> EndEffectorPath:
+    rollout.end(JointState(START_NS, q, STILL, 0.002, 0.002))
+    path = rollout.take_path()
+    assert path is not None and rollout.take_path() is None
+    return path
+
+
 def test_a_rollout_includes_the_settling_time_and_is_sampled_at_100_hz() -> None:
     rollout = execution()
     assert rollout.start_ns is None
     for tick in range(251):
         assert answer(rollout, tick) is not None and not rollout.complete
     assert answer(rollout, 251) is None and rollout.complete
-    path = rollout.path(HOME, STILL)
+    path = path_of(rollout)
     assert (path.id, rollout.start_ns) == ("trial-0001", START_NS)
     np.testing.assert_allclose(path.t, np.arange(51) * 0.01, atol=1e-12)
     np.testing.assert_allclose(path.position, np.tile(POSITION, (51, 1)))
@@ -68,14 +76,14 @@ def test_a_gap_in_the_states_is_a_gap_in_the_path_and_does_not_stop_time() -> No
     for tick in (0, 1, 2, 40, 41, 240):
         assert answer(rollout, tick) is not None
     assert answer(rollout, 300) is None and rollout.complete
-    np.testing.assert_allclose(rollout.path(HOME, STILL).t, [0.0, 0.08, 0.48])
+    np.testing.assert_allclose(path_of(rollout).t, [0.0, 0.08, 0.48])
 
 
 def test_stamps_with_jitter_count_as_the_nearest_tick_and_no_sample_comes_twice() -> None:
     rollout = execution()
     for tick in (0.0, 0.4, 1.1, 4.9, 5.3, 5.4, 9.6):
         answer(rollout, tick)
-    np.testing.assert_allclose(rollout.path(HOME, STILL).t, [0.0, 0.01, 0.02])
+    np.testing.assert_allclose(path_of(rollout).t, [0.0, 0.01, 0.02])
 
 
 def test_the_tool_in_the_region_ends_the_rollout_with_a_sample_of_that_state() -> None:
@@ -85,7 +93,7 @@ def test_the_tool_in_the_region_ends_the_rollout_with_a_sample_of_that_state() -
         assert answer(rollout, tick, outside) is not None
     assert answer(rollout, 7) is None
     assert not rollout.complete and rollout.stopped_in == REGION.name
-    path = rollout.path(HOME, STILL)
+    path = path_of(rollout)
     np.testing.assert_allclose(path.t, [0.0, 0.01, 0.014])
     np.testing.assert_allclose(path.position[-1], POSITION)
 
@@ -95,18 +103,27 @@ def test_a_region_entered_in_a_sampled_tick_leaves_a_valid_path() -> None:
     rollout = execution(settings=SETTINGS.model_copy(update={"region": REGION}))
     answer(rollout, 0, outside)
     assert answer(rollout, 0.4) is None  # still tick 0
-    assert rollout.path(HOME, STILL).t.tolist() == [0.0]
+    assert path_of(rollout).t.tolist() == [0.0]
     later = execution(settings=SETTINGS.model_copy(update={"region": REGION}))
     for tick in (0, 5, 10):
         answer(later, tick, outside)
     assert answer(later, 10.4) is None
-    np.testing.assert_allclose(later.path(HOME, STILL).t, [0.0, 0.01, 0.02])
+    np.testing.assert_allclose(path_of(later).t, [0.0, 0.01, 0.02])
 
 
 def test_a_rollout_that_never_began_has_a_path_of_one_pose() -> None:
-    path = execution().path(HOME, STILL)
+    path = path_of(execution())
     assert path.t.tolist() == [0.0]
     np.testing.assert_allclose(path.position[0], POSITION)
+
+
+def test_the_path_is_that_of_the_first_end() -> None:
+    rollout = execution()
+    assert rollout.under_way and rollout.take_path() is None
+    answer(rollout, 0)
+    path_of(rollout)
+    rollout.end(JointState(START_NS, HOME + 0.1, STILL, 0.002, 0.002))
+    assert not rollout.under_way and rollout.take_path() is None
 
 
 def test_a_tool_that_is_rotated_too_far_loses_tracking() -> None:
@@ -122,4 +139,4 @@ def test_a_loop_slower_than_the_path_samples_every_tick() -> None:
     rollout = execution(settings=SETTINGS.model_copy(update={"period": 0.02}))
     for tick in range(0, 250, 10):
         answer(rollout, tick)
-    np.testing.assert_allclose(rollout.path(HOME, STILL).t, np.arange(25) * 0.02)
+    np.testing.assert_allclose(path_of(rollout).t, np.arange(25) * 0.02)

@@ -27,7 +27,7 @@ class Answered:
 
     def __init__(self) -> None:
         self.core: Controller = make()
-        self.policy = self.core._rollouts.policy
+        self.policy = self.core._policy
         self.plant = Plant(HOME)
         self.answers: list[tuple[str, Answer]] = []
         self.requests = MotionRequests(

@@ -31,7 +31,7 @@ from wam_power_ros.control.modes import (
     Refusal,
     check_transition,
 )
-from wam_power_ros.control.policy_execution import Rollouts
+from wam_power_ros.control.policy_execution import Execution
 from wam_power_ros.control.prepared_policy import PreparedPolicy, prepare
 from wam_power_ros.control.state_checks import (
     STATE_LOSS_TIMEOUT,
@@ -100,7 +100,9 @@ class Controller:
         self._output = TorqueOutput(arm, self.limits, compensated, self.counters)
         self._supervision = Supervision(arm, self.limits, settings, self._output.motor_torque)
         self._joints = JointControl(arm, self.limits)
-        self._rollouts = Rollouts(arm, settings)
+        self._policy: PreparedPolicy | None = None  # loaded
+        self._rollout: Execution | None = None  # the last that began
+        self._completed: set[str] = set()  # contents of policies that have run to their end
         self.unexplained = UnexplainedTorque(arm)
         self._brake = BrakeWithoutModel(arm, compensated, settings.period)
         self._failed = False  # no torque could be computed for the last state
@@ -146,17 +148,18 @@ class Controller:
     @property
     def policy_id(self) -> str | None:
         """Id of the loaded policy, None before the first."""
-        return None if self._rollouts.policy is None else self._rollouts.policy.id
+        return None if self._policy is None else self._policy.id
 
     @property
     def rollout_stamp_ns(self) -> int | None:
         """Stamp of the first state of the last ended rollout [ns]; None during one."""
-        return self._rollouts.start_ns
+        rollout = self._rollout
+        return None if rollout is None or rollout.under_way else rollout.start_ns
 
     @property
     def stopped_in(self) -> str:
-        """Name of the guarded region that ended the last ended rollout; "" if none did."""
-        return self._rollouts.stopped_in
+        """Name of the guarded region that ended the last rollout; "" if none did."""
+        return "" if self._rollout is None else self._rollout.stopped_in
 
     @property
     def at_rest(self) -> bool:
@@ -183,7 +186,7 @@ class Controller:
 
     def take_finished(self) -> EndEffectorPath | None:
         """Return the path of the last finished or aborted rollout, once; then None."""
-        return self._rollouts.take_path()
+        return None if self._rollout is None else self._rollout.take_path()
 
     def take_error(self) -> Exception | None:
         """Return the last exception, once; then None."""
@@ -208,7 +211,7 @@ class Controller:
         """
         if self._mode is Mode.ROLLOUT:
             raise ControllerError(Refusal.BUSY, f"policy {policy.id} refused during a rollout")
-        self._rollouts.policy = policy
+        self._policy = policy
 
     def hold(self) -> None:
         """Abort any motion, brake and hold the posture.
@@ -265,7 +268,7 @@ class Controller:
         Raises:
             ControllerError: No policy is loaded, the arm moves, or the mode does not allow it.
         """
-        self._move(Mode.MOVE_TO_START, self._rollouts.loaded("move_to_start").q_start)
+        self._move(Mode.MOVE_TO_START, self._require_policy("move_to_start").q_start)
 
     def start_replay(self, movement: Sampled) -> None:
         """Move to the start of a recorded joint movement, then follow it, then hold.
@@ -286,10 +289,11 @@ class Controller:
         Raises:
             ControllerError: The arm is not ready; the message says why.
         """
-        self._require_ready()
+        policy = self._require_ready()
         self._require_switch(Mode.ROLLOUT)
+        rollout = Execution(policy, self.arm, self.settings)
         self._enter(Mode.ROLLOUT)
-        self._rollouts.begin()
+        self._rollout, self._mode_label = rollout, f"rollout {policy.id}"
 
     def fault(self, fault: Fault) -> None:
         """Latch a fault and abort any motion; no effect when inactive or in a fault."""
@@ -339,10 +343,12 @@ class Controller:
     def _enter(self, mode: Mode, reset: bool = False) -> None:
         """Change the mode and end the rollout or reference of the old one."""
         check_transition(self._mode, mode, self.latched, reset)
-        if self._states.last is None and mode is not Mode.INACTIVE:
+        last = self._states.last
+        if last is None and mode is not Mode.INACTIVE:
             text = f"{mode.value} refused: no joint state has been received yet"
             raise ControllerError(Refusal.NOTHING, text)
-        self._rollouts.end(self._states.last)
+        if self._rollout is not None and last is not None:
+            self._rollout.end(last)
         if self._mode is Mode.INACTIVE:
             self._supervision.begin()
             self.unexplained.begin()
@@ -366,7 +372,9 @@ class Controller:
         """Whether this mode requires the enabling switch and it is not held."""
         if self.enabled or not self.settings.hold_to_run or mode not in SWITCH_MODES:
             return False
-        return mode is not Mode.ROLLOUT or not self._rollouts.completed_before
+        loaded = self._policy
+        completed = loaded is not None and loaded.content in self._completed
+        return mode is not Mode.ROLLOUT or not completed
 
     def _require_switch(self, mode: Mode) -> None:
         if self._lacks_switch(mode):
@@ -401,18 +409,29 @@ class Controller:
             return "no joint state has been received yet"
         return safety.rest_violation(self.arm.motion(last.q, last.qd))
 
-    def _require_ready(self) -> None:
-        """Refuse a rollout that cannot begin now."""
+    def _require_policy(self, request: str) -> PreparedPolicy:
+        if self._policy is None:
+            raise ControllerError(Refusal.NOTHING, f"{request} refused: no policy is loaded")
+        return self._policy
+
+    def _require_ready(self) -> PreparedPolicy:
+        """Return the loaded policy; refuse a rollout that cannot begin now."""
         if self.latched is not None:
             text = f"rollout refused: fault ({self.latched.text}); reset first"
             raise ControllerError(Refusal.FAULT, text)
-        self._rollouts.loaded("rollout")
+        policy = self._require_policy("rollout")
         last = self._states.last
         if self._mode is not Mode.HOLD or last is None:
             text = f"rollout refused: mode is {self._mode.value}, not hold"
             raise ControllerError(Refusal.BUSY, text)
         self._require_rest("rollout")
-        self._rollouts.require_start(last.q)
+        error, tolerance = np.abs(last.q - policy.q_start), self.settings.start_tolerance
+        worst = int(np.argmax(error))
+        if error[worst] > tolerance:
+            joint = f"{self.arm.joint_names[worst]} is {error[worst]:.3f} rad from the start"
+            text = f"rollout refused: {joint} of policy {policy.id}, tolerance {tolerance:g}"
+            raise ControllerError(Refusal.NOT_AT_START, text, {"policy": policy.id})
+        return policy
 
     # Control cycle
 
@@ -579,8 +598,7 @@ class Controller:
         tau = self._torque(state, motion)
         q = supervision.reaction.posture if self._mode is Mode.FAULT else state.q
         sent = self._send(self._with_springs(tau, q, state.span), q, dt)
-        rollout = self._rollouts.active_id
-        self._label = self._mode_label if rollout is None else f"rollout {rollout}"
+        self._label = self._mode_label
         return sent
 
     def _torque(self, state: JointState, motion: Motion | Speeds) -> np.ndarray:
@@ -652,9 +670,12 @@ class Controller:
     def _rollout_torque(self, state: JointState, motion: Motion | Speeds) -> np.ndarray:
         if not isinstance(motion, Motion):
             raise TypeError("a rollout needs the position of the tool")
-        tau = self._rollouts.torque(state, motion)
-        if tau is not None:
+        if (rollout := self._rollout) is None or not rollout.under_way:
+            raise RuntimeError("no rollout is under way")
+        if (tau := rollout.torque(state, motion)) is not None:
             return tau
+        if rollout.complete and self._policy is not None:
+            self._completed.add(self._policy.content)
         self._enter(Mode.HOLD)
         return self._joint_torque(state, motion)
 

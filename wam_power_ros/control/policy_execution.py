@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Execution of a policy on the arm: the loaded policy, its rollouts and their paths."""
+"""Execution of a policy on the arm: one rollout and its path."""
 
 import math
 from collections.abc import Callable
@@ -11,7 +11,6 @@ from wam_power_ros.control import torque_law
 from wam_power_ros.control.arm import Arm, Dynamics, Motion
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.joint_control import TrackingLost
-from wam_power_ros.control.modes import ControllerError, Refusal
 from wam_power_ros.control.prepared_policy import PreparedPolicy
 from wam_power_ros.control.state_checks import JointState
 from wam_power_ros.learning import dmp
@@ -30,6 +29,7 @@ class Execution:
     Attributes:
         id: Id of the policy.
         start_ns: Stamp of the first state [ns], None before it.
+        under_way: False from `end` on.
         complete: Whether the movement has run to its end.
         stopped_in: Name of the guarded region that has ended it, "" for none.
 
@@ -42,8 +42,9 @@ class Execution:
     def __init__(self, prepared: PreparedPolicy, arm: Arm, settings: ControllerSettings) -> None:
         self.id = prepared.id
         self.start_ns: int | None = None
-        self.complete = False
+        self.under_way, self.complete = True, False
         self.stopped_in = ""
+        self._path: EndEffectorPath | None = None
         self._arm, self._tables = arm, prepared.tables
         self._law: Law = getattr(torque_law, settings.law)
         self._reference = rotations.matrix(prepared.orientation_reference).T
@@ -94,12 +95,20 @@ class Execution:
         dynamics = self._arm.dynamics(state.q, state.qd, state.bias)
         return self._law(motion, dynamics, acceleration)
 
-    def path(self, q: np.ndarray, qd: np.ndarray) -> EndEffectorPath:
-        """Path so far; one sample at this state when the rollout ended before its first state."""
+    def end(self, last: JointState) -> None:
+        """Keep the path so far, or that of the last state without one; has an effect once."""
+        if not self.under_way:
+            return
+        self.under_way = False
         if not self._count:
-            self._sample(0, self._arm.motion(q, qd))
+            self._sample(0, self._arm.motion(last.q, last.qd))
         n = self._count
-        return EndEffectorPath(self.id, self._t[:n], self._position[:n], self._quat_xyzw[:n])
+        self._path = EndEffectorPath(self.id, self._t[:n], self._position[:n], self._quat_xyzw[:n])
+
+    def take_path(self) -> EndEffectorPath | None:
+        """Return the path after the end, once; then None."""
+        path, self._path = self._path, None
+        return path
 
     def _sample(self, k: int, motion: Motion) -> None:
         """Add the tool's pose at a tick to the path, unless the path has one at this tick."""
@@ -111,98 +120,3 @@ class Execution:
         self._quat_xyzw[row] = rotations.quat_xyzw(motion.rotation)
         self._count += 1
         self._next_sample = (k // self._sample_ticks + 1) * self._sample_ticks
-
-
-class Rollouts:
-    """Holds at most one policy, and at most one rollout of it that is under way.
-
-    Attributes:
-        policy: Loaded policy, None before the first.
-        start_ns: Stamp of the first state of the last finished or aborted rollout [ns]; None before
-            the first and during a rollout.
-        stopped_in: Name of the guarded region that ended it, "" if none did.
-    """
-
-    def __init__(self, arm: Arm, settings: ControllerSettings) -> None:
-        self.policy: PreparedPolicy | None = None
-        self.start_ns: int | None = None
-        self.stopped_in = ""
-        self._arm, self._settings = arm, settings
-        self._completed: set[str] = set()  # contents of policies that have run to their end
-        self._execution: Execution | None = None
-        self._finished: EndEffectorPath | None = None
-
-    @property
-    def active_id(self) -> str | None:
-        """Id of the policy whose rollout is under way, None without one."""
-        return None if self._execution is None else self._execution.id
-
-    @property
-    def completed_before(self) -> bool:
-        """Whether a rollout of the loaded policy has run to its end before."""
-        return self.policy is not None and self.policy.content in self._completed
-
-    def loaded(self, request: str) -> PreparedPolicy:
-        """Return the loaded policy.
-
-        Args:
-            request: Name of the request that needs it, for the error message.
-
-        Raises:
-            ControllerError: No policy is loaded.
-        """
-        if self.policy is None:
-            raise ControllerError(Refusal.NOTHING, f"{request} refused: no policy is loaded")
-        return self.policy
-
-    def require_start(self, q: np.ndarray) -> None:
-        """Refuse a rollout that would not begin at the policy's start.
-
-        Args:
-            q: Joint positions [rad]. Shape (n,).
-
-        Raises:
-            ControllerError: No policy is loaded, or the arm is not at its start.
-        """
-        policy, tolerance = self.loaded("rollout"), self._settings.start_tolerance
-        error = np.abs(q - policy.q_start)
-        worst = int(np.argmax(error))
-        if error[worst] > tolerance:
-            joint = f"{self._arm.joint_names[worst]} is {error[worst]:.3f} rad from the start"
-            text = f"rollout refused: {joint} of policy {policy.id}, tolerance {tolerance:g}"
-            raise ControllerError(Refusal.NOT_AT_START, text, {"policy": policy.id})
-
-    def begin(self) -> None:
-        """Begin a rollout of the loaded policy with the next state; drop the last path."""
-        self._finished = self.start_ns = None
-        self._execution = Execution(self.loaded("rollout"), self._arm, self._settings)
-
-    def torque(self, state: JointState, motion: Motion) -> np.ndarray | None:
-        """Joint torques for one state, None when the rollout is over [N m]. Shape (n,).
-
-        Raises:
-            TrackingLost: The tool's orientation is too far from its reference.
-        """
-        execution = self._execution
-        if execution is None:
-            raise RuntimeError("no rollout is under way")
-        tau = execution.torque(state, motion)
-        if tau is None and execution.complete and self.policy is not None:
-            self._completed.add(self.policy.content)
-        return tau
-
-    def end(self, last: JointState | None) -> None:
-        """Keep the path of the rollout under way, complete or not; no effect without one.
-
-        Args:
-            last: Last joint state, None before the first.
-        """
-        execution, self._execution = self._execution, None
-        if execution is not None and last is not None:
-            self._finished = execution.path(last.q, last.qd)
-            self.start_ns, self.stopped_in = execution.start_ns, execution.stopped_in
-
-    def take_path(self) -> EndEffectorPath | None:
-        """Return the path of the last finished or aborted rollout, once; then None."""
-        path, self._finished = self._finished, None
-        return path

@@ -142,31 +142,31 @@ def from_joint_samples(
     poses = [arm.tool_pose(row) for row in q]
     position = np.array([pose[0] for pose in poses])
     matrix = np.array([pose[1] for pose in poses])
-    speed = np.linalg.norm(_smoothed(position, half, 1), axis=1)
-    turning = _angular_speed(matrix, half)
-    only_turns = speed.max() < SPEED_MIN and turning.max() >= ANGULAR_SPEED_MIN
-    first, last = _extent(turning if only_turns else speed, movement, only_turns)
+    velocity = _smoothed(position, half, 1)
+    speed, turning = np.linalg.norm(velocity, axis=1), _angular_speed(matrix, half)
+    only_turns = speed.max() < SPEED_MIN
+    if only_turns and turning.max() < ANGULAR_SPEED_MIN:
+        raise ValueError(
+            f"peak speed {speed.max()} m/s; a movement has at least {SPEED_MIN} m/s, or turns the "
+            f"tool by at least {ANGULAR_SPEED_MIN} rad/s"
+        )
+    first, last = _extent(turning if only_turns else speed, movement)
     moves = turning >= max(movement.start * turning[first : last + 1].max(), ANGULAR_SPEED_MIN)
     if not only_turns:
         moves |= speed >= movement.start * speed.max()
-    # Smoothing reaches half a window beyond the movement.
+    kept = slice(first, last + 1)
+    # Smoothing reaches half a window beyond the movement, and so far the vectors are continuous.
     start = min(max(first - half, 0), len(q) - (2 * half + 1))
-    stop = max(min(last + half + 1, len(q)), start + 2 * half + 1)
-    kept = slice(first - start, last - start + 1)
-
-    def smooth(values: np.ndarray, derivative: int) -> np.ndarray:
-        return _smoothed(values[start:stop], half, derivative)[kept]
-
-    relative = np.matmul(matrix[start:stop], matrix[first].T)
-    vectors = rotations.continuous(rotations.log(relative))
-    vectors = _smoothed(vectors, half)[kept]
+    reached = slice(start, max(last + half, start + 2 * half) + 1)
+    vectors = rotations.log(np.matmul(matrix[reached], matrix[first].T))
+    vectors = _smoothed(rotations.continuous(vectors), half)[first - start : last - start + 1]
     quat = rotations.multiply(rotations.quat_of_vector(vectors), rotations.quat_xyzw(matrix[first]))
     return Demonstration(
         t=np.arange(last - first + 1) * PERIOD,
-        q=smooth(q, 0),
-        position=smooth(position, 0),
-        velocity=smooth(position, 1),
-        acceleration=smooth(position, 2),
+        q=_smoothed(q, half)[kept],
+        position=_smoothed(position, half)[kept],
+        velocity=velocity[kept],
+        acceleration=_smoothed(position, half, 2)[kept],
         quat_xyzw=quat,
         period=PERIOD,
         left_out=_left_out(moves, first, last, movement.pause_max),
@@ -300,17 +300,9 @@ def _angular_speed(matrix: np.ndarray, half: int) -> np.ndarray:
     return np.linalg.norm(_smoothed(np.concatenate([steps[:1], steps]), half), axis=1) / PERIOD
 
 
-def _extent(speed: np.ndarray, movement: Movement, only_turns: bool = False) -> tuple[int, int]:
-    """First and last sample of the movement around the peak of `speed` (N,).
-
-    The speed is that of the tool [m/s], or its angular speed [rad/s] if the tool only turns.
-    """
+def _extent(speed: np.ndarray, movement: Movement) -> tuple[int, int]:
+    """First and last sample of the movement around the peak of `speed` (N,)."""
     peak = int(np.argmax(speed))
-    if not only_turns and speed[peak] < SPEED_MIN:
-        raise ValueError(
-            f"peak speed {speed[peak]} m/s; a movement has at least {SPEED_MIN} m/s, or turns the "
-            f"tool by at least {ANGULAR_SPEED_MIN} rad/s"
-        )
     before = _moving(speed[peak::-1] >= movement.start * speed[peak], movement.pause_max)
     after = _moving(speed[peak:] >= movement.end * speed[peak], movement.pause_max)
     return peak - before, peak + after

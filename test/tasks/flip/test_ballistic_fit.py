@@ -115,17 +115,14 @@ def test_an_arc_that_has_not_come_down_at_the_end_of_the_path_has_no_crossing() 
     assert find_crossing(arc, pan, DELTA_H) is None
 
 
-def test_the_crossing_is_uncertain_in_time_not_in_height() -> None:
-    # The height at the crossing is given: its deviation is that of the pan's height and the noise.
+def test_the_position_of_a_crossing_beyond_the_frames_is_less_certain() -> None:
     rng = np.random.default_rng(17)
     truth = toss(rng, vz=2.4, half_turns=1.0)
     path = capture(truth, rng)
     gap = (path.t > truth.t_f - 0.15) & (path.t < truth.t_f + 0.1)  # not seen near the crossing
     near, far = crossing_of(truth, path), crossing_of(truth, without(path, gap))
-    assert far.t_std > 2.0 * near.t_std
-    assert far.position_std[0] > 2.0 * near.position_std[0]
-    assert far.position_std[2] < 0.5 * far.position_std[0]
-    assert near.position_std.min() >= POSITION_NOISE
+    assert far.position_std > 2.0 * near.position_std
+    assert near.position_std >= POSITION_NOISE
 
 
 def test_the_covariance_grows_with_the_scatter_of_the_frames() -> None:

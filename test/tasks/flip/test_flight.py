@@ -19,17 +19,12 @@ def true_angle(toss: Toss) -> float:
     return at(toss, toss.t_f, toss.winding)
 
 
-def errors(toss: Toss, flight: Flight) -> dict[str, tuple[float, float]]:
-    """Error and estimated standard deviation of each quantity."""
+def errors(toss: Toss, flight: Flight) -> tuple[float, float, float, float]:
+    """Errors of t_f [s], position [m], normal [rad] and angle [rad]."""
     position = flight.position - at(toss, toss.t_f, toss.position)
-    normal = at(toss, toss.t_f, toss.normal)
-    worst = int(np.argmax(np.abs(position) / flight.position_std))
-    return {
-        "t_f": (flight.t_f - toss.t_f, flight.t_f_std),
-        "position": (position[worst], flight.position_std[worst]),
-        "normal": (angle_between(flight.normal, normal), flight.normal_std),
-        "angle": (flight.angle - true_angle(toss), flight.angle_std),
-    }
+    normal = angle_between(flight.normal, at(toss, toss.t_f, toss.normal))
+    distance = float(np.linalg.norm(position))
+    return flight.t_f - toss.t_f, distance, normal, flight.angle - true_angle(toss)
 
 
 def many(
@@ -50,22 +45,16 @@ def many(
     ("lose", "air", "rate"),
     [(0.0, 1.0, 30.0), (0.4, 1.0, 30.0), (0.0, 2.0, 30.0), (0.0, 1.0, 120.0)],
 )
-def test_errors_stay_within_three_stated_standard_deviations(
+def test_nine_fits_of_ten_are_within_a_millisecond_a_millimetre_and_a_degree(
     lose: float, air: float, rate: float
 ) -> None:
     flights = many(40, seed=5, lose=lose, air=air, rate=rate)
     seen = [(truth, flight) for truth, _, flight in flights if flight.seen]
     assert len(seen) >= 0.9 * len(flights)
-    ratios = np.array(
-        [[abs(e) / s for e, s in errors(truth, flight).values()] for truth, flight in seen]
-    )
-    assert np.mean(ratios <= 3.0) >= 0.98
-    # The estimated deviations are not merely large: errors reach a good part of them.
-    t_f, position, normal, angle = np.sqrt(np.mean(ratios**2, axis=0))
-    assert min(t_f, position) > 0.2 and normal > 0.8 and angle > 0.5
-    assert np.median([flight.t_f_std for _, flight in seen]) < 0.001
-    assert np.median([flight.position_std.max() for _, flight in seen]) < 0.0015
-    assert np.median([flight.angle_std for _, flight in seen]) < math.radians(0.5)
+    found = np.abs([errors(truth, flight) for truth, flight in seen])
+    limits = np.array([0.001, 0.001, math.radians(1.0), math.radians(1.0)])
+    assert np.all(np.percentile(found, 90, axis=0) < limits)
+    assert np.all(np.median(found, axis=0) < 0.5 * limits)
 
 
 def test_the_fit_is_many_times_nearer_than_the_nearest_frame() -> None:
@@ -82,8 +71,8 @@ def test_the_fit_is_many_times_nearer_than_the_nearest_frame() -> None:
 def test_drag_biases_the_result_by_less_than_a_millimetre_and_half_a_degree() -> None:
     flights = many(40, seed=3)
     found = [errors(truth, flight) for truth, _, flight in flights]
-    assert abs(np.mean([error["t_f"][0] for error in found])) < 0.0005
-    assert abs(np.mean([error["angle"][0] for error in found])) < math.radians(0.5)
+    t_f, _, _, angle = np.mean(found, axis=0)
+    assert abs(t_f) < 0.0005 and abs(angle) < math.radians(0.5)
     along = [f.position - at(truth, truth.t_f, truth.position) for truth, _, f in flights]
     assert np.abs(np.mean(along, axis=0)).max() < 0.001
 
@@ -149,18 +138,6 @@ def test_the_same_flight_turned_and_shifted_in_the_base_frame_gives_the_same_ter
     assert two.landing_error == pytest.approx(matrix @ one.landing_error, abs=1e-6)
 
 
-def test_cameras_worse_than_believed_are_noticed() -> None:
-    rng = np.random.default_rng(14)
-    late, stds = [], []
-    for _ in range(40):
-        truth = toss(rng, vz=2.4, half_turns=1.0)
-        flight = observe_flight(truth.pan, capture(truth, rng, noise=8.0))
-        late.append(abs(flight.t_f - truth.t_f) / flight.t_f_std)
-        stds.append(flight.position_std[:2].max())
-    assert np.mean(np.array(late) <= 3.0) >= 0.9
-    assert np.median(stds) > 0.001
-
-
 def test_a_low_toss_is_no_toss() -> None:
     rng = np.random.default_rng(1)
     truth = toss(rng, vz=1.3, half_turns=0.2)
@@ -202,16 +179,25 @@ def test_losing_the_view_is_reported_and_never_breaks_the_numbers() -> None:
     assert (single.tossed, single.seen) == (True, False)
 
 
+def test_a_descent_that_frames_of_the_rise_do_not_foretell_counts_as_not_seen() -> None:
+    rng = np.random.default_rng(12)
+    truth = toss(rng, vz=3.4, half_turns=1.0)
+    path = capture(truth, rng)
+    for rise, seen in ((0.1, False), (0.4, True)):
+        flight = observe_flight(truth.pan, without(path, path.t > truth.release + rise))
+        assert (flight.tossed, flight.seen) == (True, seen)
+        assert np.any(flight.landing_error) == seen
+
+
 def _assert_finite(flight: Flight) -> None:
     for name, value in vars(flight).items():
         assert np.all(np.isfinite(value)), name
-    assert flight.t_f_std >= 0.0
     assert np.linalg.norm(flight.spin_axis) == pytest.approx(1.0)
 
 
-def test_two_frames_give_a_wide_but_honest_answer() -> None:
+def test_two_frames_count_as_seen_only_where_they_tell_the_position() -> None:
     rng = np.random.default_rng(21)
-    inside = []
+    distances = []
     for _ in range(15):
         truth = toss(rng, vz=2.4, half_turns=rng.uniform(0.4, 1.2))
         path = capture(truth, rng)
@@ -221,9 +207,9 @@ def test_two_frames_give_a_wide_but_honest_answer() -> None:
         lost[rng.choice(air, 2, replace=False)] = False
         flight = observe_flight(truth.pan, without(path, lost))
         if flight.tossed and flight.seen:
-            inside += [abs(e) <= 3.0 * s for e, s in errors(truth, flight).values()]
-    assert len(inside) >= 40
-    assert np.mean(inside) >= 0.95
+            distances.append(errors(truth, flight)[1])
+    assert len(distances) >= 10
+    assert max(distances) < 0.1 and np.median(distances) < 0.003
 
 
 def test_the_result_is_the_same_every_time() -> None:

@@ -30,8 +30,6 @@ def spin(omega: np.ndarray = OMEGA, decay: float = 0.0, **changes: object) -> Sp
         "release": 0.2,
         "normal0": UP,
         "theta": np.array([0.0, 0.0, *omega, decay]),
-        "covariance": np.zeros((6, 6)),
-        "ambiguous": False,
     }
     return Spin(**{**values, **changes})
 
@@ -84,25 +82,6 @@ def test_without_spin_the_angle_is_folded_and_the_axis_leads_from_rest_to_the_en
     assert axis == pytest.approx([0.0, 1.0, 0.0])
 
 
-def test_the_covariance_of_the_normal_is_that_of_the_parameters_and_of_the_time() -> None:
-    rng = np.random.default_rng(3)
-    std = np.array([0.01, 0.02, 0.1, 0.05, 0.1, 0.1])
-    uncertain = spin(decay=0.5, covariance=np.diag(std**2))
-    normal, covariance = uncertain.normal_with_covariance(0.8, 0.002)
-    drawn = np.array(
-        [
-            spin(theta=uncertain.theta + std * rng.normal(size=6)).normal(
-                0.8 + 0.002 * rng.normal()
-            )[0]
-            for _ in range(3000)
-        ]
-    )
-    assert normal == pytest.approx(uncertain.normal(0.8)[0])
-    assert covariance == pytest.approx(np.cov(drawn.T), abs=0.1 * np.trace(covariance))
-    assert normal @ covariance @ normal < 1e-9  # no variance along the normal, whose length is 1
-    assert np.trace(uncertain.normal_with_covariance(0.8, 0.0)[1]) < np.trace(covariance)
-
-
 def test_the_jacobian_is_the_derivative_of_the_residuals() -> None:
     s = np.linspace(-0.2, 0.2, 6)
     targets = rotations.exp(np.outer(s, OMEGA)) @ UP
@@ -131,21 +110,12 @@ def test_the_fitted_spin_has_the_true_normals_and_axis(air: float) -> None:
     for _ in range(5):
         truth = toss(rng, vz=2.4, half_turns=1.2, air=air)
         found = fitted(truth, capture(truth, rng))
-        assert not found.ambiguous
         for t in np.linspace(truth.release + 0.05, truth.t_f, 5):
             assert angle_between(found.normal(t)[0], at(truth, t, truth.normal)) < 0.015
         axis, _ = found.turned(UP, truth.t_f)
         assert angle_between(axis, np.array([0.0, -1.0, 0.0])) < 0.4  # yaw of up to 0.3 rad
         before, after = (at(truth, truth.t_f + dt, truth.winding) for dt in (-0.02, 0.02))
         assert found.rate(truth.t_f) == pytest.approx((after - before) / 0.04, rel=0.1)
-
-
-def test_frames_too_far_apart_to_count_the_turns_are_reported_as_ambiguous() -> None:
-    rng = np.random.default_rng(23)
-    for _ in range(4):
-        truth = toss(rng, vz=3.2, half_turns=1.2)
-        assert fitted(truth, capture(truth, rng, rate=5.0)).ambiguous
-        assert not fitted(truth, capture(truth, rng, rate=20.0)).ambiguous
 
 
 def test_rare_frames_of_a_pancake_that_does_not_turn_have_no_spin() -> None:

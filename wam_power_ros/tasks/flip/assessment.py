@@ -50,17 +50,18 @@ def assess(policy: Policy, rollout: Rollout, settings: FlipSettings) -> Assessme
 
 
 def flight_of(observation: Mapping[str, Any]) -> Flight | None:
-    """Flight from an observation of `assess`; None if its fields are not those of `Flight`.
+    """Flight from an observation of `assess`; None if it lacks fields of `Flight`.
 
-    A session from before a field with a default has no such field.
+    An older session has no fields with a default, and others that `Flight` no longer has.
     """
     known = dataclasses.fields(Flight)
     needed = {field.name for field in known if field.default is dataclasses.MISSING}
-    if not needed <= set(observation) <= {field.name for field in known}:
+    if not needed <= set(observation):
         return None
     fields: dict[str, Any] = {
         name: np.array(value) if isinstance(value, list) else value
         for name, value in observation.items()
+        if name in {field.name for field in known}
     }
     return Flight(**fields)
 

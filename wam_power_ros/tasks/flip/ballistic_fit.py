@@ -62,16 +62,14 @@ class Crossing:
 
     Attributes:
         t: Time of the crossing [s].
-        t_std: Standard deviation of `t` [s].
         position: Position at time `t`, base frame [m]. Shape (3,).
-        position_std: Standard deviation of `position` [m]. Shape (3,).
+        position_std: Largest standard deviation of `position` along an axis [m].
         apex: Largest height of the arc, base frame [m].
     """
 
     t: float
-    t_std: float
     position: np.ndarray
-    position_std: np.ndarray
+    position_std: float
     apex: float
 
 
@@ -138,8 +136,7 @@ def find_crossing(arc: Arc, pan: EndEffectorPath, delta_h: float) -> Crossing | 
     k = apex + int(below[0])
     slope = float((above[k] - above[k - 1]) / (grid[k] - grid[k - 1]))
     t = float(grid[k] - above[k] / slope)
-    position, position_std, t_std = _at_crossing(arc, t, slope)
-    return Crossing(t, t_std, position, position_std, float(height.max()))
+    return Crossing(t, *_at_crossing(arc, t, slope), float(height.max()))
 
 
 def release_time(frames: Frames, arc: Arc, pan: EndEffectorPath) -> float:
@@ -177,8 +174,8 @@ def _consensus(t: np.ndarray, position: np.ndarray) -> np.ndarray:
     return near[int(np.argmax(score))]
 
 
-def _at_crossing(arc: Arc, t: float, slope: float) -> tuple[np.ndarray, np.ndarray, float]:
-    """Position at t and the standard deviations of both; the crossing time depends on the fit.
+def _at_crossing(arc: Arc, t: float, slope: float) -> tuple[np.ndarray, float]:
+    """Position at t and its largest standard deviation; the crossing time depends on the fit.
 
     `slope` is the rate of change of the height above the pan at t [m/s].
     """
@@ -189,8 +186,7 @@ def _at_crossing(arc: Arc, t: float, slope: float) -> tuple[np.ndarray, np.ndarr
     dt = -jacobian[2] / slope  # (12,)
     moved = jacobian + np.outer(velocity, dt)
     variance = np.einsum("ij,jk,ik->i", moved, arc.covariance, moved) + POSITION_NOISE**2
-    t_std = math.sqrt(dt @ arc.covariance @ dt + (POSITION_NOISE / slope) ** 2)
-    return now, np.sqrt(variance), t_std
+    return now, math.sqrt(variance.max())
 
 
 def _powers(s: np.ndarray) -> np.ndarray:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Free flight of the pancake, estimated from motion-capture frames, with uncertainty.
+"""Free flight of the pancake, estimated from motion-capture frames.
 
 At 30 frames/s the pancake falls 7-10 cm and turns 20 degrees from one frame to the next, so the
 nearest frame is a poor measurement at the time t_f at which it passes Delta_h above the pan
@@ -18,22 +18,18 @@ import numpy as np
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
 from wam_power_ros.tasks.flip.ballistic_fit import Arc, Crossing, find_crossing, fit_arc
 from wam_power_ros.tasks.flip.frames import (
-    POSITION_NOISE,
     REST_WINDOW,
-    TILT_NOISE,
     Frames,
     frames_from_pan,
     interpolate,
     pan_normal,
     pitch_of,
-    unit,
 )
 from wam_power_ros.tasks.flip.spin_fit import angle_between, axis_between, fit_spin
 
 DELTA_H = 0.12  # larger than the pancake's radius, so that its edge is still above the pan [m]
 FLIP_ANGLES = (math.radians(150.0), math.radians(240.0))  # [rad] in the air of a true flip
 _POSITION_STD_MAX = 0.1  # with a larger one at t_f the pancake counts as lost from view [m]
-_UNKNOWN_STD = 1.0  # standard deviation of an unknown value [m, s or rad]
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,20 +38,16 @@ class Flight:
 
     Attributes:
         tossed: Whether it rose above the pan by more than Delta_h.
-        seen: Whether its position at t_f is known. If not, `position` is the last known one, its
-            standard deviation is 1 m, and `landing_error` is 0.
+        seen: Whether its position at t_f is known. If not, `position` is the last known one and
+            `landing_error` is 0.
         t_f: Time at which it falls through the pan's height + Delta_h [s]; the end of the path if
             not tossed.
-        t_f_std: Standard deviation of t_f [s].
         position: Position of its centre at t_f, base frame [m]. Shape (3,).
-        position_std: Standard deviation of `position` [m]. Shape (3,).
         pan_position: Position of the pan at t_f, base frame [m]. Shape (3,).
         normal_start: Normal v0 at rest, that of the pan at the start, base frame. Shape (3,).
         normal: Normal v_tf at t_f, base frame. Shape (3,).
-        normal_std: Standard deviation of the direction of `normal` [rad].
         angle: Rotation from rest to t_f in the plane normal to the spin axis [rad]; 0 if not
             tossed. Of a toss in one plane, arccos(v0 . v_tf) unfolded by the number of half turns.
-        angle_std: Standard deviation of `angle` [rad].
         spin_axis: Unit vector about which the rotation is positive, base frame. Shape (3,).
         spin_rate: Spin rate at t_f [rad/s].
         apex: Highest point above the pan's height at the start [m].
@@ -73,15 +65,11 @@ class Flight:
     tossed: bool
     seen: bool
     t_f: float
-    t_f_std: float
     position: np.ndarray
-    position_std: np.ndarray
     pan_position: np.ndarray
     normal_start: np.ndarray
     normal: np.ndarray
-    normal_std: float
     angle: float
-    angle_std: float
     spin_axis: np.ndarray
     spin_rate: float
     apex: float
@@ -94,7 +82,7 @@ class Flight:
 
 
 def observe_flight(pan: EndEffectorPath, pancake: BodyPath, delta_h: float = DELTA_H) -> Flight:
-    """Estimate the flight of the pancake, with uncertainty, from the paths of pan and pancake.
+    """Estimate the flight of the pancake from the paths of pan and pancake.
 
     The body-frame normal of the pancake is taken from the pan's normal while the pancake rests in
     the pan at the start, so it does not depend on the axes chosen in the motion capture. The paper
@@ -127,30 +115,20 @@ def observe_flight(pan: EndEffectorPath, pancake: BodyPath, delta_h: float = DEL
 def _flight_on_arc(pan: EndEffectorPath, frames: Frames, arc: Arc, crossing: Crossing) -> Flight:
     """Flight with a known crossing."""
     spin = fit_spin(frames, arc, pan)
-    normal, normal_cov = spin.normal_with_covariance(crossing.t, crossing.t_std)
-    normal_cov += TILT_NOISE**2 / frames.resting_frames * np.eye(3)
     axis, angle = spin.turned(frames.normal_start, crossing.t)
-    across = unit(np.cross(axis, frames.normal_start))
-    sine, cosine = float(normal @ across), float(normal @ frames.normal_start)
-    along = cosine * across - sine * frames.normal_start  # of a normal that turns further
-    angle_std = math.sqrt(max(along @ normal_cov @ along, 0.0))
     pan_position = interpolate(crossing.t, pan.t, pan.position)
-    seen = bool(crossing.position_std.max() <= _POSITION_STD_MAX)
+    seen = crossing.position_std <= _POSITION_STD_MAX
     resting, flipped = frames.end_state(pan.t[-1])
     highest = max(crossing.apex, frames.position[:, 2].max())
     return Flight(
         tossed=True,
         seen=seen,
         t_f=crossing.t,
-        t_f_std=crossing.t_std,
         position=crossing.position if seen else frames.position[-1],
-        position_std=crossing.position_std if seen else np.full(3, _UNKNOWN_STD),
         pan_position=pan_position,
         normal_start=frames.normal_start,
-        normal=normal,
-        normal_std=math.sqrt(max(np.linalg.eigvalsh(normal_cov)[-1], 0.0)),
+        normal=spin.normal(np.array([crossing.t]))[0],
         angle=angle,
-        angle_std=_UNKNOWN_STD if spin.ambiguous else angle_std,
         spin_axis=axis,
         spin_rate=spin.rate(crossing.t),
         apex=float(highest - pan.position[0, 2]),
@@ -177,20 +155,15 @@ def _flight_without_arc(pan: EndEffectorPath, frames: Frames, delta_h: float) ->
     elif len(frames.t) and frames.resting_frames:
         normal = frames.normal[-1]
     seen = not tossed and bool(len(frames.t)) and bool(end - frames.t[-1] <= REST_WINDOW)
-    known_std = math.sqrt(3.0) * POSITION_NOISE
     return Flight(
         tossed=tossed,
         seen=seen,
         t_f=end,
-        t_f_std=_UNKNOWN_STD if tossed else 0.0,
         position=frames.position[-1] if len(frames.t) else last_pan,
-        position_std=np.full(3, known_std if seen else _UNKNOWN_STD),
         pan_position=last_pan,
         normal_start=frames.normal_start,
         normal=normal,
-        normal_std=TILT_NOISE if seen else _UNKNOWN_STD,
         angle=angle,
-        angle_std=_UNKNOWN_STD if tossed else 0.0,
         spin_axis=axis_between(frames.normal_start, normal),
         spin_rate=0.0,
         apex=float(frames.position[:, 2].max() - pan.position[0, 2]) if len(frames.t) else 0.0,

@@ -6,7 +6,7 @@
 The spin Omega / (1 + d s) results from a drag proportional to its square. A freely turning disc is
 a symmetric top: its normal moves on a cone about a constant axis at a constant rate, whatever its
 angular velocity, so a constant spin of the normal is exact in vacuum. n0, Omega and d are fitted to
-all frames by robust weighted least squares, with covariance.
+all frames by robust weighted least squares.
 """
 
 from __future__ import annotations
@@ -30,10 +30,8 @@ _SPIN_STD = 12.0
 _PRECESSION_STD = 3.0  # prior standard deviation of the spin about the disc's own normal [rad/s]
 _RELEASE_STD = 0.35  # prior: normal of the pancake from the pan's at release [rad]
 _SLOWING_MIN = 0.2  # smallest 1 + d s to which the spin is extrapolated [1]
-_SPARSE_INTERVAL = 0.07  # time between frames from which on the number of turns is ambiguous [s]
+_SPARSE_INTERVAL = 0.07  # time between frames from which on they may hide a turn more or less [s]
 _AXIS_ANGLE_MIN = 0.2  # smallest rotation in flight that defines the spin axis [rad]
-_AMBIGUOUS_COST = 6.0  # largest cost above the best one of an equally plausible spin [1]
-_OTHER_SPIN_MIN = 1.0  # smallest distance between different spins [rad/s]
 _DIFFERENCE_STEP = math.sqrt(float(np.finfo(float).eps))  # step, relative to a parameter [1]
 
 
@@ -46,16 +44,12 @@ class Spin:
         release: Time of release from the pan [s].
         normal0: Unit vector that the first two parameters rotate to n0. Shape (3,).
         theta: Rotation of normal0 about its two tangents [rad], Omega [rad/s], d [1/s]. Shape (6,).
-        covariance: Covariance of theta. Shape (6, 6).
-        ambiguous: Whether another number of turns fits the frames almost as well.
     """
 
     origin: float
     release: float
     normal0: np.ndarray
     theta: np.ndarray
-    covariance: np.ndarray
-    ambiguous: bool
 
     def normal(self, t: np.ndarray) -> np.ndarray:
         """Normal at times t (m,) [s], base frame. Shape (m, 3)."""
@@ -65,20 +59,6 @@ class Spin:
         """Spin rate at time t [rad/s]."""
         slowing = 1.0 + self.theta[5] * (t - self.origin)
         return float(np.linalg.norm(self.theta[2:5]) / max(slowing, _SLOWING_MIN))
-
-    def normal_with_covariance(self, t: float, t_std: float) -> tuple[np.ndarray, np.ndarray]:
-        """Normal at time t [s] and its covariance, including t_std [s]. Shapes (3,), (3, 3)."""
-        step = 1e-5
-        columns = [
-            _spun(self.theta + step * row, np.array([t - self.origin]), self.normal0)[0]
-            - _spun(self.theta - step * row, np.array([t - self.origin]), self.normal0)[0]
-            for row in np.eye(6)
-        ]
-        jacobian = np.array(columns).T / (2.0 * step)  # (3, 6)
-        later, earlier = self.normal(np.array([t + step, t - step]))
-        moved = (later - earlier) / (2.0 * step) * t_std
-        covariance = jacobian @ self.covariance @ jacobian.T + np.outer(moved, moved)
-        return self.normal(np.array([t]))[0], covariance
 
     def turned(self, start: np.ndarray, t: float) -> tuple[np.ndarray, float]:
         """Rotation of the normal from rest to time t.
@@ -131,18 +111,8 @@ def fit_spin(frames: Frames, arc: Arc, pan: EndEffectorPath) -> Spin:
                 max_nfev=60,
             )
         )
-    fits.sort(key=lambda fitted: fitted.cost)
-    best = fits[0]
-    information = best.jac.T @ best.jac
-    freedom = 2 * len(t) - 5
-    excess = 2.0 * best.cost / freedom if freedom > 0 else 1.0
-    covariance = np.linalg.pinv(information) * max(1.0, excess)
-    ambiguous = any(
-        fitted.cost < best.cost + _AMBIGUOUS_COST
-        and np.linalg.norm(fitted.x[2:5] - best.x[2:5]) > _OTHER_SPIN_MIN
-        for fitted in fits
-    )
-    return Spin(origin, release, problem.normal0, best.x, covariance, ambiguous)
+    best = min(fits, key=lambda fitted: fitted.cost)
+    return Spin(origin, release, problem.normal0, best.x)
 
 
 @dataclass(frozen=True, eq=False)
