@@ -129,7 +129,10 @@ class Supervision:
         alone = kind.of_states or mode in MOVING_MODES
         self.reaction.begin(sudden if guided else BEFORE, alone, guided)
         if mode in MOVING_MODES:
-            self.reaction.carried = -self._usual
+            # In a fast motion what sensors and motors lag is unexplained, too.
+            slow = mode is not Mode.ROLLOUT
+            certain = slow | (np.abs(self._usual) > self._arm.friction)
+            self.reaction.carried = np.where(certain, -self._usual, 0.0)
         else:  # what held the arm there; friction had a share in it that is not known elsewhere
             self.reaction.carried = unexplained.before(self.reaction.posture)
         if kind.of_states:
