@@ -328,3 +328,16 @@ def test_the_brake_without_a_model_holds_ahead_of_where_the_model_failed() -> No
         tau = brake.torque(state, 0.002)
         assert tau is not None
     assert np.abs(tau - MODEL.gravity(HOME)).max() < 0.1
+
+
+@pytest.mark.requirement("S-112")
+def test_the_brake_without_a_model_takes_a_later_speed_within_a_tenth_of_a_second() -> None:
+    brake, speed = BrakeWithoutModel(MODEL, driver_compensates_gravity=False), 0.1 * np.eye(7)[3]
+    brake.observe(MODEL, HOME, np.zeros(7))
+    for k, qd in enumerate((np.zeros(7), speed)):
+        state = JointState(10**12 + 2_000_000 * k, HOME, qd, 0.002, 0.002)
+        tau = brake.torque(state, 0.002)
+        assert tau is not None
+    braking = np.linalg.solve(MODEL.mass_matrix(HOME), tau - MODEL.gravity(HOME))
+    assert -60.0 < braking[3] / speed[3] < -20.0
+    assert np.abs(np.delete(braking, 3)).max() < 1e-9
