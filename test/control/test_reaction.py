@@ -191,3 +191,12 @@ def test_a_model_that_has_braked_rests_although_a_torque_would_let_it_creep() ->
         postures.append(reaction.posture)
     assert np.abs(postures[100] - HOME).max() > 1e-3
     np.testing.assert_array_equal(postures[-1], postures[-50])
+
+
+@pytest.mark.requirement("S-133")
+def test_an_arm_that_was_followed_in_its_fall_counts_as_having_rested() -> None:
+    reaction = Reaction(MODEL, MODEL.gravity)
+    reaction.begin(0.2)
+    assert not reaction.rested
+    reaction.follow(HOME)
+    assert reaction.rested
