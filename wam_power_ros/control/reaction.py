@@ -285,7 +285,7 @@ class Reaction:
         Args:
             state: Measured state.
             believed: Whether it is believed.
-            explained: Whether it is, and no other torque than the known ones is seen to act.
+            explained: Whether it is believed, and its motion is that of the torques sent.
             weight: Torque of a weight at the tool that the model does not have [N m]. Shape (n,).
         """
         model = self._model = self._model or self._at_posture(state.q)
@@ -388,7 +388,7 @@ class Reaction:
         if not self._alone or self._seconds > BRAKE_TIME:
             model.qd = confirmed(model.qd, before)  # a brake starts no motion
         if not self._alone or (explained and self._seconds > ANSWER_TIME):
-            model.qd = confirmed(model.qd, reported)  # believed so long, they are true
+            model.qd = confirmed(model.qd, reported)  # explained so long, they are true
         elif believed:
             slower = confirmed(model.qd, before)  # no error of the model moves it against them
             model.qd = np.where(model.qd * reported < 0.0, slower, model.qd)

@@ -119,20 +119,21 @@ class Supervision:
         """React to a fault of any kind, found in a mode."""
         self._rest_since_ns = None
         self.believed, self._contradicted, self._lasting = True, False, False
-        self._drifts, self._doubted = False, False
+        self._drifts, self._doubted, self._unexplained = False, False, 0
         self._payload.begin()
         begun = np.abs(self._plausibility.residual)
         self._suspect = bool((begun > self._explainable).any())
         guided = mode is Mode.GRAVITY_COMPENSATION
-        self._usual = (not guided) * self._usual
+        if guided:
+            self._usual = np.zeros(self._arm.n)
         sudden = BEFORE_STEP if kind.of_states else BEFORE_GUIDED
         alone = kind.of_states or mode in MOVING_MODES
         self.reaction.begin(sudden if guided else BEFORE, alone, guided)
         if mode in MOVING_MODES:
-            # In a fast motion what sensors and motors lag is unexplained, too.
-            slow = mode is not Mode.ROLLOUT
-            certain = slow | (np.abs(self._usual) > self._arm.friction)
-            self.reaction.carried = np.where(certain, -self._usual, 0.0)
+            beyond = -self._usual
+            if mode is Mode.ROLLOUT:  # fast: what sensors and motors lag is unexplained, too
+                beyond = np.where(np.abs(beyond) > self._arm.friction, beyond, 0.0)
+            self.reaction.carried = beyond
         else:  # what held the arm there; friction had a share in it that is not known elsewhere
             self.reaction.carried = unexplained.before(self.reaction.posture)
         if kind.of_states:
