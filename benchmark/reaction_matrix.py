@@ -399,6 +399,8 @@ LIES: dict[str, Callable[[int], Falsifier]] = {
     "drift +0.1": lambda j: added(j, lambda t: 0.1),
     "drift -0.1": lambda j: added(j, lambda t: -0.1),
     "drift +0.3": lambda j: added(j, lambda t: 0.3),
+    "soft drift +0.3": lambda j: added(j, lambda t: 0.3 * min(t / 0.1, 1.0)),
+    "soft drift -0.3": lambda j: added(j, lambda t: -0.3 * min(t / 0.1, 1.0)),
     "freeze": frozen,
     "swap": lambda j: mixed(j, 0.0),
     "gradual swap": lambda j: mixed(j, 0.5),
@@ -437,10 +439,6 @@ def _pressed(loop: Loop) -> None:
     loop.hand = None
 
 
-def _contact(loop: Loop) -> None:
-    _press(loop)
-
-
 def _faulted(loop: Loop) -> None:
     loop.controller.fault(A_FAULT)
 
@@ -452,7 +450,7 @@ CHANGES: dict[str, Callable[[Loop], None]] = {
     "motor 2 to 70 %": _weak,
     "gravity twice": _twice,
     "pressed, fault": _pressed,
-    "pressed": _contact,
+    "pressed": _press,
     "fault": _faulted,
 }
 

@@ -94,7 +94,7 @@ ALLOWED["benchmark"] = {*ALLOWED}
 BUDGET = {
     "ground": 1370,  # the modules of wam_power_ros/ itself
     "learning": 3055,
-    "control": 4900,  # the reaction asks in every state what is believed, and recognizes a mass
+    "control": 4955,  # the reaction asks in every state what is believed, knows a mass, and a drift
     "commissioning": 1230,
     "tracking": 620,
     "tasks": 3900,
@@ -114,7 +114,7 @@ BUDGET = {
     "launch": 260,
     "examples": 380,
     "reproduction": 4100,
-    "benchmark": 6730,  # the matrix of the reaction has a plant of its own
+    "benchmark": 6728,  # the matrix of the reaction has a plant of its own
 }
 PURE = (
     "faults",

@@ -87,8 +87,12 @@ def test_a_fault_of_true_states_stops_an_arm_that_is_not_its_model(mode: str, ar
 
 
 @pytest.mark.requirement("S-131")
-def test_a_drifting_zero_does_not_lead_a_held_arm_away_after_its_fault() -> None:
-    outcome = run(Cell("drift +0.3", 3, "hold", "model"))
+@pytest.mark.parametrize("kind", ["drift +0.3", "soft drift +0.3", "soft drift -0.3"])
+@pytest.mark.parametrize("joint", [1, 3, 5])
+def test_a_drifting_zero_does_not_lead_a_held_arm_away_after_its_fault(
+    kind: str, joint: int
+) -> None:
+    outcome = run(Cell(kind, joint, "hold", "model"))
     assert outcome.fault
     assert outcome.peak < 0.3
     assert outcome.way < 0.1
@@ -116,3 +120,10 @@ def test_states_that_are_lost_after_a_fault_do_not_make_a_drift_a_fall(
     outcome = run(Cell("drift, lost states", 3, "hold", "model"))
     assert outcome.peak < 0.3
     assert outcome.way < 0.1
+
+
+@pytest.mark.requirement("S-132")
+@pytest.mark.parametrize("kind", ["motor 2 to 70 %", "+0.5 kg"])
+@pytest.mark.parametrize("mode", ["move", "rollout late"])
+def test_a_hold_is_not_compared_with_the_hold_before_a_movement(kind: str, mode: str) -> None:
+    assert not run(Cell(kind, -1, mode, "model")).fault

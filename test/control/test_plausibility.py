@@ -331,7 +331,7 @@ def test_a_reset_needs_rest_for_a_time_and_not_a_turning_point() -> None:
             pass
     assert resets == 0
     swing[0] = 0.0
-    run(controller, plant, 0.6)
+    run(controller, plant, 2.0)
     controller.reset()
     assert controller.mode is Mode.HOLD
 

@@ -360,6 +360,8 @@ class Controller:
 
     def _set(self, mode: Mode) -> None:
         self._mode, self._law, self._mode_label = mode, self._laws[mode], mode.value
+        if mode is Mode.HOLD:
+            self.unexplained.rest_again()
 
     def _move(self, mode: Mode, goal: np.ndarray, *then: Sampled) -> None:
         self._require_rest(mode.value)
@@ -659,8 +661,7 @@ class Controller:
             at_rest = max(*motion.guarded_speeds, motion.tool_speed) < safety.REST_SPEED
             beyond = self._output.motor_torque(state.q) - self.arm.gravity(state.q)
             dt = self._observed_states * self.settings.period
-            speed = max(map(abs, state.speeds))
-            self.unexplained.observe(at_rest, state.q, speed, beyond, dt)
+            self.unexplained.observe(at_rest, state.q, state.qd, beyond, dt)
             if self.unexplained.crept:
                 self.fault(Fault(FaultKind.DRIFT, self.unexplained.crept))
                 self.unexplained.rest_again()

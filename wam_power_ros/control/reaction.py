@@ -43,6 +43,7 @@ HOLD_FREQUENCY = 20.0  # [rad/s] of the hold, with a damping of 20 1/s: half of 
 STILL = 0.002  # [rad] change of the reported positions within STILL_TIME, below which it rests
 STILL_SPEED = 0.05  # [rad/s] above which a brake that gives all it may must slow the arm
 STILL_TIME = 0.15  # [s]
+CALM_TIME = 0.05  # [s] the same of an arm that was held when the fault was found
 FALL_SPEED = 0.15  # [rad/s] growth of a reported speed after which a held arm is taken to fall
 
 MotorTorque = Callable[[np.ndarray], np.ndarray]  # posture (n,) [rad] -> motor torque (n,) [N m]
@@ -110,6 +111,7 @@ class Reaction:
             `ANSWER_TIME` although the torque brakes it, so that the states are false.
         carried: Torque beyond g(q) that carried the arm before the fault [N m]. Shape (n,).
         known: Torque [N m] within which friction and model explain a difference. Shape (n,).
+        held: Whether `carried` held the arm at rest.
 
     Args:
         arm: Model of the arm.
@@ -176,8 +178,8 @@ class Reaction:
         self._weight = self._held = self._kept = self._beyond = self._frozen = self._anchor = None
         self._external = np.zeros(self._arm.n)
         self._believed = self._alone = True
-        self.unanswered = self._slow = False
-        self._seconds = 0.0
+        self.unanswered = self._slow = self.held = False
+        self._seconds = self._calm = 0.0
         self._recent.clear()
 
     def begin(self, before: float, alone: bool = False, guided: bool = False) -> None:
@@ -202,6 +204,11 @@ class Reaction:
             self._slow = bool(np.abs(speeds).max() < SETTLED_SPEED)
             if guided:
                 self._external = np.zeros(self._arm.n)
+
+    def moves(self, qd: np.ndarray) -> None:
+        """Brake an arm that moves at speeds (n,) [rad/s] that its states do not report."""
+        if self._model is not None:
+            self._model.qd = qd
 
     def _before(self, seconds: float) -> ModelState | None:
         """State by the model that began a time [s] ago; None if that is not known."""
@@ -352,19 +359,25 @@ class Reaction:
             asked = self._weight is None and self._held is None and bounded.dot(reported) < 0.0
             self._ask(bool(asked), float(reported.dot(mass.dot(reported))), state.span)
         tau = base - damping * braking + bounded
+        known = self._slow and self._kept is None and self._weight is None
+        known = known and bool((np.abs(tau - carrying) <= self.known).all())
+        calm = known and self.held and np.abs(reported).max() < STILL_SPEED
+        self._calm = self._calm + state.span if calm else 0.0
+        if self._calm > CALM_TIME:  # what held it holds it, and a drift is not followed
+            half = 0.5 * self._arm.friction
+            frozen = carrying - np.minimum(np.maximum(tau - carrying, -half), half)
+            self._held, self._frozen = (frozen, usual + bounded), frozen
         self._recent.append(state.q)
         still = np.abs(state.q - self._recent[0]).max() < STILL
         if still and len(self._recent) == self._recent.maxlen:
             self._held = tau, usual + bounded
-            self._freeze(tau, tau - carrying, usual + bounded)
+            self._freeze(tau, known, usual + bounded)
         return tau
 
-    def _freeze(self, tau: np.ndarray, beyond: np.ndarray, share: np.ndarray) -> None:
+    def _freeze(self, tau: np.ndarray, known: bool, share: np.ndarray) -> None:
         """Keep a torque that rests the arm if it is known, or if it changes although it rests."""
         if self._anchor is None:
             self._anchor = tau
-        known = self._slow and self._kept is None and self._weight is None
-        known = known and bool((np.abs(beyond) <= self.known).all())
         change = tau - self._anchor
         if not known and (np.abs(change) <= self.known).all():
             return

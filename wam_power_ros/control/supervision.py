@@ -129,6 +129,7 @@ class Supervision:
         sudden = BEFORE_STEP if kind.of_states else BEFORE_GUIDED
         alone = kind.of_states or mode in MOVING_MODES
         self.reaction.begin(sudden if guided else BEFORE, alone, guided)
+        self.reaction.held = mode is Mode.HOLD
         if mode in MOVING_MODES:
             beyond = -self._usual
             if mode is Mode.ROLLOUT:  # fast: what sensors and motors lag is unexplained, too
@@ -136,6 +137,8 @@ class Supervision:
             self.reaction.carried = beyond
         else:  # what held the arm there; friction had a share in it that is not known elsewhere
             self.reaction.carried = unexplained.before(self.reaction.posture)
+        if kind is FaultKind.DRIFT:
+            self.reaction.moves(-unexplained.drift)
         if kind.of_states:
             self.doubt(kind)
 

@@ -23,7 +23,9 @@ STEP = 0.0015  # [rad] change in one state beyond its velocity: the arm was put 
 FRICTION_FACTOR = 1.5  # multiple of a joint's friction up to which friction may explain it
 SETTLED_AFTER = 0.5  # [s] without motion until the torque that holds the arm must stay the same
 MOTION = 0.02  # [rad/s] reported speed from which a joint counts as moved, by a hand say
-CREEP_FACTOR, CREEP_SHARE = 1.5, 0.01  # by how much it may change: of the friction, of the limit
+CREEP_FACTOR, CREEP_SHARE = 0.75, 0.01  # by how much it may change: of the friction, of the limit
+OVERCOME = 0.5  # of its friction: a change of the torque that may have moved a joint
+SLIP_SHARE, COUPLED_SHARE = 0.25, 0.5  # of friction, see `_friction_in`
 TORQUE_SHARE = 0.005  # share of a joint's torque limit added to that: resolution of the torques
 
 
@@ -37,11 +39,14 @@ class UnexplainedTorque:
         known: Whether the arm has been held at rest for `KNOWN_AFTER` since `begin`.
         crept: How the torque has changed although the arm reports rest, so that a zero drifts and
             the arm follows it; empty if it has not.
+        drift: Speeds that joints reported when it began, and against which the arm moves since
+            then, at rest by its states [rad/s]. Shape (n,).
     """
 
     def __init__(self, arm: Arm) -> None:
         self._names = arm.joint_names
-        self._friction, self._negligible = arm.friction, NEGLIGIBLE_SHARE * arm.friction
+        self._friction = np.maximum(arm.friction, 1e-9)  # divides
+        self._negligible = NEGLIGIBLE_SHARE * arm.friction
         self._creep = CREEP_FACTOR * arm.friction + CREEP_SHARE * arm.tau_max
         self._explained = FRICTION_FACTOR * arm.friction + TORQUE_SHARE * arm.tau_max
         self._n = arm.n
@@ -52,30 +57,35 @@ class UnexplainedTorque:
         self.torque = np.zeros(self._n)
         self.compensation = np.zeros(self._n)
         self.known = False
-        self.crept = ""
-        self._rested = self._still = 0.0  # time at rest, and without motion, so far [s]
-        self._settled: np.ndarray | None = None  # torque after SETTLED_AFTER without motion [N m]
-        self._before = np.zeros(self._n)  # the same before the last motion
+        self._rested = 0.0  # time at rest so far [s]
+        self._still: float  # time without motion so far [s]
+        self._settled: np.ndarray | None  # torque after SETTLED_AFTER without motion [N m]
+        self._before: np.ndarray | None  # the same before the last motion
+        self._drag: np.ndarray  # torque that has overcome a joint's friction in this motion [N m]
+        self._mover: int | None  # this joint
+        self.rest_again()
         self._past: deque[np.ndarray] = deque([self.torque], maxlen=PAST_OBSERVATIONS)
         self._held_at: np.ndarray | None = None  # posture of the last observation at rest [rad]
 
     def rest_again(self) -> None:
-        """Compare with the torque of the next rest: what has changed was said."""
-        self.crept, self._still, self._settled = "", 0.0, None
+        """Compare with the torque of the next rest: what has changed is said, or the arm moved."""
+        self.crept, self._still = "", 0.0
+        self._settled = self._before = self._mover = None
+        self.drift = self._drag = np.zeros(self._n)
 
     def observe(
-        self, at_rest: bool, q: np.ndarray, speed: float, beyond: np.ndarray, dt: float
+        self, at_rest: bool, q: np.ndarray, qd: np.ndarray, beyond: np.ndarray, dt: float
     ) -> None:
         """Register a state of the held arm.
 
         Args:
             at_rest: Whether the arm was at rest.
             q: Joint positions [rad]. Shape (n,).
-            speed: Largest reported speed of a joint [rad/s].
+            qd: Reported speeds [rad/s]. Shape (n,).
             beyond: Motor torque commanded, minus g(q) [N m]. Shape (n,).
             dt: Time since the last call [s].
         """
-        self._watch(speed, beyond, dt)
+        self._watch(qd, beyond, dt)
         if not at_rest:
             self._rested = 0.0
             return
@@ -90,12 +100,16 @@ class UnexplainedTorque:
         self._held_at = q
         self.known = self.known or self._rested >= KNOWN_AFTER
 
-    def _watch(self, speed: float, beyond: np.ndarray, dt: float) -> None:
+    def _watch(self, qd: np.ndarray, beyond: np.ndarray, dt: float) -> None:
         """Notice a torque that changes while no joint reports a motion."""
-        self._still = self._still + dt if speed < MOTION else 0.0
+        moves = np.abs(qd) >= MOTION
+        self._still = 0.0 if moves.any() else self._still + dt
         if self._still < SETTLED_AFTER:
             if self._settled is not None:
-                self._before, self._settled = self._settled, None
+                self._before, self._settled, self._mover = self._settled, None, None
+                self.drift = self._drag = np.zeros(self._n)
+            if self._before is not None and moves.any():
+                self._resist(qd, moves, beyond - self._before)
             return
         if self._settled is None:
             self._settled = beyond
@@ -106,12 +120,35 @@ class UnexplainedTorque:
                 f"the torque that holds joint {joint + 1} has changed by {change[joint]:.1f} N m, "
                 "and no joint reports a motion: its zero drifts, or something leans on the arm"
             )
-            # What carries the arm, without the friction of the motion that has begun since then.
-            begun = self._settled - self._before
-            moving = np.abs(begun) > 0.5 * self._friction
-            drag = np.where(moving, np.copysign(self._friction, begun), 0.0)
-            self.compensation = beyond - drag
+            self.compensation = beyond - self._friction_in(change)
             self._past = deque([self.compensation], maxlen=PAST_OBSERVATIONS)
+
+    def _resist(self, qd: np.ndarray, moves: np.ndarray, change: np.ndarray) -> None:
+        """Register how the torque (n,) [N m] has changed in a motion that joints report."""
+        self.drift = np.where(moves & (np.abs(qd) > np.abs(self.drift)), qd, self.drift)
+        share = np.where(moves, np.abs(change) / self._friction, 0.0)
+        joint = int(share.argmax())
+        if share[joint] > max(OVERCOME, float(np.abs(self._drag / self._friction).max())):
+            self._mover, self._drag = joint, change
+
+    def _friction_in(self, change: np.ndarray) -> np.ndarray:
+        """Share of friction in the torque of an arm that follows a drift [N m]. Shape (n,).
+
+        The joint that was seen to move is moved against its friction. The hold couples the joints:
+        where its share of that exceeded the friction of another one, this one slipped. Half of the
+        share still presses there, and friction opposes the slip, whose torque changes since then.
+
+        Args:
+            change: Change of the torque since the joints report rest [N m]. Shape (n,).
+        """
+        if (mover := self._mover) is None:
+            return np.zeros(self._n)
+        drag = self._drag * (self._friction[mover] / abs(self._drag[mover]))
+        limit = SLIP_SHARE * self._friction
+        slip = COUPLED_SHARE * drag - np.minimum(np.maximum(change, -limit), limit)
+        slip[np.abs(self._drag) <= self._friction] = 0.0
+        slip[mover] = drag[mover]
+        return slip
 
     def guided(self, q: np.ndarray, step: float) -> np.ndarray:
         """Torque to add to g(q) while a person guides the arm [N m]. Shape (n,).
