@@ -60,7 +60,8 @@ class UnexplainedTorque:
         self._rested = 0.0  # time at rest so far [s]
         self._still: float  # time without motion so far [s]
         self._settled: np.ndarray | None  # torque after SETTLED_AFTER without motion [N m]
-        self._before: np.ndarray | None  # the same before the last motion
+        self._latest: np.ndarray | None = None  # torque of the last state [N m]
+        self._before: np.ndarray | None  # the same before this motion
         self._drag: np.ndarray  # torque that has overcome a joint's friction in this motion [N m]
         self._mover: int | None  # this joint
         self.rest_again()
@@ -103,13 +104,15 @@ class UnexplainedTorque:
     def _watch(self, qd: np.ndarray, beyond: np.ndarray, dt: float) -> None:
         """Notice a torque that changes while no joint reports a motion."""
         moves = np.abs(qd) >= MOTION
-        self._still = 0.0 if moves.any() else self._still + dt
-        if self._still < SETTLED_AFTER:
-            if self._settled is not None:
-                self._before, self._settled, self._mover = self._settled, None, None
+        if moves.any():
+            if self._still >= KNOWN_AFTER or (self._still and self._before is None):  # begins
+                self._before, self._settled, self._mover = self._latest, None, None
                 self.drift = self._drag = np.zeros(self._n)
-            if self._before is not None and moves.any():
+            if self._before is not None:
                 self._resist(qd, moves, beyond - self._before)
+        self._still = 0.0 if moves.any() else self._still + dt
+        self._latest = beyond
+        if self._still < SETTLED_AFTER:
             return
         if self._settled is None:
             self._settled = beyond
