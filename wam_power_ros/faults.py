@@ -25,6 +25,7 @@ class FaultKind(str, enum.Enum):
     JUMP = "jump"  # joint position jumped from one state to the next
     VELOCITY = "velocity"  # positions and velocities contradict each other
     DRIFT = "drift"  # the torque that holds an arm which reports rest has changed
+    STANDSTILL = "standstill"  # a joint reports rest under a torque that friction cannot hold
     EXTERNAL_TORQUE = "external_torque"  # motion not explained by the commanded torques
     STAMPS = "stamps"  # the stamps do not advance with real time
     RELEASED = "released"  # the enabling switch was released
@@ -46,10 +47,11 @@ class FaultKind(str, enum.Enum):
     @property
     def of_states(self) -> bool:
         """Whether the joint states were false, whatever moved the arm."""
-        return self in (FaultKind.JUMP, FaultKind.VELOCITY, FaultKind.DRIFT)
+        return self in _OF_STATES
 
 
 _OF_POLICY = frozenset(list(FaultKind)[:6])
+_OF_STATES = frozenset((FaultKind.JUMP, FaultKind.VELOCITY, FaultKind.DRIFT, FaultKind.STANDSTILL))
 
 
 @dataclass(frozen=True)

@@ -611,7 +611,7 @@ class Controller:
             if not math.isfinite(sum(tau.tolist())):
                 fault = Fault(FaultKind.COMPUTATION, "the torque was not finite")
         except TrackingLost as error:
-            fault = Fault(FaultKind.TRACKING, str(error))
+            fault = Fault(error.kind, str(error))
         except Exception as error:  # whatever it is, the arm needs a torque in this period
             fault = Fault(FaultKind.COMPUTATION, f"no torque could be computed: {error}")
         if fault is not None:

@@ -128,7 +128,7 @@ def simulate_policy(
         try:
             tau = execution.torque(state, motion)
         except TrackingLost as error:
-            fault = Fault(FaultKind.TRACKING, str(error))
+            fault = Fault(error.kind, str(error))
             break
         if tau is None:
             break

@@ -20,6 +20,7 @@ from wam_power_ros.control.joint_references import (
     Step,
 )
 from wam_power_ros.control.safety import Limits
+from wam_power_ros.faults import FaultKind
 
 BANDWIDTH = 25.0  # [rad/s] w; with a delay of 8 ms, 30 is the most that survives a push of 40 N
 DAMPING_RATIO = 0.7  # zeta
@@ -37,6 +38,14 @@ MOTION_TIMEOUT = 10  # states within which a joint must move under more torque t
 
 class TrackingLost(RuntimeError):
     """The arm is too far from its reference to follow it."""
+
+    kind = FaultKind.TRACKING
+
+
+class JointStands(TrackingLost):
+    """A joint does not move although friction cannot hold it: it is blocked, or its state false."""
+
+    kind = FaultKind.STANDSTILL
 
 
 class TrackingError:
@@ -145,7 +154,7 @@ class StationaryJoints:
             dt: Time since the last state [s].
 
         Raises:
-            TrackingLost: A joint does not move although friction cannot hold it.
+            JointStands: A joint does not move although friction cannot hold it.
         """
         bounded = feedback.copy()
         for i in joints:
@@ -154,7 +163,7 @@ class StationaryJoints:
                 self._overdue[i] += 1
                 if self._overdue[i] > MOTION_TIMEOUT:
                     text = f"joint {i + 1} does not move under a feedback torque of"
-                    raise TrackingLost(f"{text} {feedback[i]:.1f} N m")
+                    raise JointStands(f"{text} {feedback[i]:.1f} N m")
                 continue
             self._overdue[i] = 0
             speed = self._free_speed[i]

@@ -202,8 +202,10 @@ class Reaction:
                 self._model.qd = confirmed(self._model.qd, self.reported())
             speeds = self.reported() if self._model is None else self._model.qd
             self._slow = bool(np.abs(speeds).max() < SETTLED_SPEED)
-            if guided:
-                self._external = np.zeros(self._arm.n)
+        if guided:
+            self._external = np.zeros(self._arm.n)
+            if self._model is not None:
+                self._model.external = self._external
 
     def moves(self, qd: np.ndarray) -> None:
         """Brake an arm that moves at speeds (n,) [rad/s] that its states do not report."""

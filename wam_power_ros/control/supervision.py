@@ -148,7 +148,7 @@ class Supervision:
         self._explained = -self._fall_states  # the brake that ends is no fall
         self._contradicted |= kind.of_states
         self._lasting |= kind is FaultKind.JUMP
-        self._drifts |= kind is FaultKind.DRIFT
+        self._drifts |= kind in (FaultKind.DRIFT, FaultKind.STANDSTILL)
 
     def plausibility_fault(
         self, mode: Mode, before: JointState | None, state: JointState

@@ -24,6 +24,7 @@ FRICTION_FACTOR = 1.5  # multiple of a joint's friction up to which friction may
 SETTLED_AFTER = 0.5  # [s] without motion until the torque that holds the arm must stay the same
 MOTION = 0.02  # [rad/s] reported speed from which a joint counts as moved, by a hand say
 CREEP_FACTOR, CREEP_SHARE = 0.75, 0.01  # by how much it may change: of the friction, of the limit
+STILL_BEFORE = 0.04  # [s] without motion before one begins; else it is still the one before
 OVERCOME = 0.5  # of its friction: a change of the torque that may have moved a joint
 SLIP_SHARE, COUPLED_SHARE = 0.25, 0.5  # of friction, see `_friction_in`
 TORQUE_SHARE = 0.005  # share of a joint's torque limit added to that: resolution of the torques
@@ -60,7 +61,7 @@ class UnexplainedTorque:
         self._rested = 0.0  # time at rest so far [s]
         self._still: float  # time without motion so far [s]
         self._settled: np.ndarray | None  # torque after SETTLED_AFTER without motion [N m]
-        self._latest: np.ndarray | None = None  # torque of the last state [N m]
+        self._latest: np.ndarray | None  # torque of the last state [N m]
         self._before: np.ndarray | None  # the same before this motion
         self._drag: np.ndarray  # torque that has overcome a joint's friction in this motion [N m]
         self._mover: int | None  # this joint
@@ -71,7 +72,7 @@ class UnexplainedTorque:
     def rest_again(self) -> None:
         """Compare with the torque of the next rest: what has changed is said, or the arm moved."""
         self.crept, self._still = "", 0.0
-        self._settled = self._before = self._mover = None
+        self._settled = self._latest = self._before = self._mover = None
         self.drift = self._drag = np.zeros(self._n)
 
     def observe(
@@ -105,7 +106,7 @@ class UnexplainedTorque:
         """Notice a torque that changes while no joint reports a motion."""
         moves = np.abs(qd) >= MOTION
         if moves.any():
-            if self._still >= KNOWN_AFTER or (self._still and self._before is None):  # begins
+            if self._still >= STILL_BEFORE:  # a motion begins
                 self._before, self._settled, self._mover = self._latest, None, None
                 self.drift = self._drag = np.zeros(self._n)
             if self._before is not None:
