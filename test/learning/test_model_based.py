@@ -96,6 +96,15 @@ def test_a_model_without_the_true_slopes_learns_them() -> None:
     assert np.abs(practise(learner, 3)[-1]).max() < 1.0
 
 
+@pytest.mark.parametrize("factor", [0.6, 1.0, 1.8])
+def test_rough_slopes_without_a_prediction_suffice(factor: float) -> None:
+    model = LinearModel(slopes=factor * SLOPES)
+    model.predict = None
+    errors = practise(learner_of(model), 6)
+    assert np.abs(errors[0]).max() > 4.0
+    assert min(np.abs(error).max() for error in errors[1:]) < 1.0
+
+
 def test_a_plan_keeps_the_limits_of_the_arm() -> None:
     model = LinearModel(limit=7.0)  # without it, plans are 8 away
     free, bound = learner_of(LinearModel()), learner_of(model)

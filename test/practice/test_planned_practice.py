@@ -17,7 +17,7 @@ from wam_power_ros.practice.session_log import Line
 from wam_power_ros.practice.settings import SessionSettings, preset
 from wam_power_ros.tasks.flip.parametrization import TURN_OF_FLICK, TURN_OF_TEMPO, TURN_OF_VIGOUR
 from wam_power_ros.tasks.flip.task import Flip
-from wam_power_ros.tasks.flip.toss_errors import LANDING_TOLERANCE, TURN_TOLERANCE, TossErrors
+from wam_power_ros.tasks.flip.toss_errors import ERRORS, TossErrors
 
 SETTINGS = preset("flip", "model_based", budget=12, retests=2, confirm=3)
 CANDIDATES = [demonstrated_policy()]
@@ -32,8 +32,8 @@ class RoughTosses(TossErrors):
         turn = TURN_OF_VIGOUR * noise.vigour * z[-4] + TURN_OF_FLICK * noise.flick * z[-3]
         turn += TURN_OF_TEMPO * noise.tempo * z[-1]
         landing = 0.12 - noise.catch_shift * z[-2]
-        error = [(1.9 + turn - math.pi) / TURN_TOLERANCE, landing / LANDING_TOLERANCE, 0.0, 0.0]
-        return Prediction(np.array(error), np.array([-0.5]))
+        error = np.array([1.9 + turn - math.pi, landing, 0.0, 0.0]) / self.tolerances
+        return Prediction(error, np.array([-0.5]))
 
 
 @pytest.fixture(autouse=True)
@@ -79,7 +79,7 @@ def test_the_error_is_that_of_what_was_executed_not_of_the_correction_in_hindsig
     assert [z.tolist() for z, _ in told] == [record.z for record in practice.records]
     assert any(record.learnt_as != record.z for record in practice.records)
     for (_, error), record in zip(told, practice.records, strict=True):
-        angle = (record.observation["angle"] - math.pi) / TURN_TOLERANCE
+        angle = (record.observation["angle"] - math.pi) / ERRORS[0].tolerance
         np.testing.assert_allclose(error[0], angle)
 
 

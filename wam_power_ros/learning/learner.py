@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from bisect import insort
+from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -92,10 +93,11 @@ class ErrorModel(Protocol):
     directions: np.ndarray
     slopes: np.ndarray
 
-    def predict(self, z: np.ndarray) -> Prediction | None:
-        """Predict the error at z (size,), which depends on z alone; None if it is unknown there.
+    @property
+    def predict(self) -> Callable[[np.ndarray], Prediction | None] | None:
+        """Predicts the error at z (size,), None where it is unknown; None if there are slopes only.
 
-        May take as long as the simulation of a rollout.
+        It depends on z alone and may take as long as the simulation of a rollout.
         """
 
 

@@ -212,7 +212,8 @@ class ModelBased(GaussianLearner):
         """What the model predicts at z."""
         key = z.tobytes()
         if key not in self._known:
-            self._known[key] = self._model.predict(z)
+            predict = self._model.predict
+            self._known[key] = None if predict is None else predict(z)
         return self._known[key]
 
     def _along(self, z: np.ndarray) -> np.ndarray:
@@ -233,7 +234,7 @@ class ModelBased(GaussianLearner):
     def _search(self) -> np.ndarray | None:
         """Gauss-Newton steps from the best known coordinates to a small expected error."""
         discrepancy = self._discrepancy()
-        trusted = discrepancy.weight >= IGNORED
+        trusted = self._model.predict is not None and discrepancy.weight >= IGNORED
         starts = [np.zeros(self.size), *(z for z, _ in self._measured)]
         if trusted:
             starts += [np.frombuffer(key) for key in self._known]

@@ -240,7 +240,7 @@ class Improvement:
         """Let the learner learn from a record, if it is learnt from."""
         if record.learnt_as is None:
             return
-        learner, error = self.learner, self._task.error(record)
+        learner, error = self.learner, self._task.error(record.observation)
         if isinstance(learner, MeasuringLearner) and error is not None:
             learner.measure(np.array(record.z), error)
         self.learner.tell(np.array(record.learnt_as), float(record.rated_return or 0.0))

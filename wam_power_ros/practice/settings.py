@@ -143,7 +143,8 @@ def preset(
     if name not in kind.presets:
         raise ValueError(f"preset {name!r} of {task!r} is not one of {', '.join(kind.presets)}")
     values = dict(kind.presets[name])
-    learning = dict(values.pop("learner"))
+    usual = {"name": "model_based" if kind.errors else "power"}
+    learning = dict(values.pop("learner", usual))
     if learner and learner.get("name", learning["name"]) != learning["name"]:
         learning = {}
     learning |= learner or {}

@@ -9,6 +9,7 @@ and nowhere else.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -25,6 +26,7 @@ from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Foreseen, Rollout
 from wam_power_ros.regions import Region
+from wam_power_ros.tasks.errors import Effect, Error, RoughErrors
 from wam_power_ros.tasks.reset import Action, BodyState
 
 if TYPE_CHECKING:
@@ -150,8 +152,8 @@ class Task(ABC):
         presets: Name -> settings of a session: fields of `Settings`, fields of
             `practice.settings.PracticeSettings`, and `learner`, a mapping with a learner's name and
             settings. The first preset is the default.
-        margin_scatter: Standard deviations of `margins` to be expected of one policy, in doubt
-            larger ones; empty if unknown. The stopping rule counts them as four observations.
+        errors: What a rollout measures and is to become 0, see `measure`; empty for returns alone.
+        effects: What moves them, roughly: learners correct and plan by it.
         rest_time: Time for which the body must have been `ready` before a rollout [s].
         goal: What is to be achieved, in the words of the reports.
         published: What a publication reports on the task, None for nothing.
@@ -159,6 +161,7 @@ class Task(ABC):
     Attributes:
         settings: Settings of the task.
         settle_time: Time that a rollout continues after the movement [s].
+        gain: Share of a measured error by which a rollout is corrected in hindsight; 0 for none.
         region: Guarded region at which the controller ends its rollouts, None for none.
 
     A task is constructed from its settings and from `context`: the session stores what `context_of`
@@ -171,10 +174,12 @@ class Task(ABC):
     fit_settings: ClassVar[FitSettings]
     Settings: ClassVar[type[BaseModel]]
     presets: ClassVar[Mapping[str, Mapping[str, Any]]]
-    margin_scatter: ClassVar[Sequence[float]] = ()
+    errors: ClassVar[Sequence[Error]] = ()
+    effects: ClassVar[Sequence[Effect]] = ()
     rest_time: ClassVar[float] = 0.0
     goal: ClassVar[Goal] = Goal()
     published: ClassVar[Published | None] = None
+    gain: float = 0.5
     region: Region | None = None
 
     def __init__(self, settings: Any, context: Mapping[str, Any]) -> None:  # noqa: ANN401
@@ -279,14 +284,16 @@ class Task(ABC):
 
         Returns:
             Shifts of z, shape (size,) each, one for each error, empty for no correction; if the sum
-            is not feasible, they are applied one after another, each as far as is feasible.
+            is not feasible, they are applied one after another, each as far as is feasible. By
+            default they follow from `errors` and `effects`.
         """
-        return ()
+        error, model = self.error(assessment.observation), self.rough_errors(parametrization)
+        return () if error is None or model is None else model.correction(error, self.gain)
 
     @property
     def corrections(self) -> Sequence[str]:
         """Measured errors that `hindsight` corrects under these settings, for the reports."""
-        return ()
+        return [error.name for error in self.errors] if self.gain else []
 
     def margins(self, record: LoggedRollout) -> Sequence[float]:
         """How far inside each of its limits a rollout was, for the stopping rule.
@@ -297,9 +304,22 @@ class Task(ABC):
         Returns:
             Positive numbers inside, negative ones outside, in any units but the same for every
             rollout; about normally distributed over rollouts of one policy. Empty: not known, so
-            that successes are counted alone.
+            that successes are counted alone. By default those of `errors` that have a limit.
         """
-        return ()
+        seen = None if record.observation is None else self.measure(record.observation)
+        limited = [error for error in self.errors if error.limit < math.inf]
+        if seen is None or any(error.name not in seen for error in limited):
+            return ()
+        return [error.limit - abs(seen[error.name]) for error in limited]
+
+    @property
+    def margin_scatter(self) -> Sequence[float]:
+        """Standard deviations of `margins` to be expected of one policy; empty if unknown.
+
+        In doubt larger ones: the stopping rule counts them as four observations.
+        """
+        limited = [error.scatter for error in self.errors if error.limit < math.inf]
+        return limited if all(limited) else ()
 
     def model(self, parametrization: Parametrization, start: np.ndarray) -> Model | None:
         """Model of the returns for learners that screen candidates; None if the task has none.
@@ -310,25 +330,38 @@ class Task(ABC):
         """
         return None
 
-    def error(self, record: LoggedRollout) -> np.ndarray | None:
-        """Vector error of a logged rollout, as `error_model` predicts it; None if unknown.
+    def measure(self, observation: Mapping[str, Any]) -> Mapping[str, float] | None:
+        """Values of `errors` by name, in their units, from what was observed in a rollout.
 
-        It must follow from the record alone: a replay has nothing else.
+        What is left out is unknown; None if the rollout tells nothing.
         """
         return None
+
+    def error(self, observation: Mapping[str, Any] | None) -> np.ndarray | None:
+        """Measured `errors` in their tolerances, NaN where unknown, shape (m,); None for none."""
+        measured = None if observation is None else self.measure(observation)
+        if measured is None:
+            return None
+        return np.array([measured.get(e.name, math.nan) / e.tolerance for e in self.errors])
 
     def error_model(
         self,
         parametrization: Parametrization,
         foresee: Callable[[Policy], Foreseen | None],
     ) -> ErrorModel | None:
-        """Model of the vector error, for learners that plan on it; None if the task has none.
+        """Model of the errors, for learners that plan on it; None if the task has none.
 
         Args:
             parametrization: Map from coordinates to policies.
             foresee: Simulates the execution of a policy, None if it ends in a fault.
         """
-        return None
+        return self.rough_errors(parametrization)
+
+    def rough_errors(self, parametrization: Parametrization) -> RoughErrors | None:
+        """The errors by their `effects` alone; None if these parameters are not learnt."""
+        if not self.errors or any(e.group not in parametrization.groups for e in self.effects):
+            return None
+        return RoughErrors(self.errors, self.effects, parametrization)
 
     @abstractmethod
     def outcome(self, record: LoggedRollout) -> str:

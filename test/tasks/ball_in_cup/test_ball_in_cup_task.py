@@ -20,6 +20,7 @@ from wam_power_ros.tasks.ball_in_cup.settings import CUP_FIT
 from wam_power_ros.tasks.ball_in_cup.swing import CUP_RADIUS, GRAVITY, PLANE, STRING, Swing
 from wam_power_ros.tasks.ball_in_cup.task import (
     APEX_OF_VIGOUR,
+    EFFECTS,
     MISS_OF_SHIFT,
     MISS_OF_VIGOUR,
     BallInCup,
@@ -190,15 +191,15 @@ def test_a_ball_that_stayed_low_is_swung_with_more_vigour_and_no_correction_exce
     assert lower["vigour"] - low["vigour"] == pytest.approx(0.1 * 0.1 / APEX_OF_VIGOUR)
     assert low["sideways"] == 0.0
     far = corrected(Swing(0.3, 2.0, (-0.39, 0.5), False))
-    assert far["vigour"] == pytest.approx(-SETTINGS.vigour_limit)
-    assert abs(far["sideways"]) == pytest.approx(SETTINGS.sideways_limit)
+    assert far["vigour"] == pytest.approx(-EFFECTS[0].step)
+    assert abs(far["sideways"]) == pytest.approx(EFFECTS[1].step)
 
 
 def test_nothing_is_corrected_without_a_gain_or_an_observation() -> None:
     parametrization = task().parametrization(POLICY)
     seen = Assessment(0.5, {}, Swing(0.1, 2.0, (0.1, 0.0), False).to_json())
     assert list(task(gain=0.0).hindsight(seen, parametrization)) == []
-    assert (task(gain=0.0).corrections, task().corrections) == ([], ["miss"])
+    assert (task(gain=0.0).corrections, task().corrections) == ([], ["miss_x", "miss_y"])
     assert list(task().hindsight(Assessment(None), parametrization)) == []
     kober = preset("ball_in_cup", "kober").task_settings
     plain = BallInCup(kober, {})

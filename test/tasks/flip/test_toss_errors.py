@@ -16,13 +16,11 @@ from wam_power_ros.tasks.flip import toss_errors
 from wam_power_ros.tasks.flip.pan_toss import Pancake, Toss, predict_toss
 from wam_power_ros.tasks.flip.task import Flip
 from wam_power_ros.tasks.flip.toss_errors import (
-    LANDING_TOLERANCE,
-    LEVEL_TOLERANCE,
+    ERRORS,
     SPIN_DECAY_SD,
-    TURN_TOLERANCE,
-    measured_error,
 )
 
+TURN_TOLERANCE, LANDING_TOLERANCE, _, LEVEL_TOLERANCE = (error.tolerance for error in ERRORS)
 SETTINGS = preset("flip").task_settings
 
 
@@ -35,10 +33,11 @@ def test_a_measured_error_is_in_tolerances_and_has_no_landing_without_a_toss() -
         "catch_pitch": -3.0 * LEVEL_TOLERANCE,
     }
     wanted = [1.0, 2.0, 0.5 / LANDING_TOLERANCE, -3.0]
-    np.testing.assert_allclose(measured_error(flight), wanted)
-    assert measured_error({**flight, "seen": False}) is None
-    assert measured_error(None) is None
-    turn, *catch = measured_error({**flight, "tossed": False, "angle": 0.0})
+    task = Flip(SETTINGS, {})
+    np.testing.assert_allclose(task.error(flight), wanted)
+    assert task.error({**flight, "seen": False}) is None
+    assert task.error(None) is None
+    turn, *catch = task.error({**flight, "tossed": False, "angle": 0.0})
     assert turn == pytest.approx(-math.pi / TURN_TOLERANCE) and np.isnan(catch).all()
 
 

@@ -46,8 +46,6 @@ class CupSettings(BaseModel):
         sharpness: alpha of the return exp(-alpha d^2) [1/m^2]; 100 in [Kober2011].
         gain: Fraction of the miss for which a rollout is corrected in hindsight [1]; 0: no
             correction. Needs the variant "swing".
-        vigour_limit: Largest correction of the vigour per rollout [1].
-        sideways_limit: Largest correction of the sideways shift per rollout [m].
         success_distance: Largest d of a success, whose ball also ends in the cup [m].
         settle_time: Time that a rollout continues after the movement [s].
     """
@@ -58,8 +56,6 @@ class CupSettings(BaseModel):
     noise: CupNoise
     sharpness: float = Field(gt=0.0, le=1000.0)
     gain: float = Field(default=0.0, ge=0.0, le=1.0)
-    vigour_limit: float = Field(default=0.05, gt=0.0, le=1.0)
-    sideways_limit: float = Field(default=0.05, gt=0.0, le=1.0)
     success_distance: float = Field(default=0.03, gt=0.0, le=1.0)
     settle_time: float = Field(default=1.0, ge=0.0, le=10.0)
 
@@ -75,6 +71,8 @@ _COMMON: Mapping[str, Any] = {
 }
 _CUP: Mapping[str, Any] = {**_COMMON, "variant": "swing", "gain": 0.5}
 PRESETS: Mapping[str, Mapping[str, Any]] = {
+    # Plans by the rough slopes of the miss, and falls back on the learner of `cup`.
+    "model_based": {**_CUP, "learner": {"name": "model_based"}},
     "cup": _CUP,
     # For comparison: what the return, or the corrections, reach alone. Without corrections the
     # exploration must be as wide as demonstrations differ.

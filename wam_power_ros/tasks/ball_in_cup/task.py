@@ -29,6 +29,7 @@ from wam_power_ros.tasks.ball_in_cup.swing import (
     observe_swing,
     swing_of,
 )
+from wam_power_ros.tasks.errors import Effect, Error
 from wam_power_ros.tasks.reset import Action, BodyState
 from wam_power_ros.tasks.task import (
     Assessment,
@@ -53,6 +54,11 @@ SWING_MAX = 0.3  # [m] the same; a larger one loses height by itself
 MISS_OF_VIGOUR = -2.5  # [m] change of the miss along x per unit of vigour
 APEX_OF_VIGOUR = 1.0  # [m] change of the apex per unit of vigour
 MISS_OF_SHIFT = -0.9  # change of the miss along y per shift [1]
+ERRORS = (Error("miss_x", "m", 0.015), Error("miss_y", "m", 0.015))
+EFFECTS = (
+    Effect("vigour", 0.05, {"miss_x": MISS_OF_VIGOUR}),
+    Effect("sideways", 0.05, {"miss_y": MISS_OF_SHIFT}),
+)
 
 
 class BallInCup(Task):
@@ -71,6 +77,7 @@ class BallInCup(Task):
     fit_settings = CUP_FIT
     Settings: ClassVar[type[CupSettings]] = CupSettings
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = PRESETS
+    errors, effects = ERRORS, EFFECTS
     rest_time = math.pi / SWING_RATE  # half a swing: at its ends the ball is slow, too
     goal = Goal(
         achieved="caught the ball",
@@ -80,6 +87,11 @@ class BallInCup(Task):
         observed="caught",
         true="caught",
     )
+
+    def __init__(self, settings: CupSettings, context: Mapping[str, Any]) -> None:
+        """See `Task`."""
+        super().__init__(settings, context)
+        self.gain = settings.gain
 
     def parametrization(self, policy: Policy) -> Parametrization:
         """Learnt parameters of a policy; see `Task`."""
@@ -132,35 +144,11 @@ class BallInCup(Task):
         success = swing.caught and swing.distance <= self.settings.success_distance
         return Assessment(ret, {"distance": ret}, swing.to_json(), success, why)
 
-    @property
-    def corrections(self) -> Sequence[str]:
-        """The miss, if it is corrected; see `Task`."""
-        return ["miss"] if self.settings.gain else []
-
-    def hindsight(
-        self, assessment: Assessment, parametrization: Parametrization
-    ) -> Sequence[np.ndarray]:
-        """More vigour for a ball that fell short or stayed low, and the cup below where it fell."""
-        settings = self.settings
-        if assessment.observation is None or not settings.gain:
-            return ()
-        swing = swing_of(assessment.observation)
-        if swing.miss is None:  # as if a string's length short, see `assess`
-            vigour = -STRING / MISS_OF_VIGOUR - swing.apex / APEX_OF_VIGOUR
-            wanted = {"vigour": (vigour, settings.vigour_limit)}
-        else:
-            x, y = swing.miss
-            wanted = {
-                "vigour": (-x / MISS_OF_VIGOUR, settings.vigour_limit),
-                "sideways": (-y / MISS_OF_SHIFT, settings.sideways_limit),
-            }
-        shifts = []
-        for name, (change, limit) in wanted.items():
-            index = parametrization.groups[name]
-            shift = np.zeros(parametrization.size)
-            shift[index] = np.clip(settings.gain * change, -limit, limit)
-            shifts.append(shift / parametrization.scale)
-        return shifts
+    def measure(self, observation: Mapping[str, Any]) -> Mapping[str, float]:
+        """Where the ball fell; one that stayed low: as if a string's length short, straight."""
+        swing = swing_of(observation)
+        x, y = swing.miss or (STRING + MISS_OF_VIGOUR / APEX_OF_VIGOUR * swing.apex, 0.0)
+        return {"miss_x": x, "miss_y": y}
 
     def margins(self, record: LoggedRollout) -> Sequence[float]:
         """Distance d within the inner radius of the cup [m]; see `Task`."""

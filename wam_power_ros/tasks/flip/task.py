@@ -22,7 +22,7 @@ from wam_power_ros.tasks.flip.parametrization import flip_parametrization
 from wam_power_ros.tasks.flip.planned_toss import TossModel
 from wam_power_ros.tasks.flip.returns import pancake_return
 from wam_power_ros.tasks.flip.settings import FLIP_FIT, PRESETS, FlipSettings
-from wam_power_ros.tasks.flip.toss_errors import TossErrors, measured_error
+from wam_power_ros.tasks.flip.toss_errors import EFFECTS, ERRORS, TossErrors, measured_errors
 from wam_power_ros.tasks.task import (
     Assessment,
     BodyState,
@@ -63,7 +63,7 @@ class Flip(Task):
     body: ClassVar[str] = "pancake"
     single_policy: ClassVar[bool] = False
     fit_settings = FLIP_FIT
-    margin_scatter: ClassVar[Sequence[float]] = (math.radians(5.0), math.radians(5.0), 0.015, 0.004)
+    errors, effects = ERRORS, EFFECTS
     Settings: ClassVar[type[FlipSettings]] = FlipSettings
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = PRESETS
     goal = Goal(
@@ -138,15 +138,20 @@ class Flip(Task):
             CLIMB_MAX - flight["climb"],
         )
 
+    @property
+    def margin_scatter(self) -> Sequence[float]:
+        """Of the rotation twice [rad], of landing and climb [m]; see `Task`."""
+        return math.radians(5.0), math.radians(5.0), 0.015, 0.004
+
     def model(self, parametrization: Parametrization, start: np.ndarray) -> Model | None:
         """Return of the planned toss, corrected by the returns of rollouts; see `Task`."""
         settings = self.settings
         weights = settings.pancake_weights if settings.ret == "eq5" else settings.landing_weights
         return TossModel(parametrization, start, weights, settings.delta_h)
 
-    def error(self, record: LoggedRollout) -> np.ndarray | None:
-        """Errors of rotation, landing and catch; see `toss_errors.measured_error`."""
-        return measured_error(record.observation)
+    def measure(self, observation: Mapping[str, Any]) -> Mapping[str, float] | None:
+        """Errors of rotation, landing and catch; see `Task`."""
+        return measured_errors(observation)
 
     def error_model(
         self,

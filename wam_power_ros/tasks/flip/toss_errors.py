@@ -18,55 +18,52 @@ from wam_power_ros.learning.learner import Prediction
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Foreseen
+from wam_power_ros.tasks.errors import Effect, Error, RoughErrors
 from wam_power_ros.tasks.flip.pan_toss import Pancake, predict_toss
 from wam_power_ros.tasks.flip.parametrization import TURN_OF_FLICK, TURN_OF_TEMPO, TURN_OF_VIGOUR
 from wam_power_ros.tasks.flip.settings import FlipSettings
 
-TURN_TOLERANCE = math.radians(15.0)  # [rad]
-LANDING_TOLERANCE = 0.03  # [m]
-LEVEL_TOLERANCE = math.radians(12.0)  # [rad] of the pan; from 15 degrees on pancakes slide off
+# From a pitch of 15 degrees on pancakes slide off the pan.
+ERRORS = (
+    Error("rotation", "rad", math.radians(15.0)),
+    Error("landing_x", "m", 0.03),
+    Error("landing_y", "m", 0.03),
+    Error("catch_pitch", "rad", math.radians(12.0)),
+)
 SPIN_DECAY_SD = 0.3  # standard deviation of `Pancake.spin_decay` [1/rad]
 PANCAKE = Pancake()
 SLOWED = PANCAKE._replace(spin_decay=PANCAKE.spin_decay + SPIN_DECAY_SD)
-# Group, size of a step, and additional rotation [rad], landing error along x and y [m] and pitch at
-# the catch [rad] per unit of it.
-DIRECTIONS = (
-    ("vigour", 0.3, (TURN_OF_VIGOUR, 0.0, 0.0, 0.0)),
-    ("tempo", 0.15, (TURN_OF_TEMPO, 0.0, 0.0, 0.0)),
-    ("flick", 0.3, (TURN_OF_FLICK, 0.0, 0.0, 0.0)),
-    ("catch_shift", 0.25, (0.0, -1.0, 0.0, 0.0)),
-    ("side_shift", 0.25, (0.0, 0.0, -1.0, 0.0)),
-    ("catch_pitch", 0.25, (0.0, 0.0, 0.0, -1.0)),
+EFFECTS = (
+    Effect("vigour", 0.3, {"rotation": TURN_OF_VIGOUR}),
+    Effect("tempo", 0.15, {"rotation": TURN_OF_TEMPO}),
+    Effect("flick", 0.3, {"rotation": TURN_OF_FLICK}),
+    Effect("catch_shift", 0.25, {"landing_x": -1.0}),
+    Effect("side_shift", 0.25, {"landing_y": -1.0}),
+    Effect("catch_pitch", 0.25, {"catch_pitch": -1.0}),
 )
-TOLERANCES = np.array([TURN_TOLERANCE, LANDING_TOLERANCE, LANDING_TOLERANCE, LEVEL_TOLERANCE])
 
 
-def measured_error(flight: Mapping[str, Any] | None) -> np.ndarray | None:
-    """Errors of an observed toss: rotation, landing along x and y, pitch at the catch.
-
-    Shape (4,), in tolerances; None if the pancake was not observed.
-    """
-    if flight is None or (flight["tossed"] and not flight["seen"]):
+def measured_errors(flight: Mapping[str, Any]) -> dict[str, float] | None:
+    """Errors of an observed toss, see `ERRORS`; None if the pancake was not observed."""
+    if flight["tossed"] and not flight["seen"]:
         return None
     tossed, angle = bool(flight["tossed"]), flight["angle"]
-    return _error(tossed, angle, flight["landing_error"][:2], flight["catch_pitch"])
+    return _errors(tossed, angle, flight["landing_error"][:2], flight["catch_pitch"])
 
 
-def _error(
+def _errors(
     tossed: bool, angle: float, landing_error: Sequence[float], catch_pitch: float
-) -> np.ndarray:
-    """Errors in tolerances; a pancake that was not tossed has not turned, and has no landing."""
-    catch = (*landing_error, catch_pitch) if tossed else (math.nan,) * 3
-    return np.array([angle - math.pi, *catch]) / TOLERANCES
+) -> dict[str, float]:
+    """Errors of a toss; a pancake that was not tossed has not turned, and has no landing."""
+    turned = {"rotation": angle - math.pi}
+    if not tossed:
+        return turned
+    x, y = landing_error
+    return {**turned, "landing_x": x, "landing_y": y, "catch_pitch": catch_pitch}
 
 
-class TossErrors:
-    """A `learner.ErrorModel` of a toss: rotation, landing along x and y, pitch at the catch.
-
-    Attributes:
-        directions: Those of the corrections in hindsight, see `DIRECTIONS`.
-        slopes: Change of the errors by each.
-    """
+class TossErrors(RoughErrors):
+    """A `learner.ErrorModel` of a toss: `ERRORS`, predicted for a simulated pan."""
 
     def __init__(
         self,
@@ -75,15 +72,10 @@ class TossErrors:
         settings: FlipSettings,
     ) -> None:
         """See `Task.error_model`."""
+        super().__init__(ERRORS, EFFECTS, parametrization)
         self._parametrization, self._foresee = parametrization, foresee
         self._settings = settings
         self._known: dict[bytes, Prediction | None] = {}  # by coordinates; a simulation is slow
-        self.directions = np.zeros((len(DIRECTIONS), parametrization.size))
-        self.slopes = np.zeros((len(TOLERANCES), len(DIRECTIONS)))
-        for k, (group, size, changes) in enumerate(DIRECTIONS):
-            index = parametrization.groups[group].start
-            self.directions[k, index] = size / parametrization.scale[index]
-            self.slopes[:, k] = size * np.array(changes) / TOLERANCES
 
     def predict(self, z: np.ndarray) -> Prediction | None:
         """See `learner.ErrorModel`."""
@@ -101,4 +93,5 @@ class TossErrors:
         return self._known[key]
 
     def _error(self, foreseen: Foreseen, pancake: Pancake) -> np.ndarray:
-        return _error(*predict_toss(foreseen.tool, self._settings.delta_h, pancake))
+        errors = _errors(*predict_toss(foreseen.tool, self._settings.delta_h, pancake))
+        return np.array([errors.get(each.name, math.nan) for each in ERRORS]) / self.tolerances

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What follows from the errors that a task declares, and from what moves them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import BaseModel
+from toss_task import demonstrated_policy
+
+from wam_power_ros.learning.parametrization import Attractors, Direction, Parametrization
+from wam_power_ros.learning.policy import Policy
+from wam_power_ros.learning.rollout import Rollout
+from wam_power_ros.practice import plugins
+from wam_power_ros.practice.settings import preset
+from wam_power_ros.tasks.errors import Effect, Error
+from wam_power_ros.tasks.task import Assessment, LoggedRollout, Task
+
+POLICY = demonstrated_policy()
+SIDE, LIFT = -2.0, 0.5  # true effects [m]
+
+
+class Settings(BaseModel):
+    """Settings of `Push`."""
+
+    settle_time: float = 0.5
+
+
+class Push(Task):
+    """A body is pushed: where it stops is measured."""
+
+    name, body, single_policy = "push", "body", False
+    errors = (Error("x", "m", 0.01, 0.05, 0.004), Error("y", "m", 0.02, 0.05, 0.004))
+    effects = (Effect("sway", 0.1, {"x": SIDE}), Effect("lift", 0.2, {"y": LIFT}))
+    Settings = Settings
+    presets = {"push": {"budget": 20, "mean_every": 3, "confirm": 5, "retests": 2}}
+
+    def parametrization(self, policy: Policy) -> Parametrization:
+        """Attractors, a sway along y and a lift along z."""
+        n = policy.basis.count
+        sway, lift, still = np.zeros((3, n, 3))
+        sway[:, 1] = lift[:, 2] = 1.0
+        groups = (
+            Attractors(0.01),
+            Direction(0.02, "sway", attractors=sway, rotation=still),
+            Direction(0.05, "lift", attractors=lift, rotation=still),
+        )
+        return Parametrization(policy, groups)
+
+    def assess(self, policy: Policy, rollout: Rollout) -> Assessment:
+        """Not asked here."""
+        raise NotImplementedError
+
+    def measure(self, observation: Mapping[str, Any]) -> Mapping[str, float] | None:
+        """What was observed, if anything was."""
+        return observation or None
+
+    def outcome(self, record: LoggedRollout) -> str:
+        """Nothing to say."""
+        return ""
+
+
+TASK = Push(Settings(), {})
+PARAMETRIZATION = TASK.parametrization(POLICY)
+
+
+def change(shifts: list[np.ndarray]) -> dict[str, float]:
+    """Sum of shifts of z, by group, in its unit."""
+    total = PARAMETRIZATION.scale * sum(shifts, np.zeros(PARAMETRIZATION.size))
+    return {name: float(total[PARAMETRIZATION.groups[name]][0]) for name in ("sway", "lift")}
+
+
+@given(st.floats(-0.15, 0.15), st.floats(-0.08, 0.08), st.floats(0.0, 1.0))
+def test_a_correction_takes_away_its_share_of_the_error(x: float, y: float, gain: float) -> None:
+    model = TASK.rough_errors(PARAMETRIZATION)
+    moved = change(model.correction(TASK.error({"x": x, "y": y}), gain))
+    assert moved["sway"] * SIDE == pytest.approx(-gain * x, abs=1e-12)
+    assert moved["lift"] * LIFT == pytest.approx(-gain * y, abs=1e-12)
+
+
+def test_no_parameter_is_corrected_by_more_than_its_step_and_none_for_an_unknown_error() -> None:
+    model = TASK.rough_errors(PARAMETRIZATION)
+    far = change(model.correction(TASK.error({"x": 1.0, "y": -1.0}), 1.0))
+    assert far == pytest.approx({"sway": 0.1, "lift": 0.2})
+    assert change(model.correction(TASK.error({"y": 0.01}), 1.0))["sway"] == 0.0
+    assert TASK.error({}) is None and TASK.error(None) is None
+
+
+def test_a_task_is_corrected_judged_and_planned_by_its_errors_alone() -> None:
+    seen = Assessment(0.5, {}, {"x": 0.02, "y": -0.01})
+    half = change(list(TASK.hindsight(seen, PARAMETRIZATION)))
+    assert half["sway"] * SIDE == pytest.approx(-0.01)
+    assert list(TASK.corrections) == ["x", "y"]
+    record = type("Logged", (), {"observation": seen.observation})()
+    assert TASK.margins(record) == pytest.approx([0.03, 0.04])
+    assert list(TASK.margin_scatter) == [0.004, 0.004]
+    record.observation = {"x": 0.02}
+    assert list(TASK.margins(record)) == []
+    model = TASK.error_model(PARAMETRIZATION, lambda policy: None)
+    assert model.predict is None
+    np.testing.assert_allclose(model.slopes, [[SIDE * 0.1 / 0.01, 0.0], [0.0, LIFT * 0.2 / 0.02]])
+
+
+def test_the_learner_of_a_task_with_errors_plans_unless_its_preset_says_otherwise(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(plugins, "task_type", lambda name: Push)
+    assert preset("push").learner == "model_based"
+    monkeypatch.setattr(Push, "errors", ())
+    assert preset("push").learner == "power"
+    assert TASK.error_model(PARAMETRIZATION, lambda policy: None) is None
+    assert list(TASK.hindsight(Assessment(0.5, {}, {"x": 1.0}), PARAMETRIZATION)) == []
+
+
+def test_errors_are_planned_on_only_where_what_moves_them_is_learnt() -> None:
+    plain = Parametrization(POLICY, (Attractors(0.01),))
+    assert TASK.error_model(plain, lambda policy: None) is None

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measured errors of a rollout and what moves them, from which corrections and plans follow."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from wam_power_ros.learning.learner import Prediction
+from wam_power_ros.learning.parametrization import Parametrization
+
+
+class Error(NamedTuple):
+    """Something that a rollout measures and that is to become 0.
+
+    Attributes:
+        name: Its name.
+        unit: Its unit, such as "m" or "rad".
+        tolerance: Size up to which a rollout is as good as is useful.
+        limit: Size from which a rollout is no success; infinite if it does not decide that.
+        scatter: Its standard deviation over rollouts of one policy, in doubt a larger one.
+    """
+
+    name: str
+    unit: str
+    tolerance: float
+    limit: float = math.inf
+    scatter: float = 0.0
+
+
+class Effect(NamedTuple):
+    """What a learnt parameter does to the errors, roughly.
+
+    Attributes:
+        group: Group of one parameter in the parametrization.
+        step: Largest change of it that is made at once, in its unit.
+        moves: Change of errors by name, in their units, per unit of the parameter.
+    """
+
+    group: str
+    step: float
+    moves: Mapping[str, float]
+
+
+class RoughErrors:
+    """A `learner.ErrorModel` of the effects alone.
+
+    Attributes:
+        directions: A step along each effect, in coordinates z. Shape (d, size).
+        slopes: Change of each error by it [tolerances]. Shape (m, d).
+        tolerances: Those of the errors, in their units. Shape (m,).
+    """
+
+    predict: Callable[[np.ndarray], Prediction | None] | None = None
+
+    def __init__(
+        self, errors: Sequence[Error], effects: Sequence[Effect], parametrization: Parametrization
+    ) -> None:
+        self.tolerances = np.array([error.tolerance for error in errors])
+        self.directions = np.zeros((len(effects), parametrization.size))
+        self.slopes = np.zeros((len(errors), len(effects)))
+        for k, (group, step, moves) in enumerate(effects):
+            index = parametrization.groups[group].start
+            self.directions[k, index] = step / parametrization.scale[index]
+            moved = np.array([moves.get(error.name, 0.0) for error in errors])
+            self.slopes[:, k] = step * moved / self.tolerances
+
+    def correction(self, error: np.ndarray, gain: float) -> list[np.ndarray]:
+        """Shifts of z (size,), one for each effect, that would have reduced an error.
+
+        Args:
+            error: Measured error [tolerances], NaN where it is unknown. Shape (m,).
+            gain: Share of the error that is corrected; no effect goes further than its step.
+        """
+        known = np.isfinite(error)
+        steps = -gain * np.linalg.pinv(self.slopes[known]) @ error[known]
+        bounded = np.clip(steps, -1.0, 1.0)
+        return [
+            step * direction
+            for step, direction in zip(bounded, self.directions, strict=True)
+            if step
+        ]
