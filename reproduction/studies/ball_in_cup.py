@@ -46,6 +46,7 @@ class Row(NamedTuple):
 
 
 ROWS = {
+    "model_based": Row("miss, its rough slopes", "model_based"),
     "cup": Row("return, miss", "cup"),
     "corrections": Row("miss", "corrections_only"),
     "power": Row("return", "return_only"),

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -38,7 +38,9 @@ class Push(Task):
     errors = (Error("x", "m", 0.01, 0.05, 0.004), Error("y", "m", 0.02, 0.05, 0.004))
     effects = (Effect("sway", 0.1, {"x": SIDE}), Effect("lift", 0.2, {"y": LIFT}))
     Settings = Settings
-    presets = {"push": {"budget": 20, "mean_every": 3, "confirm": 5, "retests": 2}}
+    presets: ClassVar[Mapping[str, Any]] = {
+        "push": {"budget": 20, "mean_every": 3, "confirm": 5, "retests": 2}
+    }
 
     def parametrization(self, policy: Policy) -> Parametrization:
         """Attractors, a sway along y and a lift along z."""

@@ -95,10 +95,7 @@ class ErrorModel(Protocol):
 
     @property
     def predict(self) -> Callable[[np.ndarray], Prediction | None] | None:
-        """Predicts the error at z (size,), None where it is unknown; None if there are slopes only.
-
-        It depends on z alone and may take as long as the simulation of a rollout.
-        """
+        """Function of z (size,) alone, None where the error is unknown; None for slopes only."""
 
 
 class Model(Protocol):
