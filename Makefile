@@ -60,11 +60,11 @@ learn: $(READY)
 reproduce: $(READY)
 	@$(call STOPPABLE,$(BIN)/python -m reproduction $(ARGS))
 
-# In the order of test/conftest.py: slow folders first. Three workers on two cores, because many tests wait for a clock.
+# In the order of test/conftest.py: slow folders first. Four workers on two cores, because many tests wait for a clock.
 # Linear algebra uses one thread, as in every node (entry.py).
 test: export OPENBLAS_NUM_THREADS := 1
 test: $(READY)
-	$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder $(ARGS)
+	$(BIN)/python -m pytest -n 4 --dist loadfile --no-loadscope-reorder $(ARGS)
 
 lint: $(READY)
 	$(BIN)/ruff check .
