@@ -211,6 +211,7 @@ class Driver:
     def begin(self, phase: str) -> None:
         """Bring the arm into a phase, to the moment at which false states begin."""
         self.ready()
+        self.play(0.3)  # held so long, whatever comes
         lab, moment = self._lab, MOMENTS.get(phase)
         if moment is not None:
             lab.request("execute", self.policy)

@@ -37,8 +37,7 @@ from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.params.resources import share
 
 PERIOD, SUBSTEPS, DELAY = 0.002, 2, 2  # [s], physics steps, periods until a torque acts
-N = len(JOINTS)
-TOOL = "pan"
+N, TOOL = len(JOINTS), "pan"
 FILTER = 180.0  # [rad/s] of the reported speeds, as of libbarrett
 RESOLUTION = 1e-5  # [rad] of the encoders
 AFTER, UNFOUND = 10.0, 15.0  # [s] of observation after a fault, and without one
