@@ -111,7 +111,7 @@ class Reaction:
             `ANSWER_TIME` although the torque brakes it, so that the states are false.
         carried: Torque beyond g(q) that carried the arm before the fault [N m]. Shape (n,).
         known: Torque [N m] within which friction and model explain a difference. Shape (n,).
-        held: Whether `carried` held the arm at rest.
+        was_held: True if the fault was found in a hold, so that `carried` has held the arm at rest.
 
     Args:
         arm: Model of the arm.
@@ -178,7 +178,7 @@ class Reaction:
         self._weight = self._held = self._kept = self._beyond = self._frozen = self._anchor = None
         self._external = np.zeros(self._arm.n)
         self._believed = self._alone = True
-        self.unanswered = self._slow = self.held = False
+        self.unanswered = self._slow = self.was_held = False
         self._seconds = self._calm = 0.0
         self._recent.clear()
 
@@ -207,8 +207,8 @@ class Reaction:
             if self._model is not None:
                 self._model.external = self._external
 
-    def moves(self, qd: np.ndarray) -> None:
-        """Brake an arm that moves at speeds (n,) [rad/s] that its states do not report."""
+    def assume_speeds(self, qd: np.ndarray) -> None:
+        """Brake an arm that moves at speeds (n,) [rad/s] which its states do not report."""
         if self._model is not None:
             self._model.qd = qd
 
@@ -294,7 +294,7 @@ class Reaction:
         Args:
             state: Measured state.
             believed: Whether it is believed.
-            explained: Whether it is believed, and its motion is that of the torques sent.
+            explained: True if it is believed, and the torques sent explain the motion it reports.
             weight: Torque of a weight at the tool that the model does not have [N m]. Shape (n,).
         """
         model = self._model = self._model or self._at_posture(state.q)
@@ -363,7 +363,7 @@ class Reaction:
         tau = base - damping * braking + bounded
         known = self._slow and self._kept is None and self._weight is None
         known = known and bool((np.abs(tau - carrying) <= self.known).all())
-        calm = known and self.held and np.abs(reported).max() < STILL_SPEED
+        calm = known and self.was_held and np.abs(reported).max() < STILL_SPEED
         self._calm = self._calm + state.span if calm else 0.0
         if self._calm > CALM_TIME:  # what held it holds it, and a drift is not followed
             half = 0.5 * self._arm.friction

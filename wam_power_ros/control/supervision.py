@@ -129,7 +129,7 @@ class Supervision:
         sudden = BEFORE_STEP if kind.of_states else BEFORE_GUIDED
         alone = kind.of_states or mode in MOVING_MODES
         self.reaction.begin(sudden if guided else BEFORE, alone, guided)
-        self.reaction.held = mode is Mode.HOLD
+        self.reaction.was_held = mode is Mode.HOLD
         if mode in MOVING_MODES:
             beyond = -self._usual
             if mode is Mode.ROLLOUT:  # fast: what sensors and motors lag is unexplained, too
@@ -138,7 +138,7 @@ class Supervision:
         else:  # what held the arm there; friction had a share in it that is not known elsewhere
             self.reaction.carried = unexplained.before(self.reaction.posture)
         if kind is FaultKind.DRIFT:
-            self.reaction.moves(-unexplained.drift)
+            self.reaction.assume_speeds(-unexplained.drift)
         if kind.of_states:
             self.doubt(kind)
 

@@ -77,9 +77,5 @@ class RoughErrors:
         """
         known = np.isfinite(error)
         steps = -gain * np.linalg.pinv(self.slopes[known]) @ error[known]
-        bounded = np.clip(steps, -1.0, 1.0)
-        return [
-            step * direction
-            for step, direction in zip(bounded, self.directions, strict=True)
-            if step
-        ]
+        bounded = zip(np.clip(steps, -1.0, 1.0), self.directions, strict=True)
+        return [step * direction for step, direction in bounded if step]

@@ -152,8 +152,10 @@ class Task(ABC):
         presets: Name -> settings of a session: fields of `Settings`, fields of
             `practice.settings.PracticeSettings`, and `learner`, a mapping with a learner's name and
             settings. The first preset is the default.
-        errors: What a rollout measures and is to become 0, see `measure`; empty for returns alone.
-        effects: What moves them, roughly: learners correct and plan by it.
+        errors: Errors that a rollout measures, see `measure`, each with unit and tolerance; empty
+            for a task that is learnt from returns alone.
+        effects: Rough change of the errors by a learnt parameter, each with its largest step, by
+            which learners correct and plan.
         rest_time: Time for which the body must have been `ready` before a rollout [s].
         goal: What is to be achieved, in the words of the reports.
         published: What a publication reports on the task, None for nothing.

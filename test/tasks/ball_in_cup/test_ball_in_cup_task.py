@@ -206,6 +206,14 @@ def test_nothing_is_corrected_without_a_gain_or_an_observation() -> None:
     assert list(plain.hindsight(seen, plain.parametrization(POLICY))) == []
 
 
+def test_settings_of_a_stored_session_are_read_and_other_limits_refused() -> None:
+    stored = SETTINGS.model_dump()
+    old = {**stored, "vigour_limit": 0.05, "sideways_limit": 0.05}
+    assert type(SETTINGS).model_validate(old) == SETTINGS
+    with pytest.raises(ValueError, match="vigour_limit"):
+        type(SETTINGS).model_validate({**stored, "vigour_limit": 0.2})
+
+
 def moved(group: str, amount: float) -> tuple[Parametrization, np.ndarray]:
     """Change of the attractors by one parameter."""
     parametrization = cup_parametrization(POLICY, "swing", SETTINGS.noise)

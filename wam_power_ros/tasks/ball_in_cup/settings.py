@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from wam_power_ros.learning.demonstration import Movement
 from wam_power_ros.learning.dmp import FitSettings
@@ -23,6 +23,10 @@ CUP_FIT = FitSettings(
     damping=80.0,
     movement=Movement(start=0.05, end=0.05),
 )
+
+
+# Settings of stored sessions that are steps of the effects now, see `tasks.errors.Effect`.
+STEPS = (("vigour_limit", 0.05), ("sideways_limit", 0.05))
 
 
 class CupNoise(NoiseScales):
@@ -58,6 +62,12 @@ class CupSettings(BaseModel):
     gain: float = Field(default=0.0, ge=0.0, le=1.0)
     success_distance: float = Field(default=0.03, gt=0.0, le=1.0)
     settle_time: float = Field(default=1.0, ge=0.0, le=10.0)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _leave_out_steps(cls, values: Any) -> Any:  # noqa: ANN401 - whatever was stored
+        known = values.items() if isinstance(values, Mapping) else ()
+        return {k: v for k, v in known if (k, v) not in STEPS} if known else values
 
 
 _COMMON: Mapping[str, Any] = {

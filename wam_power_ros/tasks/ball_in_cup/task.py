@@ -24,7 +24,6 @@ from wam_power_ros.tasks.ball_in_cup.settings import CUP_FIT, PRESETS, CupSettin
 from wam_power_ros.tasks.ball_in_cup.swing import (
     CUP_RADIUS,
     STRING,
-    Swing,
     in_cup,
     observe_swing,
     swing_of,
@@ -164,7 +163,8 @@ class BallInCup(Task):
         swing = swing_of(record.observation)
         if swing.t_c is None:
             return f"{-100 * swing.apex:.0f} cm below the rim"
-        return f"{100 * swing.distance:.1f} cm beside, {_end(swing)}"
+        end = "in the cup" if swing.caught else "missed"
+        return f"{100 * swing.distance:.1f} cm beside, {end}"
 
     def summary(self, records: Sequence[LoggedRollout]) -> list[str]:
         """Catches and distances of the re-tests; see `Task`."""
@@ -199,7 +199,3 @@ class BallInCup(Task):
         swing = observe_swing(rollout.tool, rollout.body)
         t_c = None if swing is None else swing.t_c
         return side_view(rollout.tool, rollout.body, t_c), "Dots are camera frames of the ball."
-
-
-def _end(swing: Swing) -> str:
-    return "in the cup" if swing.caught else "missed"
