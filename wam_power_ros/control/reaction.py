@@ -207,6 +207,12 @@ class Reaction:
             if self._model is not None:
                 self._model.external = self._external
 
+    def distrust(self) -> None:
+        """Let the model alone tell what an arm did since it was held, if that is not long ago."""
+        known = BEFORE + self._seconds < BEFORE_GUIDED and self._weight is None
+        if self.was_held and known and not self._alone:
+            self._model, self._alone = self._before(BEFORE + self._seconds) or self._model, True
+
     def assume_speeds(self, qd: np.ndarray) -> None:
         """Brake an arm that moves at speeds (n,) [rad/s] which its states do not report."""
         if self._model is not None:
@@ -221,6 +227,8 @@ class Reaction:
         first = past[0]
         seconds = sum(each.dt for each in past[1 : self._rates + 1])
         qd = (past[self._rates].q - first.q) / seconds
+        if self.was_held:
+            qd, first = 0.0 * qd, first._replace(external=(-self.carried).tolist())
         delay = at_rate(TORQUE_DELAY, self._period)
         taus = [first.tau] * delay + [each.tau for each in past]
         external = np.array(first.external)

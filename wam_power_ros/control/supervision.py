@@ -25,6 +25,8 @@ INERTIAL_SHARE = 0.3  # of the accelerating torque, may be unexplained: sensors 
 STANDING_SHARE = 0.05  # share of a torque limit: bound at a joint that stands still in a rollout
 FAULT_SHARE = 0.15  # share of a torque limit: beyond it no motion in a fault is believed
 USUAL_TIME = 1.0  # [s] in which an unexplained torque that stays becomes usual
+SLIDING = 0.02  # [rad/s] speed from which the sign of a joint's friction is known
+NEAR = 0.1  # [rad] from the end of a movement, to where what the joints needed there holds
 # Numbers of states are those at 500 Hz: at a higher rate they are more, see `at_rate`.
 REST_NS = 200_000_000  # [ns] at rest before a fault may be reset
 DOUBTFUL_STATES = 12  # consecutive states that nothing explains until none is believed
@@ -66,6 +68,9 @@ class Supervision:
         self._arm, self._motor_torque = arm, motor_torque
         self._unexplainable = 2.0 * arm.friction + FAULT_SHARE * arm.tau_max
         self._usual = np.zeros(arm.n)  # residual, low-passed: of a model that is wrong [N m]
+        # Least and most torque beyond g(q) under which each joint stood since it slid [N m], and
+        # the posture at the end of the last movement [rad]; NaN before one.
+        self._least = self._most = self._moved_to = np.full(arm.n, np.nan)
         self._explains = False  # model, friction and torques explain the motion of the last state
         self._possible = False  # they do if up to 15 % of a torque limit may be unexplained
         self._unexplained = 0  # consecutive states of a motion that they do not explain
@@ -110,6 +115,7 @@ class Supervision:
         self.reaction.end()
         self.believed, self._lasting = True, False
         self._states, self._gravity_wrong = 0, False
+        self._least = self._most = self._moved_to = np.full(self._arm.n, np.nan)
 
     def mode_changed(self) -> None:
         """Restart the count of states beyond a motion limit: other limits apply."""
@@ -136,11 +142,23 @@ class Supervision:
                 beyond = np.where(np.abs(beyond) > self._arm.friction, beyond, 0.0)
             self.reaction.carried = beyond
         else:  # what held the arm there; friction had a share in it that is not known elsewhere
-            self.reaction.carried = unexplained.before(self.reaction.posture)
+            self.reaction.carried = self._amid(unexplained.before(self.reaction.posture))
         if kind is FaultKind.DRIFT:
             self.reaction.assume_speeds(-unexplained.drift)
         if kind.of_states:
             self.doubt(kind)
+
+    def _amid(self, held: np.ndarray) -> np.ndarray:
+        """Torque (n,) [N m] beyond g(q) in whose neighbourhood friction holds a resting arm.
+
+        Friction holds a joint as well under the least as under the most torque under which it
+        stood since it moved; the one that held it last may be at the edge. So take half-way.
+        """
+        if not np.abs(self._moved_to - self.reaction.posture).max() < NEAR:
+            return held
+        amid = 0.5 * (np.fmin(self._least, held) + np.fmax(self._most, held))
+        half = 0.5 * self._arm.friction
+        return np.minimum(np.maximum(amid, held - half), held + half)
 
     def doubt(self, kind: FaultKind) -> None:
         """Believe no state until they agree again; never again in this fault after a jump."""
@@ -149,6 +167,7 @@ class Supervision:
         self._contradicted |= kind.of_states
         self._lasting |= kind is FaultKind.JUMP
         self._drifts |= kind in (FaultKind.DRIFT, FaultKind.STANDSTILL)
+        self.reaction.distrust()
 
     def plausibility_fault(
         self, mode: Mode, before: JointState | None, state: JointState
@@ -177,6 +196,11 @@ class Supervision:
         if fault is not None and mode is Mode.HOLD and self._states < self._first_states:
             fault = self._gravity_fault(state.q, residual) or fault
         self._usual = self._usual + state.span / USUAL_TIME * (residual - self._usual)
+        if mode in MOVING_MODES:
+            slides = np.abs(state.qd) > SLIDING
+            self._least = np.where(slides, -residual, np.fmin(self._least, -residual))
+            self._most = np.where(slides, -residual, np.fmax(self._most, -residual))
+            self._moved_to = state.q
         if mode is not Mode.FAULT:
             return fault
         braking = self.believed and not self._doubted and not self.reaction.rested
