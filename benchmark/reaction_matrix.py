@@ -248,10 +248,13 @@ def begin(loop: Loop, mode: str) -> None:
     """Bring the arm to a mode."""
     core = loop.controller
     start = loop.policy.q_start
-    if mode == "move":
+    if mode in ("move", "hold after move"):
         loop.begin(start + np.array([0.2, -0.2, 0.1, 0.3, 0.0, -0.3, 0.0]))
         core.move_to_start()
         loop.play(0.8)
+        if mode != "move":
+            loop.play(4.0, lambda: core.mode is Mode.HOLD)
+            loop.play(0.3)
     elif mode.startswith("rollout"):
         loop.begin(start)
         core.move_to_start()
@@ -277,7 +280,7 @@ def begin(loop: Loop, mode: str) -> None:
 
 
 MODES = (
-    *("hold", "move", "untouched", "guided", "replay", "sweep"),
+    *("hold", "move", "hold after move", "untouched", "guided", "replay", "sweep"),
     *("rollout early", "rollout late", "fault"),
 )
 

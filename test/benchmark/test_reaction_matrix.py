@@ -45,6 +45,18 @@ def test_a_joint_that_runs_away_smoothly_moves_a_held_arm_slowly_and_little(join
     assert outcome.way < 0.06
 
 
+@pytest.mark.requirement("S-131")
+@pytest.mark.parametrize("kind", ["smooth runaway", "smooth bump"])
+@pytest.mark.parametrize("arm", ["model", "friction halved", "drawn 0", "drawn 3"])
+def test_an_arm_that_is_held_after_a_move_is_braked_by_the_torques_it_was_sent(
+    kind: str, arm: str
+) -> None:
+    outcome = run(Cell(kind, 1, "hold after move", arm))
+    assert outcome.fault
+    assert outcome.peak < 0.4
+    assert outcome.way < 0.08
+
+
 @pytest.mark.requirement("S-132")
 @pytest.mark.parametrize("kind", ["drift +0.1", "drift -0.1"])
 def test_a_zero_that_drifts_in_a_hold_is_found_and_not_followed_after_the_fault(
