@@ -191,9 +191,9 @@ def test_a_joint_or_frame_that_does_not_match_is_named() -> None:
     [
         ("armature", "-0.001", "armature .* must not be negative"),
         ("armature", "nan", "armature .* must be 7 finite numbers"),
-        ("velocity", "0.0", "limit velocity = 0 of joint .* must be positive"),
-        ("effort", "0.0", "limit effort = 0 of joint .* must be positive"),
-        ("upper", "-9.0", "lower .* must be below upper -9"),
+        ("velocity", "0.0", "limit velocity = '0.0' of joint .* above 0"),
+        ("effort", "0.0", "limit effort = '0.0' of joint .* above 0"),
+        ("upper", "-9.0", "upper = '-9.0' of joint .* above -"),
     ],
 )
 def test_one_joint_with_invalid_limits_or_armature_is_enough_to_be_refused(

@@ -547,14 +547,7 @@ class Controller:
         state: JointState | None,
         elapsed: float | None,
     ) -> np.ndarray:
-        """Latch a fault; returns the torque to send instead [N m], within the limits. Shape (n,).
-
-        Args:
-            error: Why no torque could be computed.
-            before: Last torque sent [N m]. Shape (n,).
-            state: Measured state, if there is one.
-            elapsed: Time since the last torque [s]; None for one period.
-        """
+        """Latch a fault; returns the torque (n,) [N m] to send a time [s] after `before`."""
         self._failed = True
         self._fault_of(error)
         self._supervision.begin()  # it does not see what happens meanwhile
@@ -577,12 +570,7 @@ class Controller:
         return self._output.send(tau, q, None if self._mode is Mode.INACTIVE else dt)
 
     def _checked_torque(self, state: JointState, dt: float) -> np.ndarray:
-        """Torque for an accepted state, after the plausibility, limit and switch checks.
-
-        Args:
-            state: Accepted state.
-            dt: Time since the last torque was sent [s].
-        """
+        """Torque for an accepted state, after all checks, a time [s] after the last was sent."""
         supervision = self._supervision
         fault = supervision.plausibility_fault(self._mode, self._states.before, state)
         if fault is not None:

@@ -8,11 +8,12 @@ sensors or flanges with placeholders, which are harmless beside what they are fi
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
+
+from wam_power_ros.control.urdf_joints import number
 
 LEVER_MAX = 5.0  # [m] from a joint to the centre of mass of its body; beyond it are millimetres
 # Share of the largest principal moment. The largest may exceed the sum of the others by more than
@@ -77,10 +78,7 @@ def _require_numbers(link: str, inertial: ElementTree.Element) -> None:
         raise ValueError(f"<inertial> of link {link!r} must have <mass> and <inertia>")
     texts = [mass.get("value", ""), *(moments.get(name, "") for name in _MOMENTS)]
     texts += ("0 0 0" if origin is None else origin.get("xyz", "0 0 0")).split()
-    try:
-        numbers = [float(text) for text in texts]
-    except ValueError:
-        numbers = [math.nan]
+    numbers = list(map(number, texts))
     if not all(map(math.isfinite, numbers)):
         raise ValueError(f"<inertial> of link {link!r} must have finite numbers, not {texts}")
     if numbers[0] < 0.0:
@@ -106,7 +104,10 @@ def _unphysical(inertia: pin.Inertia) -> str:
 def _massless_joint(model: pin.Model) -> int | None:
     """Number from 0 of a joint that moves without inertia at some posture, or None."""
     data = model.createData()
-    for q in _postures(model.lowerPositionLimit, model.upperPositionLimit):
+    low = np.maximum(model.lowerPositionLimit, -math.pi)
+    high = np.minimum(model.upperPositionLimit, math.pi)
+    for k in range(_POSTURES):  # spread over the ranges of the joints
+        q = low + (0.618 * k + 0.414 * k * np.arange(low.size)) % 1.0 * (high - low)
         mass = pin.crba(model, data, q)
         diagonal = mass.diagonal()
         if diagonal.min() <= 0.0:
@@ -116,10 +117,3 @@ def _massless_joint(model: pin.Model) -> int | None:
         if values[0] < EIGENVALUE_MIN:
             return int(np.abs(vectors[:, 0]).argmax())
     return None
-
-
-def _postures(low: np.ndarray, high: np.ndarray) -> Sequence[np.ndarray]:
-    """Postures (n,) spread over the ranges of the joints [rad]."""
-    low, high = np.maximum(low, -math.pi), np.minimum(high, math.pi)
-    shares = np.outer(np.arange(_POSTURES), 0.618 + 0.414 * np.arange(low.size)) % 1.0
-    return list(low + shares * (high - low))

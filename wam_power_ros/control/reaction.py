@@ -339,14 +339,10 @@ class Reaction:
         gravity: np.ndarray,
         carrying: np.ndarray,
     ) -> np.ndarray:
-        """Motor torque in a state that is believed [N m]. Shape (n,).
+        """Motor torque (n,) [N m] in a state that is believed.
 
-        Args:
-            state: Measured state.
-            reported: Speeds by the reported positions [rad/s]. Shape (n,).
-            mass: Mass matrix at the posture of the model [kg m^2]. Shape (n, n).
-            gravity: g there [N m]. Shape (n,).
-            carrying: Torque that carries the arm there [N m]. Shape (n,).
+        The speeds (n,) [rad/s] are by positions; M, g and the torque that carries the arm at the
+        model's posture.
         """
         model, damping = self._model or self._at_posture(state.q), safety.FAULT_DAMPING
         qd = confirmed(model.qd, reported)

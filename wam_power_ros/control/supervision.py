@@ -4,7 +4,7 @@
 import numpy as np
 
 from wam_power_ros.control import safety
-from wam_power_ros.control.arm import Arm, Motion, Speeds
+from wam_power_ros.control.arm import FRICTION_SPEED, Arm, Motion, Speeds
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.modes import MOVING_MODES, Mode
 from wam_power_ros.control.payload import PayloadCheck
@@ -25,7 +25,7 @@ INERTIAL_SHARE = 0.3  # of the accelerating torque, may be unexplained: sensors 
 STANDING_SHARE = 0.05  # share of a torque limit: bound at a joint that stands still in a rollout
 FAULT_SHARE = 0.15  # share of a torque limit: beyond it no motion in a fault is believed
 USUAL_TIME = 1.0  # [s] in which an unexplained torque that stays becomes usual
-SLIDING = 0.05  # [rad/s] speed from which the sign of a joint's friction is known, see FRICTION_SPEED
+SLIDING = 2.5 * FRICTION_SPEED  # [rad/s] from which the sign of a joint's friction is known
 NEAR = 0.1  # [rad] from the end of a movement, to where what the joints needed there holds
 # Numbers of states are those at 500 Hz: at a higher rate they are more, see `at_rate`.
 REST_NS = 200_000_000  # [ns] at rest before a fault may be reset

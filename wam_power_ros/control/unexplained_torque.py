@@ -136,14 +136,11 @@ class UnexplainedTorque:
             self._mover, self._drag = joint, change
 
     def _friction_in(self, change: np.ndarray) -> np.ndarray:
-        """Share of friction in the torque of an arm that follows a drift [N m]. Shape (n,).
+        """Share of friction (n,) [N m] in the torque of an arm that follows a drift, at rest.
 
         The joint that was seen to move is moved against its friction. The hold couples the joints:
         where its share of that exceeded the friction of another one, this one slipped. Half of the
         share still presses there, and friction opposes the slip, whose torque changes since then.
-
-        Args:
-            change: Change of the torque since the joints report rest [N m]. Shape (n,).
         """
         if (mover := self._mover) is None:
             return np.zeros(self._n)

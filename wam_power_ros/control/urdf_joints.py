@@ -52,37 +52,32 @@ def _require_moving(name: str, joint: ElementTree.Element, known: list[str]) -> 
     if kind not in _LIMITED:
         raise ValueError(f"joint {name!r} is of type {kind!r}; allowed are {list(_LIMITED)}")
     if (mimic := joint.find("mimic")) is not None:
-        raise ValueError(
-            f"joint {name!r} mimics {mimic.get('joint')!r} and cannot be commanded: leave it "
-            "out of model_joint_names and joint_names"
-        )
+        text = f"joint {name!r} mimics {mimic.get('joint')!r} and cannot be commanded: leave it out"
+        raise ValueError(f"{text} of model_joint_names and joint_names")
 
 
 def _require_limits(name: str, joint: ElementTree.Element) -> None:
     limit = joint.find("limit")
     given = {} if limit is None else dict(limit.items())
-    values: dict[str, float] = {}
+    lower = -math.inf
     for attribute in ("lower", "upper", "velocity", "effort"):
-        if attribute not in given:
+        if (text := given.get(attribute)) is None:
             raise ValueError(
                 f"joint {name!r} has no limit {attribute!r}: add <limit lower= upper= velocity= "
                 "effort=> with the values that its maker states"
             )
-        try:
-            values[attribute] = float(given[attribute])
-        except ValueError:
-            values[attribute] = math.nan
-        if not math.isfinite(values[attribute]):
-            text = given[attribute]
+        above = {"lower": -math.inf, "upper": lower}.get(attribute, 0.0)
+        if not above < (value := number(text)) < math.inf:
             raise ValueError(
-                f"limit {attribute} = {text!r} of joint {name!r} must be a finite number"
+                f"limit {attribute} = {text!r} of joint {name!r} must be a finite number above "
+                f"{above:g}: take the value that its maker states"
             )
-    if not values["lower"] < values["upper"]:
-        lower, upper = values["lower"], values["upper"]
-        raise ValueError(f"limits of joint {name!r}: lower {lower:g} must be below upper {upper:g}")
-    for attribute in ("velocity", "effort"):
-        if values[attribute] <= 0.0:
-            raise ValueError(
-                f"limit {attribute} = {values[attribute]:g} of joint {name!r} must be positive: "
-                "take the value that its maker states"
-            )
+        lower = value if attribute == "lower" else lower
+
+
+def number(text: str) -> float:
+    """Read a number; NaN if it is none."""
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
