@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from wam_power_ros import installed
 from wam_power_ros.cli.launcher import Devices, UsageError, task_stems
 from wam_power_ros.durable_files import check_name
 
@@ -149,18 +150,16 @@ def learner_parameters(folder: Path, asked: SessionOptions, seed: int, task: str
 
 def method_words(settings: SessionSettings) -> list[str]:
     """Command-line words that ask for the preset and the learner of a session."""
-    from wam_power_ros.practice import plugins
     from wam_power_ros.practice.settings import preset
 
-    presets = plugins.task_type(settings.task).presets
-    own_first = sorted(presets, key=lambda of: presets[of]["learner"]["name"] != settings.learner)
-    for name in own_first:
-        own = presets[name]["learner"]["name"]
-        learner = {} if settings.learner == own else {"name": settings.learner}
-        made = preset(settings.task, name, learner)
+    presets = installed.task_type(settings.task).presets
+    learners = {name: preset(settings.task, name).learner for name in presets}
+    for name in sorted(presets, key=lambda of: learners[of] != settings.learner):
+        made = preset(settings.task, name, {"name": settings.learner})
         if made.model_copy(update={"practice": settings.practice}) == settings:
             words = [] if name == next(iter(presets)) else ["--preset", name]
-            return words + (["--learner", settings.learner] if learner else [])
+            other = learners[name] != settings.learner
+            return words + (["--learner", settings.learner] if other else [])
     return ["--learner", settings.learner]
 
 
@@ -190,16 +189,15 @@ def _differences(asked: SessionOptions, header: SessionHeader) -> Iterator[str]:
 def _check_new(task: str, asked: SessionOptions, devices: Devices) -> None:
     from wam_power_ros.bags import reader
     from wam_power_ros.bags.bag import Bag
-    from wam_power_ros.practice import plugins
     from wam_power_ros.practice.settings import preset
 
     if asked.learner:
-        plugins.learner_type(asked.learner)
+        installed.find("learner", asked.learner)
     learner = {"name": asked.learner} if asked.learner else None
     changes = {} if asked.trials is None else {"budget": asked.trials}
     budget = preset(task, asked.preset, learner, **changes).practice.budget
     reproductions = len(asked.bags) or asked.demonstrations
-    if plugins.task_type(task).single_policy:
+    if installed.task_type(task).single_policy:
         reproductions = 1
     if budget <= reproductions:
         raise UsageError(

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, ValidationError, model_validator
 
+from wam_power_ros import installed
 from wam_power_ros.learning.learner import ErrorModel, Learner, Model
-from wam_power_ros.practice import plugins
 from wam_power_ros.tasks.task import Task
 
 SHOWN_MAX = 80  # characters of an invalid value in an error message
@@ -71,8 +71,8 @@ class SessionSettings(BaseModel):
             return values
         found = dict(values)
         for key, models in (
-            ("task", plugins.task_type(str(values["task"])).Settings),
-            ("learner", plugins.learner_type(str(values["learner"])).Settings),
+            ("task", installed.task_type(str(values["task"])).Settings),
+            ("learner", installed.find("learner", str(values["learner"])).Settings),
         ):
             own = found.get(f"{key}_settings", {})
             try:
@@ -85,7 +85,7 @@ class SessionSettings(BaseModel):
 
     def make_task(self, context: Mapping[str, Any]) -> Task:
         """Create the task; `context` as returned by its `context_of`."""
-        return plugins.task_type(self.task)(self.task_settings, context)
+        return installed.task_type(self.task)(self.task_settings, context)
 
     def make_learner(
         self,
@@ -105,7 +105,7 @@ class SessionSettings(BaseModel):
         Raises:
             ValueError: The learner needs a model and the task has none.
         """
-        kind = plugins.learner_type(self.learner)
+        kind = installed.find("learner", self.learner)
         needed: dict[str, Model | ErrorModel | None] = {}
         if kind.needs_model:
             needed["a model of the returns"] = task_model
@@ -138,13 +138,13 @@ def preset(
     Raises:
         ValueError: The task, preset, learner or a field is unknown, or a value is out of range.
     """
-    kind = plugins.task_type(task)
+    kind = installed.task_type(task)
     name = name or next(iter(kind.presets))
     if name not in kind.presets:
         raise ValueError(f"preset {name!r} of {task!r} is not one of {', '.join(kind.presets)}")
     values = dict(kind.presets[name])
-    usual = {"name": "model_based" if kind.errors else "power"}
-    learning = dict(values.pop("learner", usual))
+    usual = "model_based" if kind.errors else "power"
+    learning = {"name": usual, **values.pop("learner", {})}
     if learner and learner.get("name", learning["name"]) != learning["name"]:
         learning = {}
     learning |= learner or {}
