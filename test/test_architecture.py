@@ -112,7 +112,7 @@ BUDGET = {
     "view": 1430,
     "reporting": 990,
     "in_process": 420,
-    "cli": 3357,
+    "cli": 3353,
     "hardware_sim": 3365,
     "launch": 260,
     "examples": 380,

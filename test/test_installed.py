@@ -226,6 +226,37 @@ def test_a_preset_needs_no_learner_and_may_not_misspell_a_setting(
         preset("stack")
 
 
+@pytest.mark.parametrize("task", ["ball_in_cup", "flip", "reach"])
+def test_a_learner_works_with_a_preset_or_is_refused_with_all_that_do(task: str) -> None:
+    presets, refused = list(installed.task_type(task).presets), 0
+    for name in {presets[0], presets[-1]}:
+        preset(task, name).check(1)
+        works: list[str] = []
+        refusals: list[str] = []
+        for learner in installed.names("learner"):
+            try:
+                preset(task, name, {"name": learner}).check(1)
+                works.append(learner)
+            except ValueError as error:
+                refusals.append(str(error))
+        refused += len(refusals)
+        for refusal in refusals:
+            assert refusal.endswith(f"learners that work: {', '.join(works)}")
+    assert refused
+
+
+def test_the_budget_is_checked_also_where_a_task_knows_no_made_up_movement(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def refuse(demonstrations: object, policy_id: str) -> None:
+        raise ValueError("none of its movements")
+
+    monkeypatch.setattr(Flip, "policy_of", refuse)
+    preset("flip", "paper", {"name": "model_based"}, budget=4).check(3)
+    with pytest.raises(ValueError, match=r"budget of 3 .* allow 4 trials or more"):
+        preset("flip", budget=3).check(3)
+
+
 def test_settings_of_a_task_that_forbid_what_they_do_not_know_are_accepted() -> None:
     strict = type("Strict", (Loose,), {"model_config": ConfigDict(extra="forbid")})
     assert type("Mine", (Task,), STATED | {"Settings": strict}).body == "pancake"

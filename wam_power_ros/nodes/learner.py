@@ -347,6 +347,7 @@ class Learner(Node):
         else:
             settings = self._settings()
             named = list(filter(None, params.demonstrations))
+            settings.check(1 if params.policy else len(named))  # before the bags are read
             bags, demonstrations, candidates = self._demonstrations.candidates(settings, named)
             context = self._kind.context_of(demonstrations, self._arm.region)
             if params.policy:
