@@ -47,7 +47,9 @@ ALLOWED: dict[str, set[str]] = {
     "commissioning": {"rotations", "control"},
     "tracking": {"rotations", "learning"},
     "tasks": {"faults", "plotting", "regions", "rotations", "learning"},
+    "installed": {"tasks"},  # a root module: what is found by entry points
     "practice": {
+        "installed",
         "durable_files",
         "plain_yaml",
         "plain_json",
@@ -57,6 +59,7 @@ ALLOWED: dict[str, set[str]] = {
         "tasks",
     },
     "params": {
+        "installed",
         "plain_yaml",
         "faults",
         "regions",
@@ -92,25 +95,25 @@ ALLOWED["benchmark"] = {*ALLOWED}
 # Lines that a folder may have, docstrings and blanks included. Needing more is a reason to look for
 # what can go; where nothing can, the commit that raises a figure says why.
 BUDGET = {
-    "ground": 1370,  # the modules of wam_power_ros/ itself
+    "ground": 1435,  # the modules of wam_power_ros/ itself; what is installed is found in one
     "learning": 3055,
     "control": 4970,  # the reaction asks in every state what is believed, knows a mass, and a drift
     "commissioning": 1230,
     "tracking": 620,
     "tasks": 4010,  # what follows from the errors of any task is written here once
-    "practice": 2480,  # refusals by a person and pauses are in its log
+    "practice": 2465,  # refusals by a person and pauses are in its log
     "conformance": 1130,
     "bags": 2660,
     "params": 1140,
     "ros": 2810,
     "client": 1450,
-    "nodes": 3310,
+    "nodes": 3298,
     "console": 990,
     "view": 1430,
     "reporting": 990,
     "in_process": 420,
-    "cli": 3380,
-    "hardware_sim": 3380,
+    "cli": 3353,
+    "hardware_sim": 3365,
     "launch": 260,
     "examples": 380,
     "reproduction": 4100,

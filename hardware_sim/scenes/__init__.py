@@ -7,7 +7,6 @@ provide scenes.
 
 from __future__ import annotations
 
-from importlib.metadata import entry_points
 from typing import Protocol
 
 import mujoco
@@ -16,8 +15,7 @@ import numpy as np
 from hardware_sim.demonstrator import Script
 from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth
 from hardware_sim.settings import WorldSettings
-
-GROUP = "wam_power_ros.scenes"  # of entry points
+from wam_power_ros import installed
 
 
 class Scene(Protocol):
@@ -67,18 +65,6 @@ class Scene(Protocol):
 
 
 def scene_type(name: str) -> type[Scene]:
-    """Class of the scene with this name.
-
-    Raises:
-        ValueError: No installed package has such a scene, or it cannot be imported.
-    """
-    points = {point.name: point for point in entry_points(group=GROUP)}
-    if not points:
-        raise ValueError(f"no scenes in group {GROUP}: install the package again (make venv)")
-    if name not in points:
-        raise ValueError(f"scene {name!r} is not one of {', '.join(sorted(points))}")
-    try:
-        found: type[Scene] = points[name].load()
-    except (ImportError, AttributeError) as error:
-        raise ValueError(f"scene {name!r} cannot be loaded: {error}") from error
+    """Class of the scene with this name; raises a ValueError as `installed.find` does."""
+    found: type[Scene] = installed.find("scene", name)
     return found

@@ -15,10 +15,10 @@ from hardware_sim.scenes import scene_type
 from hardware_sim.world import World
 from reproduction.studies.flip_sessions import NOVICE, teach
 from reproduction.studies.reaching_runs import generator, learn_many, scales, synthetic
+from wam_power_ros import installed
 from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.learning.learner import Learner, Model
 from wam_power_ros.learning.parametrization import parametrization_of
-from wam_power_ros.practice import plugins
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.flip.assessment import assess
 from wam_power_ros.tasks.flip.parametrization import flip_parametrization
@@ -96,7 +96,7 @@ def learner_of(settings: dict[str, Any], size: int, seed: int, model: Model) -> 
         ValueError: The learner or a setting is unknown, or a value is out of range.
     """
     values = dict(settings)
-    found = plugins.learner_type(values.pop("kind", "power"))
+    found = installed.find("learner", values.pop("kind", "power"))
     given = model if found.needs_model else None
     learner: Learner = found(size, found.Settings(**values), generator(seed), given)
     return learner

@@ -7,6 +7,7 @@ import argparse
 import re
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,7 @@ from wam_power_ros.cli.launcher import (
 from wam_power_ros.cli.parser import goal_value
 from wam_power_ros.cli.session_options import (
     SessionOptions,
+    chosen,
     learner_parameters,
     method_words,
     with_origin,
@@ -277,6 +279,8 @@ def test_a_session_from_another_one_has_its_task_demonstrations_and_policy(origi
     assert given["policy"] == str(origin / "policy.json")
     assert asked.words == ["--from", str(origin), "--task", "flip", "--demonstrations", "0"]
     assert with_origin(SessionOptions(task="reach"), Devices()).origin is None
+    many = replace(asked, bags=[*asked.bags] * 3, trials=2)  # its policy alone is reproduced
+    assert chosen(origin.parent / "new", many, Devices()) == (0, "flip")
 
 
 def test_a_session_from_another_one_is_refused_where_that_does_not_fit(

@@ -18,9 +18,13 @@ import pytest
 from conftest import ROOT, Probe, python_path
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
+from toss_task import demonstrated_policy
 
+from wam_power_ros.bags import series
 from wam_power_ros.cli import main
 from wam_power_ros.cli.plan import DOMAIN_FILE
+from wam_power_ros.practice.session import Session
+from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.domain import private_domain
 
@@ -141,7 +145,47 @@ def test_too_few_trials_are_refused_before_anybody_teaches(
     words: list[str], budget: int, refusal: Callable[..., str]
 ) -> None:
     message = f"a budget of {budget} rollouts leaves none to practise"
-    assert message in refusal("learn", *words)
+    assert message in (said := refusal("learn", *words))
+    assert f"allow {budget + 1} trials or more" in said
+
+
+def test_demonstrations_that_are_taught_already_count_against_the_trials(
+    tmp_path: Path, refusal: Callable[..., str]
+) -> None:
+    taught = [tmp_path / "s/bags" / name for name in "abcde"]
+    (tmp_path / "s").mkdir()
+    series.write(tmp_path / "s" / series.FILE, taught)
+    said = refusal("learn", "--session", "s", "--trials", "5")
+    assert "after 5 reproductions of demonstrations: allow 6 trials or more" in said
+    assert [path.name for path in (tmp_path / "s").iterdir()] == [series.FILE]  # nothing started
+
+
+@pytest.mark.parametrize("command", ["learn", "plan sim"])
+@pytest.mark.parametrize(
+    ("words", "model"),
+    [
+        ("--task ball_in_cup --learner screened", "the returns"),
+        ("--task reach --learner model_based", "the vector error"),
+        ("--preset paper --learner bayesian_optimization", "the vector error"),
+    ],
+)
+def test_a_learner_that_cannot_work_is_refused_before_anybody_teaches(
+    command: str, words: str, model: str, refusal: Callable[..., str]
+) -> None:
+    said = refusal(*command.split(), "--session", "s", *words.split())
+    assert f"{words.split()[-1]!r} needs a model of {model}" in said
+    working = said.strip().rpartition(": ")[2].split(", ")
+    assert "power" in working and words.split()[-1] not in working
+
+
+def test_a_session_that_was_begun_with_a_learner_that_cannot_work_is_not_resumed(
+    tmp_path: Path, refusal: Callable[..., str]
+) -> None:
+    settings = preset("flip", "paper", {"name": "model_based"})
+    Session.begin(tmp_path / "s", settings, 0, [demonstrated_policy()]).close()
+    said = refusal("learn", "--session", "s")
+    assert "s cannot go on: learner 'model_based' needs" in said
+    assert "Begin another session" in said and not (tmp_path / "s/logs").exists()
 
 
 @pytest.mark.parametrize("command", ["learn", "teach"])

@@ -10,17 +10,10 @@ import pytest
 import yaml
 
 from wam_power_ros.cli import main
-from wam_power_ros.cli.launcher import Devices, Launcher, short_path, task_setup
+from wam_power_ros.cli.launcher import Devices, Launcher, short_path
 from wam_power_ros.cli.plan import plan_of
 from wam_power_ros.cli.processes import Processes
 from wam_power_ros.params import overlay
-
-LAB_TASK = """
-class Stack:
-    name = "stack"
-    body = "block"
-"""
-LAB_SETUP = "demonstration_recorder: {ros__parameters: {stem: stack}}\n"
 
 
 def devices(*words: str) -> Devices:
@@ -76,41 +69,14 @@ def test_nodes_and_scripts_get_their_parameters_whatever_characters_are_in_them(
     assert "directory" not in node.log.read_text()
 
 
-@pytest.fixture
-def lab_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An installed package of a laboratory with a task, its set-up and its entry point."""
-    (tmp_path / "my_lab").mkdir()
-    (tmp_path / "my_lab" / "stack_task.py").write_text(LAB_TASK)
-    (tmp_path / "my_lab" / "stack.yaml").write_text(LAB_SETUP)
-    info = tmp_path / "my_lab-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: my-lab\nVersion: 1.0\n")
-    points = "[wam_power_ros.tasks]\nstack = my_lab.stack_task:Stack\n"
-    (info / "entry_points.txt").write_text(points)
-    monkeypatch.syspath_prepend(str(tmp_path))
-    return tmp_path / "my_lab"
-
-
-def test_the_task_of_another_package_brings_its_set_up(lab_package: Path) -> None:
-    found = task_setup("stack")
-    assert found == str(lab_package / "stack.yaml")
-    assert overlay.setup(task=found)["demonstration_recorder"]["stem"] == "stack"
-    assert overlay.setup(task=task_setup("flip")) == overlay.setup()
-
-
 def test_other_set_ups_override_that_of_the_task(tmp_path: Path) -> None:
     mine = tmp_path / "mine.yaml"
     mine.write_text("demonstration_recorder: {ros__parameters: {stem: mine}}")
-    setup = overlay.setup([str(mine)], simulated=True, task=task_setup("reach"))
+    setup = overlay.setup([str(mine)], simulated=True, task="reach")
     assert setup["demonstration_recorder"]["stem"] == "mine"
     assert setup["wam_sim"]["scene"] == "reach"
     assert setup["wam_sim"]["pace"] == "real_time"
-    assert overlay.setup(task=task_setup("reach"))["wam_sim"]["pace"] == "lockstep"
-
-
-def test_an_unknown_task_is_refused_with_the_known_ones() -> None:
-    with pytest.raises(ValueError, match=r"'flop' is not one of .*flip, .*reach"):
-        task_setup("flop")
+    assert overlay.setup(task="reach")["wam_sim"]["pace"] == "lockstep"
 
 
 def test_the_printed_parameters_are_those_of_the_task(capsys: pytest.CaptureFixture[str]) -> None:

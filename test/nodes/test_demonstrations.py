@@ -11,6 +11,7 @@ import pytest
 from bag_samples import demonstration
 from conftest import ROOT
 
+from wam_power_ros import installed
 from wam_power_ros.bags import reader
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.policy import Policy
@@ -18,7 +19,6 @@ from wam_power_ros.nodes.demonstrations import Demonstrations
 from wam_power_ros.nodes.learner import LearnerParams
 from wam_power_ros.nodes.simulated_arm import SimulatedArm
 from wam_power_ros.params import overlay
-from wam_power_ros.practice import plugins
 from wam_power_ros.practice.settings import preset
 
 PARAMS = LearnerParams.of_file(ROOT / "config/learner.yaml", "learner")
@@ -36,7 +36,7 @@ def arm() -> SimulatedArm:
 @pytest.fixture
 def demonstrations(arm: SimulatedArm) -> Demonstrations:
     return Demonstrations(
-        plugins.task_type("flip"), arm, PARAMS.joint_names, logging.getLogger("test")
+        installed.task_type("flip"), arm, PARAMS.joint_names, logging.getLogger("test")
     )
 
 

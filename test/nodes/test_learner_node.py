@@ -49,6 +49,27 @@ def test_a_learner_goes_on_with_no_session_of_another_arm(tmp_path: Path, domain
     Session.open(folder).close()  # nothing was written, no lock is held
 
 
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"task": "reach", "learner": "model_based"}, "learners that work: adaptive_power,"),
+        ({"trials": 2}, "a budget of 2 rollouts leaves none to practise after 2 reproductions"),
+        ({"task": "tap"}, "task 'tap' is not one of ball_in_cup, flip, reach"),
+    ],
+)
+def test_a_learner_refuses_what_cannot_work_before_it_reads_a_bag_or_begins_a_session(
+    given: dict[str, object], says: str, tmp_path: Path, domain_id: int
+) -> None:
+    given |= {"session": tmp_path / "s", "demonstrations": "['no_bag', 'no_other']"}
+    command = [sys.executable, "-m", "wam_power_ros.cli", "run", "learner", "--ros-args"]
+    command += ["--params-file", str(ROOT / "config/learner.yaml")]
+    command += [word for name, value in given.items() for word in ("-p", f"{name}:={value}")]
+    ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120)
+    assert ended.returncode == 2
+    assert says in ended.stderr and "no_bag" not in ended.stderr
+    assert not (tmp_path / "s").exists()
+
+
 def begun_session(folder: Path, **params: object) -> Session:
     """Session that a learner began, which waits for an arm and is stopped there."""
     command = [sys.executable, "-m", "wam_power_ros.cli", "run", "learner", "--ros-args"]

@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hardware_sim.settings import OptitrackSimParams, WamSimParams
+from wam_power_ros import installed
 from wam_power_ros.cli import main
 from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorderParams
 from wam_power_ros.nodes.learner import LearnerParams
@@ -137,15 +138,16 @@ def test_the_name_of_the_body_is_given_once_and_inserted_into_the_drivers_topic(
 
 @pytest.mark.parametrize("names", [(), ("natnet_ros2",)])
 def test_a_tasks_own_tool_and_cameras_reach_the_stand_ins_too(
-    names: tuple[str, ...], tmp_path: Path
+    names: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "cup.urdf").write_text("<robot/>")
     own = "urdf: cup.urdf, tool_frame: cup, guarded_region: %s"
     arm = "torque_controller: {ros__parameters: {" + own + "}}"
     ball = "pancake_tracker: {ros__parameters: {body: ball, single_marker: true, noise: 0.001}}"
     obstacle = [0.5, 0.0, 0.5, 0.1]
-    task = write(tmp_path, "carry", f"{arm % obstacle}\n{ball}")
-    setup = overlay.setup(names, simulated=bool(names), task=task)
+    file = Path(write(tmp_path, "carry", f"{arm % obstacle}\n{ball}"))
+    monkeypatch.setattr(installed, "task_setup", lambda task, own: file)
+    setup = overlay.setup(names, simulated=bool(names), task="ball_in_cup")
     for node in ("torque_controller", "wam_sim", "learner", "demonstration_recorder"):
         tool = {"urdf": str(tmp_path / "cup.urdf"), "tool_frame": "cup"}
         assert tool.items() <= setup[node].items()

@@ -104,7 +104,7 @@ def test_a_task_without_a_vector_error_is_refused_by_name_before_anything_moves(
 ) -> None:
     monkeypatch.undo()  # the task's own model: only of planar parameters
     settings = preset("flip", "paper", learner={"name": name})
-    refusal = f"learner '{name}' needs a model of the vector error, task 'flip' with these"
+    refusal = f"learner '{name}' needs a model of the vector error, which task 'flip' with"
     with pytest.raises(ValueError, match=refusal):
         practice_of(CANDIDATES, settings, 0)
     reach = preset("reach", learner={"name": name})
@@ -112,7 +112,7 @@ def test_a_task_without_a_vector_error_is_refused_by_name_before_anything_moves(
         "demonstrated": [[0.6, 0.0, 0.5], [0.65, 0.0, 0.5], [0.7, 0.0, 0.5]],
         "obstacle": [0.0] * 4,
     }
-    with pytest.raises(ValueError, match="needs a model of the vector error, task 'reach'"):
+    with pytest.raises(ValueError, match="needs a model of the vector error, which task 'reach'"):
         Practice(reach, context, CANDIDATES, 0, ANY_ARM)
 
 

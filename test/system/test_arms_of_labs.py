@@ -87,7 +87,7 @@ def test_a_ur_teaches_replays_and_learns_to_reach_over_dds(tmp_path: Path) -> No
         assert status == 0, output
         return output
 
-    done("teach", "--config", "reach", "--demonstrations", "1", "--folder", "taught")
+    done("teach", "--task", "reach", "--demonstrations", "1", "--folder", "taught")
     (bag,) = (tmp_path / "taught/bags").iterdir()
     (_, _, cdr), *_ = Bag(bag).messages([layout.STATES])
     state = layout.decoded(cdr, layout.JOINT_STATE)

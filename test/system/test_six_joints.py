@@ -28,7 +28,7 @@ def done(folder: Path, *arguments: str) -> str:
 def test_an_arm_of_six_joints_teaches_and_replays(tmp_path: Path) -> None:
     done(
         tmp_path,
-        *("teach", "--demonstrations", "1", "--folder", "taught", "--config", "reach"),
+        *("teach", "--demonstrations", "1", "--folder", "taught", "--task", "reach"),
         *SIMULATED,
     )
     (bag,) = (tmp_path / "taught/bags").iterdir()

@@ -10,15 +10,16 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import BaseModel
+from pydantic import BaseModel, ConfigDict
 from toss_task import demonstrated_policy
 
+from wam_power_ros import installed
 from wam_power_ros.learning.parametrization import Attractors, Direction, Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Rollout
-from wam_power_ros.practice import plugins
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.errors import Effect, Error
+from wam_power_ros.tasks.reach.settings import REACH_FIT
 from wam_power_ros.tasks.task import Assessment, LoggedRollout, Task
 
 POLICY = demonstrated_policy()
@@ -28,13 +29,15 @@ SIDE, LIFT = -2.0, 0.5  # true effects [m]
 class Settings(BaseModel):
     """Settings of `Push`."""
 
+    model_config = ConfigDict(extra="forbid")
+
     settle_time: float = 0.5
 
 
 class Push(Task):
     """A body is pushed: where it stops is measured."""
 
-    name, body, single_policy = "push", "body", False
+    name, body, single_policy, fit_settings = "push", "body", False, REACH_FIT
     errors = (Error("x", "m", 0.01, 0.05, 0.004), Error("y", "m", 0.02, 0.05, 0.004))
     effects = (Effect("sway", 0.1, {"x": SIDE}), Effect("lift", 0.2, {"y": LIFT}))
     Settings = Settings
@@ -111,7 +114,7 @@ def test_a_task_is_corrected_judged_and_planned_by_its_errors_alone() -> None:
 def test_the_learner_of_a_task_with_errors_plans_unless_its_preset_says_otherwise(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(plugins, "task_type", lambda name: Push)
+    monkeypatch.setattr(installed, "task_type", lambda name: Push)
     assert preset("push").learner == "model_based"
     monkeypatch.setattr(Push, "errors", ())
     assert preset("push").learner == "power"

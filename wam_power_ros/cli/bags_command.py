@@ -10,7 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from wam_power_ros.cli.launcher import UsageError, pasteable, short_path, task_setup, task_stems
+from wam_power_ros import installed
+from wam_power_ros.cli.launcher import UsageError, pasteable, short_path, task_stems
 from wam_power_ros.cli.node_log import progress_messages
 from wam_power_ros.cli.parser import add_command, config_option
 from wam_power_ros.cli.session_options import DEFAULT_TASK
@@ -218,12 +219,11 @@ def _judged(
     """
     from wam_power_ros.bags import quality
     from wam_power_ros.learning.policy import DURATION_MAX
-    from wam_power_ros.practice import plugins
 
     found = inspect(path, names, _limits(arm))
     take, remarks = found.take, found.remarks
     if arm is not None and take.bag.kind in tasks:
-        task = plugins.task_type(min(tasks[take.bag.kind]))
+        task = installed.task_type(min(tasks[take.bag.kind]))
         try:
             fitted = task.demonstration_of(arm, take.states.stamps, take.states.q)
         except ValueError as error:
@@ -276,10 +276,9 @@ def _judged_by(
 ) -> tuple[list[Path], list[str]]:
     """Folders of the code, and texts of the set-up, on which `_verdict` depends."""
     from wam_power_ros import arm_identity
-    from wam_power_ros.practice import plugins
 
     names = {min(of_stem) for of_stem in tasks.values()}
-    modules = [sys.modules[plugins.task_type(name).__module__] for name in sorted(names)]
+    modules = [sys.modules[installed.task_type(name).__module__] for name in sorted(names)]
     own = Path(__file__).resolve().parents[1]
     folders = dict.fromkeys(Path(str(module.__file__)).resolve().parent for module in modules)
     about = [overlay.text(setup), *(f"{stem} {min(tasks[stem])}" for stem in sorted(tasks))]
@@ -356,7 +355,7 @@ def import_(
     from wam_power_ros.bags import editing, layout
     from wam_power_ros.bags.bag import Bag
 
-    setup = overlay.setup(config, task=task_setup(task))
+    setup = overlay.setup(config, task=task)
     names, kind = setup.joint_names, setup["demonstration_recorder"]["stem"]
     output = output or layout.free_path(Path(), f"{kind}_{bag.resolve().stem}")
     with progress_messages(f"importing {bag}"):

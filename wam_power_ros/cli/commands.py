@@ -66,10 +66,8 @@ def teach(
 ) -> int:
     """Record demonstrations and add them to the series of the folder."""
     from wam_power_ros.bags import series
-    from wam_power_ros.practice import plugins
     from wam_power_ros.reporting.terminal import counted
 
-    plugins.task_type(task or DEFAULT_TASK)  # raises for an unknown name before anything starts
     folder = (folder or Path("demonstrations") / timestamp()).resolve()
     file = folder / series.FILE
     before, text = len(series.read(file)), ""
@@ -462,10 +460,9 @@ def config(devices: Devices, task: str | None) -> None:
     from wam_power_ros.nodes.learner import LearnerParams
 
     setup = devices.parameters(task or DEFAULT_TASK)
-    for node in (DemonstrationRecorderParams, LearnerParams):
+    stand_ins = (WamSimParams, OptitrackSimParams) if devices.stand_ins else ()
+    for node in (DemonstrationRecorderParams, LearnerParams, *stand_ins):
         node.of_setup(setup)
-    for stand_in in (WamSimParams, OptitrackSimParams) if devices.stand_ins else ():
-        stand_in.of_setup(setup)
     print(overlay.text(setup), end="")
 
 

@@ -17,11 +17,13 @@ from pathlib import Path
 from types import FrameType
 from typing import IO
 
+from wam_power_ros import installed
 from wam_power_ros.cli.plan import (
     DOMAIN_FILE,
     LEARNER,
     RECORDER,
     SIMULATION,
+    TRACKER,
     Plan,
     overrides,
     script,
@@ -77,11 +79,16 @@ class Devices:
             folder: Folder whose bags/ gets the recordings; None for that of the set-up.
 
         Raises:
-            ValueError: A set-up or the task is unknown or invalid, or the URDF lacks joints or
-                links that the set-up names.
+            ValueError: A set-up or the task is unknown or invalid, the scene of the stand-ins has
+                another body, or the URDF lacks joints or links that the set-up names.
         """
-        setup = overlay.setup(self.config, self.simulate, task_setup(task) if task else "")
+        setup = overlay.setup(self.config, self.simulate, task)
         check(setup)
+        if task and self.stand_ins:
+            scene, body = setup[SIMULATION]["scene"], setup[TRACKER]["body"]
+            if (simulated := installed.find("scene", scene).body) != body:
+                both = f"body {simulated!r} of scene {scene!r}; task {task!r} has {body!r}"
+                raise ValueError(f"{both}: set the scene of {SIMULATION}")
         setup = setup.changed({SIMULATION: {"seed": seed}})
         if folder is None:
             return setup
@@ -244,26 +251,11 @@ def _print_domain(domain: int) -> None:
     )
 
 
-def task_setup(task: str) -> str:
-    """Set-up of a task: its name for config/TASK.yaml, or the file TASK.yaml beside its module.
-
-    Raises:
-        ValueError: There is no such task; the message lists the known ones.
-    """
-    from wam_power_ros.practice import plugins
-
-    module = sys.modules[plugins.task_type(task).__module__]
-    beside = Path(module.__file__ or "").with_name(f"{task}.yaml")
-    return str(beside) if beside.is_file() else task
-
-
 def task_stems() -> dict[str, set[str]]:
     """Map each stem of bag names to the tasks whose demonstrations have it."""
-    from wam_power_ros.practice import plugins
-
     tasks: dict[str, set[str]] = {}
-    for name in plugins.names(plugins.TASKS):
-        recorder = overlay.setup(task=task_setup(name))["demonstration_recorder"]
+    for name in installed.names("task"):
+        recorder = overlay.setup(task=name)["demonstration_recorder"]
         tasks.setdefault(recorder["stem"], set()).add(name)
     return tasks
 

@@ -7,10 +7,10 @@ import argparse
 import difflib
 import math
 from collections.abc import Callable, Iterable, Sequence
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from wam_power_ros import installed
 from wam_power_ros.cli.session_options import DEFAULT_TASK
 
 
@@ -112,7 +112,7 @@ def goal_value(text: str) -> tuple[str, float]:
 
 def task_option(parser: argparse.ArgumentParser) -> None:
     """Add the option `--task`."""
-    text = f"one of {_known('tasks')} (default: {DEFAULT_TASK})"
+    text = f"one of {', '.join(installed.names('task'))} (default: {DEFAULT_TASK})"
     parser.add_argument("--task", metavar="NAME", help=text)
 
 
@@ -125,7 +125,7 @@ def session_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of `SessionOptions`, except the number of demonstrations."""
     task_option(parser)
     seed_option(parser)
-    learners = f"one of {_known('learners')} (default: the preset's)"
+    learners = f"one of {', '.join(installed.names('learner'))} (default: the preset's)"
     parser.add_argument("--learner", metavar="NAME", default="", help=learners)
     preset_option(parser)
     trials = "at most so many rollouts, before the re-tests (default: the preset's)"
@@ -138,8 +138,3 @@ def session_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--from", type=Path, dest="origin", metavar="SESSION", help=origin)
     goal = "with --from: another goal (reach: y=0.3); begin with the policy predicted for it"
     parser.add_argument("--goal", type=goal_value, nargs="+", default=(), metavar="N=V", help=goal)
-
-
-def _known(group: str) -> str:
-    points = metadata.entry_points(group=f"wam_power_ros.{group}")
-    return ", ".join(sorted(point.name for point in points))

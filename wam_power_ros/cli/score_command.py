@@ -9,7 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from wam_power_ros.cli.launcher import UsageError, task_setup
+from wam_power_ros import installed
+from wam_power_ros.cli.launcher import UsageError
 from wam_power_ros.cli.parser import add_command, config_option, preset_option
 from wam_power_ros.cli.session_options import DEFAULT_TASK
 from wam_power_ros.params import overlay
@@ -107,7 +108,7 @@ def _score_session(folder: Path, task_name: str | None, chosen: str, config: Seq
 
 
 def _set_up(task: str, config: Sequence[str]) -> tuple[overlay.Setup, Arm]:
-    setup = overlay.setup(config, task=task_setup(task))
+    setup = overlay.setup(config, task=task)
     if (arm := setup.arm()) is None:
         raise UsageError("the set-up has no URDF file of the arm: choose one with --config")
     return setup, arm
@@ -207,13 +208,12 @@ def _context(bag: Bag, task: str, setup: overlay.Setup, arm: Arm) -> dict[str, A
     """Context of the session that a bag belongs to, else of a session on this bag alone."""
     from wam_power_ros.bags import reader
     from wam_power_ros.params.torque_controller_params import TorqueControllerParams
-    from wam_power_ros.practice import plugins
     from wam_power_ros.practice.session import Session, read
 
     folder = bag.path.resolve().parent.parent
     if Session.exists(folder) and (found := read(folder)).header.settings.task == task:
         return found.context
-    kind, states = plugins.task_type(task), reader.read_states(bag, setup.joint_names)
+    kind, states = installed.task_type(task), reader.read_states(bag, setup.joint_names)
     demonstration = kind.demonstration_of(arm, states.stamps, states.q)
     controller = TorqueControllerParams.of_setup(setup)
     return kind.context_of([demonstration], controller.region)

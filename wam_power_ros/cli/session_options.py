@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from wam_power_ros import installed
 from wam_power_ros.cli.launcher import Devices, UsageError, task_stems
 from wam_power_ros.durable_files import check_name
 
@@ -84,18 +85,22 @@ def chosen(folder: Path, asked: SessionOptions, devices: Devices) -> tuple[int, 
     """Seed and task of the session to start or resume in a folder.
 
     Raises:
-        UsageError: What is asked differs from what the session was begun with, or leaves no rollout
-            to practise, or a bag is a demonstration of another task.
-        ValueError: Task, learner, preset or set-up is unknown (the message lists the known ones),
-            or a bag cannot be read or is of another arm.
+        UsageError: What is asked differs from what the session was begun with, or a bag is a
+            demonstration of another task.
+        ValueError: Task, learner, preset or set-up is unknown (the message lists the known ones) or
+            cannot work, see `SessionSettings.check`, or a bag cannot be read or is of another arm.
     """
     from wam_power_ros.practice import session
 
     if not session.Session.exists(folder):
         task = asked.task or DEFAULT_TASK
-        _check_new(task, asked, devices)
+        _check_new(folder, task, asked, devices)
         return asked.seed or 0, task
     header = session.read(folder).header
+    try:
+        header.settings.check(len(header.candidates))
+    except ValueError as error:  # begun by another version
+        raise UsageError(f"{folder} cannot go on: {error}. Begin another session") from None
     for difference in _differences(asked, header):
         raise UsageError(f"{folder} was begun with {difference}")
     return header.seed, header.settings.task
@@ -149,18 +154,16 @@ def learner_parameters(folder: Path, asked: SessionOptions, seed: int, task: str
 
 def method_words(settings: SessionSettings) -> list[str]:
     """Command-line words that ask for the preset and the learner of a session."""
-    from wam_power_ros.practice import plugins
     from wam_power_ros.practice.settings import preset
 
-    presets = plugins.task_type(settings.task).presets
-    own_first = sorted(presets, key=lambda of: presets[of]["learner"]["name"] != settings.learner)
-    for name in own_first:
-        own = presets[name]["learner"]["name"]
-        learner = {} if settings.learner == own else {"name": settings.learner}
-        made = preset(settings.task, name, learner)
+    presets = installed.task_type(settings.task).presets
+    learners = {name: preset(settings.task, name).learner for name in presets}
+    for name in sorted(presets, key=lambda of: learners[of] != settings.learner):
+        made = preset(settings.task, name, {"name": settings.learner})
         if made.model_copy(update={"practice": settings.practice}) == settings:
             words = [] if name == next(iter(presets)) else ["--preset", name]
-            return words + (["--learner", settings.learner] if learner else [])
+            other = learners[name] != settings.learner
+            return words + (["--learner", settings.learner] if other else [])
     return ["--learner", settings.learner]
 
 
@@ -187,25 +190,16 @@ def _differences(asked: SessionOptions, header: SessionHeader) -> Iterator[str]:
         yield f"the demonstrations {' '.join(header.demonstrations)}; omit bags"
 
 
-def _check_new(task: str, asked: SessionOptions, devices: Devices) -> None:
-    from wam_power_ros.bags import reader
+def _check_new(folder: Path, task: str, asked: SessionOptions, devices: Devices) -> None:
+    from wam_power_ros.bags import reader, series
     from wam_power_ros.bags.bag import Bag
-    from wam_power_ros.practice import plugins
     from wam_power_ros.practice.settings import preset
 
-    if asked.learner:
-        plugins.learner_type(asked.learner)
     learner = {"name": asked.learner} if asked.learner else None
     changes = {} if asked.trials is None else {"budget": asked.trials}
-    budget = preset(task, asked.preset, learner, **changes).practice.budget
-    reproductions = len(asked.bags) or asked.demonstrations
-    if plugins.task_type(task).single_policy:
-        reproductions = 1
-    if budget <= reproductions:
-        raise UsageError(
-            f"a budget of {budget} rollouts leaves none to practise after "
-            f"{reproductions} reproductions of demonstrations; raise --trials"
-        )
+    settings = preset(task, asked.preset, learner, **changes)
+    taught = max(asked.demonstrations, len(series.read(folder / series.FILE)))
+    settings.check(1 if asked.origin else len(asked.bags) or taught)
     setup, tasks = devices.parameters(task), task_stems()
     arm = setup.arm()
     for path in asked.bags:

@@ -30,7 +30,7 @@ from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 from typing_extensions import Self
 
-from wam_power_ros import plain_json
+from wam_power_ros import installed, plain_json
 from wam_power_ros.arm_identity import refusal, remark
 from wam_power_ros.client.link import Link
 from wam_power_ros.client.rollouts import (
@@ -46,7 +46,6 @@ from wam_power_ros.nodes.markers import Markers
 from wam_power_ros.nodes.simulated_arm import SimulatedArm
 from wam_power_ros.params.node_params import Names, Params, Timeout
 from wam_power_ros.params.torque_controller_params import require_same_joints
-from wam_power_ros.practice import plugins
 from wam_power_ros.practice.new_goal import policy_for
 from wam_power_ros.practice.practice import GO_ON, RATING_MAX, Practice
 from wam_power_ros.practice.session import Session, read, read_policy
@@ -322,10 +321,9 @@ class Learner(Node):
 
     def _task_type(self) -> type[Task]:
         """Task of the session if it exists, else of the parameters."""
-        folder = FilePath(self.params.session)
-        if Session.exists(folder):
-            return type(read(folder).task)
-        return plugins.task_type(self.params.task)
+        folder, name = FilePath(self.params.session), self.params.task
+        begun = read(folder).header.settings.task if Session.exists(folder) else ""
+        return installed.task_type(begun or name)
 
     def _settings(self) -> SessionSettings:
         params = self.params
@@ -349,6 +347,7 @@ class Learner(Node):
         else:
             settings = self._settings()
             named = list(filter(None, params.demonstrations))
+            settings.check(1 if params.policy else len(named))  # before the bags are read
             bags, demonstrations, candidates = self._demonstrations.candidates(settings, named)
             context = self._kind.context_of(demonstrations, self._arm.region)
             if params.policy:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
+from wam_power_ros import installed
 from wam_power_ros.params import parameter_file
 from wam_power_ros.params.resources import robot_description, share
 
@@ -33,6 +34,7 @@ NODES = (
     "optitrack_sim",
 )
 STAND_INS = ("wam_sim", "optitrack_sim")
+WITH_BODY = ("pancake_tracker", "demonstration_recorder", "optitrack_sim")  # that of the task
 SOURCES = ("torque_controller", "pancake_tracker")  # the others' parameters are derived from theirs
 REGION = "guarded_region"  # parameter of the controller; a simulated scene has the same one
 SIMULATION = "simulation"  # file in config/ with what a simulation changes
@@ -45,24 +47,18 @@ _STR, _SEQ = "tag:yaml.org,2002:str", "tag:yaml.org,2002:seq"
 class Setup(Mapping[str, dict[str, Any]]):
     """One set-up, of which nodes, stand-ins, simulations in one process and reports are built.
 
-    `Params.of_setup` reads the parameters of one node.
-
-    Attributes:
-        nodes: Parameters by node.
+    It maps nodes to their parameters; `Params.of_setup` reads those of one node.
     """
 
     nodes: Parameters
 
     def __getitem__(self, node: str) -> dict[str, Any]:
-        """Parameters of a node."""
         return self.nodes[node]
 
     def __iter__(self) -> Iterator[str]:
-        """Names of the nodes."""
         return iter(self.nodes)
 
     def __len__(self) -> int:
-        """Number of nodes."""
         return len(self.nodes)
 
     @property
@@ -100,9 +96,8 @@ class Setup(Mapping[str, dict[str, Any]]):
 
 def known() -> list[str]:
     """Names of the set-ups in config/."""
-    files = sorted(share("config").glob("*.yaml"))
-    stems = [file.stem for file in files if "." not in file.stem]  # openarm.reach is for a task
-    return [stem for stem in stems if stem not in (*NODES, SIMULATION)]
+    stems = sorted(file.stem for file in share("config").glob("*.yaml"))
+    return [s for s in stems if "." not in s and s not in (*NODES, SIMULATION)]  # no NAME.TASK
 
 
 def find(name: str) -> Path:
@@ -126,20 +121,22 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
         names: Set-ups that override the nodes' own files, see `find`; the last one wins.
         simulated: Whether stand-ins with the same interfaces replace the devices of these set-ups,
             in real time. Without any set-up the stand-ins are as their own files describe them.
-        task: Set-up of the learnt task, which the others override: the path of a file, or the name
-            of the task, for config/TASK.yaml if that exists. What an arm needs for it is beside the
-            arm's set-up NAME.yaml in NAME.TASK.yaml.
+        task: Name of the learnt task, whose set-up (`installed.task_setup`) the others override,
+            but for its name and body. What an arm needs for it is beside the arm's set-up NAME.yaml
+            in NAME.TASK.yaml. Empty: no task.
 
     Raises:
-        ValueError: A file cannot be found or read, names an unknown node or parameter, gives a
-            value of another kind than the node's own file, or sets `simulation` for a real arm.
+        ValueError: The task is unknown, has no set-up or another body than a file says. A file
+            cannot be found or read, names an unknown node or parameter, gives a value of another
+            kind than the node's own file, or sets `simulation` for a real arm.
     """
     own = _own()
     given: Parameters = {node: {} for node in NODES}
-    of_task = [task] if task in known() or task.endswith(".yaml") else []
-    files = [find(name) for name in of_task]
+    files = [installed.task_setup(task, share("config"))] if task else []
+    of_task = {"body": installed.task_type(task).body} if task else {}
+    given["pancake_tracker"] |= of_task
     for file in map(find, names):
-        for_task = file.with_suffix(f".{Path(task).stem}.yaml")  # such as openarm.reach.yaml
+        for_task = file.with_suffix(f".{task}.yaml")  # such as openarm.reach.yaml
         files += [file, for_task] if task and for_task.is_file() else [file]
     for file in files:
         for node, values in _read(file).items():
@@ -158,6 +155,11 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
         if not chosen["pancake_tracker"]["markers_topic"]:
             del derived["optitrack_sim"]["markers_topic"]  # the stand-in's own publishes both
     parameters = {node: own[node] | derived.get(node, {}) | given[node] for node in NODES}
+    parameters["learner"] |= {"task": task} if task else {}
+    for node in WITH_BODY if task else ():
+        if (body := {"body": parameters[node]["body"]}) != of_task:
+            where = f"{body} of {node} contradicts task {task!r}, {of_task}: choose another --task"
+            raise ValueError(f"{where}, or omit it in {', '.join(map(str, files))}")
     if not in_simulation and parameters["torque_controller"]["simulation"]:
         raise ValueError(
             f"simulation: true in the set-ups {list(names)}: a set-up describes devices; stand-ins "

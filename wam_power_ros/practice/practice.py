@@ -65,11 +65,7 @@ def check_candidates(candidates: Sequence[Policy], settings: PracticeSettings) -
         raise ValueError("candidates is empty: a session needs at least one demonstration")
     if len(set(ids)) != len(ids):
         raise ValueError(f"candidates must have different ids, got {ids}")
-    if settings.budget <= len(ids):
-        raise ValueError(
-            f"a budget of {settings.budget} rollouts leaves none to practise "
-            f"after {len(ids)} reproductions"
-        )
+    settings.check_budget(len(ids))
 
 
 class Practice:

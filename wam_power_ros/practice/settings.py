@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, ValidationError, model_validator
 
+from wam_power_ros import installed
+from wam_power_ros.learning.demonstration import Demonstration
 from wam_power_ros.learning.learner import ErrorModel, Learner, Model
-from wam_power_ros.practice import plugins
+from wam_power_ros.learning.policy import PERIOD
 from wam_power_ros.tasks.task import Task
 
 SHOWN_MAX = 80  # characters of an invalid value in an error message
@@ -43,6 +45,14 @@ class PracticeSettings(BaseModel):
     attempts: int = Field(default=3, ge=1, le=100)
     return_noise: float = Field(default=0.1, ge=0.0, le=10.0, allow_inf_nan=False)
 
+    def check_budget(self, reproductions: int) -> None:
+        """Raise a ValueError if reproductions of demonstrations use up the budget."""
+        if self.budget <= reproductions:
+            raise ValueError(
+                f"a budget of {self.budget} rollouts leaves none to practise after {reproductions} "
+                f"reproductions of demonstrations: allow {reproductions + 1} trials or more"
+            )
+
 
 class SessionSettings(BaseModel):
     """All settings of a session, as `session.yaml` holds them.
@@ -71,8 +81,8 @@ class SessionSettings(BaseModel):
             return values
         found = dict(values)
         for key, models in (
-            ("task", plugins.task_type(str(values["task"])).Settings),
-            ("learner", plugins.learner_type(str(values["learner"])).Settings),
+            ("task", installed.task_type(str(values["task"])).Settings),
+            ("learner", installed.find("learner", str(values["learner"])).Settings),
         ):
             own = found.get(f"{key}_settings", {})
             try:
@@ -85,7 +95,26 @@ class SessionSettings(BaseModel):
 
     def make_task(self, context: Mapping[str, Any]) -> Task:
         """Create the task; `context` as returned by its `context_of`."""
-        return plugins.task_type(self.task)(self.task_settings, context)
+        return installed.task_type(self.task)(self.task_settings, context)
+
+    def check(self, demonstrations: int) -> None:
+        """Refuse what no demonstration mends, before anybody teaches; a made-up one stands for it.
+
+        Raises:
+            ValueError: The demonstrations use up the budget, or the learner lacks a model.
+        """
+        kind = installed.task_type(self.task)
+        self.practice.check_budget(1 if kind.single_policy else demonstrations)
+        made_up = _made_up_movement()
+        try:
+            task = self.make_task(kind.context_of([made_up], None))
+            parametrization = task.parametrization(kind.policy_of([made_up], "made-up"))
+            model = task.model(parametrization, made_up.position[0])
+            errors = task.error_model(parametrization, lambda policy: None)
+        except Exception:  # of any task, at what is none of its movements: demonstrations will tell
+            return
+        rng = np.random.Generator(np.random.PCG64(0))
+        self.make_learner(parametrization.size, rng, model, errors)
 
     def make_learner(
         self,
@@ -103,19 +132,27 @@ class SessionSettings(BaseModel):
             error_model: Model of the vector error of the task for a learner that needs one.
 
         Raises:
-            ValueError: The learner needs a model and the task has none.
+            ValueError: The learner needs a model and the task has none; names those that work.
         """
-        kind = plugins.learner_type(self.learner)
-        needed: dict[str, Model | ErrorModel | None] = {}
-        if kind.needs_model:
-            needed["a model of the returns"] = task_model
-        if getattr(kind, "needs_error_model", False):
-            needed["a model of the vector error"] = error_model
-        for what, model in needed.items():
-            if model is None:
-                name = f"task {self.task!r} with these settings has none"
-                raise ValueError(f"learner {self.learner!r} needs {what}, {name}")
-        learner: Learner = kind(size, self.learner_settings, rng, *needed.values())
+        models = {
+            "needs_model": ("the returns", task_model),
+            "needs_error_model": ("the vector error", error_model),
+        }
+
+        def needed(name: str) -> dict[str, Model | ErrorModel | None]:
+            kind = installed.find("learner", name)
+            return dict(models[need] for need in models if getattr(kind, need, False))
+
+        given = needed(self.learner)
+        if missing := [what for what, model in given.items() if model is None]:
+            others = installed.names("learner")
+            working = (name for name in others if None not in needed(name).values())
+            raise ValueError(
+                f"learner {self.learner!r} needs a model of {missing[0]}, which task {self.task!r} "
+                f"with these settings does not have; learners that work: {', '.join(working)}"
+            )
+        kind = installed.find("learner", self.learner)
+        learner: Learner = kind(size, self.learner_settings, rng, *given.values())
         return learner
 
 
@@ -138,13 +175,13 @@ def preset(
     Raises:
         ValueError: The task, preset, learner or a field is unknown, or a value is out of range.
     """
-    kind = plugins.task_type(task)
+    kind = installed.task_type(task)
     name = name or next(iter(kind.presets))
     if name not in kind.presets:
         raise ValueError(f"preset {name!r} of {task!r} is not one of {', '.join(kind.presets)}")
     values = dict(kind.presets[name])
-    usual = {"name": "model_based" if kind.errors else "power"}
-    learning = dict(values.pop("learner", usual))
+    usual = "model_based" if kind.errors else "power"
+    learning = {"name": usual, **values.pop("learner", {})}
     if learner and learner.get("name", learning["name"]) != learning["name"]:
         learning = {}
     learning |= learner or {}
@@ -166,6 +203,17 @@ def preset(
         )
     except ValidationError as error:
         raise ValueError(f"invalid settings of task {task!r}: {in_one_line(error)}") from None
+
+
+def _made_up_movement() -> Demonstration:
+    """A movement of 1 s along a bow of 0.4 m."""
+    t = PERIOD * np.arange(round(1.0 / PERIOD))
+    s = t**3 * (10.0 - 15.0 * t + 6.0 * t**2)
+    position = np.stack([0.6 + 0.1 * s, 0.4 * s - 0.2, 0.5 + 0.4 * s * (1.0 - s)], axis=1)
+    velocity = np.gradient(position, t, axis=0)
+    acceleration = np.gradient(velocity, t, axis=0)
+    q, upright = np.outer(s, np.full(7, 0.3)), np.tile([0.0, 0.0, 0.0, 1.0], (len(t), 1))
+    return Demonstration(t, q, position, velocity, acceleration, upright, PERIOD)
 
 
 def in_one_line(error: ValidationError, prefix: str = "") -> str:

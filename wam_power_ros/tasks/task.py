@@ -184,6 +184,18 @@ class Task(ABC):
     gain: float = 0.5
     region: Region | None = None
 
+    def __init_subclass__(cls) -> None:
+        """Refuse an incomplete class when it is defined."""
+        stated = ("name", "body", "single_policy", "fit_settings", "Settings", "presets")
+        if missing := [name for name in stated if getattr(cls, name, None) in (None, {})]:
+            raise TypeError(f"task {cls.__qualname__} does not state {', '.join(missing)}")
+        if not f"a{cls.body}".isidentifier():  # its topics are named after it
+            raise TypeError(f"body = {cls.body!r} of task {cls.__qualname__} must be a name or ''")
+        if cls.Settings.model_config.get("extra") != "forbid":
+            raise TypeError(
+                f"{cls.Settings} must refuse unknown fields: ConfigDict(extra='forbid')"
+            )
+
     def __init__(self, settings: Any, context: Mapping[str, Any]) -> None:  # noqa: ANN401
         """Construct the task from `Settings`, which include `settle_time`; no context is used."""
         self.settings = settings

@@ -3,14 +3,11 @@
 
 from __future__ import annotations
 
-import importlib.metadata
-
 import mujoco
 import numpy as np
 import pytest
 from simulated import LEVEL, holding_torque, run
 
-from hardware_sim import scenes
 from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth
 from hardware_sim.scene import body_contact
 from hardware_sim.scenes import scene_type
@@ -78,22 +75,6 @@ def test_the_scenes_of_this_package_are_found_by_name() -> None:
 def test_an_unknown_scene_is_refused_with_the_available_names() -> None:
     with pytest.raises(ValueError, match=r"'pour' is not one of .*flip, .*reach"):
         scene_type("pour")
-
-
-def test_a_scene_of_another_package_is_found_by_its_entry_point(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def installed(group: str) -> list[importlib.metadata.EntryPoint]:
-        point = importlib.metadata.EntryPoint
-        return [
-            point("ball", f"{Flip.__module__}:Flip", group),
-            point("broken", "no_such_package:Scene", group),
-        ]
-
-    monkeypatch.setattr(scenes, "entry_points", installed)
-    assert scene_type("ball") is Flip
-    with pytest.raises(ValueError, match=r"'broken' cannot be loaded: .*no_such_package"):
-        scene_type("broken")
 
 
 def test_the_body_of_a_scene_is_tracked_and_comes_to_rest_before_a_rollout(world: World) -> None:

@@ -88,7 +88,6 @@ class BallInCup(Task):
     )
 
     def __init__(self, settings: CupSettings, context: Mapping[str, Any]) -> None:
-        """See `Task`."""
         super().__init__(settings, context)
         self.gain = settings.gain
 

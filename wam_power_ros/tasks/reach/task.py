@@ -40,8 +40,6 @@ class Reach(Task):
     which stays at its last sample before the obstacle (Eq. 4).
 
     Attributes:
-        settings: Settings of the task.
-        settle_time: Time that a rollout continues after the movement [s].
         demonstrated: x_D, the mean demonstration [m]. Shape (T, 3).
         region: Obstacle, a guarded region of the controller; None for none.
     """
@@ -55,7 +53,6 @@ class Reach(Task):
     goal = Goal(question="whether the obstacle was touched", observed="touched", true="touched")
 
     def __init__(self, settings: ReachSettings, context: Mapping[str, Any]) -> None:
-        """Construct the task; `context` is the data of `context_of`."""
         super().__init__(settings, context)
         self.demonstrated = np.array(context["demonstrated"], dtype=float)  # (T, 3)
         self.region = region_of("obstacle", context["obstacle"])
@@ -117,20 +114,16 @@ class Reach(Task):
         why = cut_short(policy, rollout, self.settle_time)
         if why and not touched:
             return Assessment(None, why=why)
-        tracking, goal = (
-            float(term[0]) for term in reaching_terms(stopped, scenario.demonstrated, scenario.goal)
-        )
-        goal_distance = float(np.linalg.norm(stopped[0, -1] - scenario.goal))
-        clearance = np.linalg.norm(path - scenario.obstacle, axis=1).min() - scenario.radius
+        reached = reaching_terms(stopped, scenario.demonstrated, scenario.goal)
+        tracking, goal = (float(term[0]) for term in reached)
+        end = stopped[0, -1]
+        goal_distance = float(np.linalg.norm(end - scenario.goal))
+        clearance = float(np.linalg.norm(path - scenario.obstacle, axis=1).min() - scenario.radius)
+        seen = {"touched": touched, "goal_distance": goal_distance, "clearance": clearance}
         return Assessment(
             tracking + goal,
             {"following": tracking, "goal": goal},
-            {
-                "touched": touched,
-                "goal_distance": goal_distance,
-                "clearance": float(clearance),
-                "end": stopped[0, -1].tolist(),
-            },
+            {**seen, "end": end.tolist()},
             success=not touched and goal_distance <= self.settings.goal_tolerance,
             why="stopped at the obstacle" if touched else "",
         )

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from pydantic import BaseModel
+from pydantic import BaseModel, ConfigDict
 
 from wam_power_ros import plotting
 from wam_power_ros.learning.demonstration import Demonstration
@@ -31,6 +31,8 @@ from wam_power_ros.tasks.task import (
 
 class CarrySettings(BaseModel):
     """Settings: what is learnt, and the time a rollout goes on after the movement [s]."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
 
     noise: NoiseScales = NoiseScales(stiffness=0.2, attractor=0.01, rotation=0.05)
     settle_time: float = 0.5

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tasks, learners and scenes of all installed packages by name, and the set-ups of the tasks."""
+
+from __future__ import annotations
+
+import sys
+from functools import cache
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from wam_power_ros.tasks.task import Task
+
+
+def names(kind: str) -> list[str]:
+    """Names of all that is installed of a kind: "task", "learner" or "scene"."""
+    return sorted({point.name for point in entry_points(group=f"wam_power_ros.{kind}s")})
+
+
+@cache  # reading the entry points of all installed packages takes 15 ms
+def find(kind: str, name: str) -> Any:  # noqa: ANN401 - a class
+    """Class of a "task", "learner" or "scene".
+
+    Raises:
+        ValueError: No installed package declares the name, two do, or it cannot be imported.
+    """
+    points = [p for p in entry_points(group=f"wam_power_ros.{kind}s") if p.name == name]
+    declared = " and ".join(f"{p.value} of {p.dist.name if p.dist else '?'}" for p in points)
+    if not points:
+        known = ", ".join(names(kind)) or "none: install wam_power_ros again (make venv)"
+        raise ValueError(f"{kind} {name!r} is not one of {known}")
+    if len(points) > 1:
+        raise ValueError(f"{kind} {name!r} is declared twice, {declared}: rename or uninstall one")
+    try:
+        return points[0].load()
+    except Exception as error:  # whatever the module of another package raises
+        raise ValueError(f"{kind} {name!r} ({declared}) cannot be loaded: {error}") from error
+
+
+def task_type(name: str) -> type[Task]:
+    """Class of a task; raises a ValueError as `find`, or if it is no complete task of this name."""
+    from wam_power_ros.tasks.task import Task
+
+    found = find("task", name)
+    if not (isinstance(found, type) and issubclass(found, Task) and found.name == name):
+        raise ValueError(f"task {name!r}: {found} must derive from Task and be named {name!r}")
+    if missing := sorted(found.__abstractmethods__):
+        raise ValueError(f"task {name!r}: {found} does not define {', '.join(missing)}")
+    return found
+
+
+def task_setup(name: str, own: Path) -> Path:
+    """Set-up of a task: the file NAME.yaml beside its module, or in `own` for one of this package.
+
+    A task that brings none has that of the task from which it is derived.
+
+    Raises:
+        ValueError: As `task_type`, or there is no such file.
+    """
+    looked = []
+    for kind in [each for each in task_type(name).__mro__ if "name" in vars(each)]:
+        beside = Path(str(sys.modules[kind.__module__].__file__)).parent
+        folder = own if kind.__module__.startswith(f"{__package__}.") else beside
+        looked.append(str(file := folder / f"{vars(kind)['name']}.yaml"))
+        if file.is_file():
+            return file
+    where = f"there is no {' and no '.join(looked)}"
+    raise ValueError(f"{where}: task {name!r} needs it, packed as package-data of its package")
