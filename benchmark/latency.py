@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Latency from state to torque in real time: the controller compared with a bare echo node.
 
-    python -m benchmark.latency [--seconds 60] [--load 0] [--stages] [--messages]
-                                 [--view] [--period 0.001]
+    python -m benchmark.latency [--seconds 60] [--load 0] [--messages] [--view]
+                                 [--period 0.001]
 
 The stand-in publishes 500 states a second, or one each --period, on the wall clock. The controller
 answers each with a torque. The echo, a bare rclpy node in a separate process, answers with the same
@@ -31,7 +31,6 @@ from std_msgs.msg import Empty, Float64MultiArray
 
 from benchmark import messages, viewing
 from benchmark.nodes import JOINTS, PERIOD_NS, environment, ros_arguments
-from benchmark.stages import table as table_of_stages
 from wam_power_ros.cli.processes import Processes, Running
 from wam_power_ros.ros import interface, joint_messages, node_runner, scheduling
 from wam_power_ros.ros.domain import private_domain
@@ -111,7 +110,6 @@ def measure(
     seconds: float,
     fifo: bool,
     load: int,
-    stages: bool = False,
     hardest: bool = False,
     view: bool = False,
     period: float = PERIOD_NS * 1e-9,
@@ -122,7 +120,6 @@ def measure(
         seconds: Duration of the measurement [s].
         fifo: Use SCHED_FIFO.
         load: Number of busy processes beside it.
-        stages: Also time the stages of the controller, at a small cost, and print them.
         hardest: Publish the messages of `benchmark.messages` instead, and print the table.
         view: Let the page of `wam-power view` follow the arm.
         period: Time between two states [s].
@@ -152,12 +149,7 @@ def measure(
             controller = processes.start(
                 "controller",
                 [
-                    *module,
-                    *(
-                        ["benchmark.stages", str(Path(folder) / "stages.npy")]
-                        if stages
-                        else ["wam_power_ros.nodes.torque_controller"]
-                    ),
+                    *(*module, "wam_power_ros.nodes.torque_controller"),
                     *ros_arguments(
                         "torque_controller",
                         "simulation",
@@ -193,10 +185,6 @@ def measure(
         rows = np.load(report)
         if hardest:
             print(messages.table(rows, json.loads(published.read_text())))
-        if stages:
-            times = np.load(Path(folder) / "stages.npy")
-            within = (times[:, 0] >= begun_ns) & (times[:, 0] < ended_ns)
-            print(table_of_stages(times[within], rows))
     rows = rows[(rows[:, 0] >= begun_ns) & (rows[:, 0] < ended_ns)]
     seconds = (ended_ns - begun_ns) * 1e-9
     cpu = {name: 100.0 * (after[name] - before[name]) / seconds for name in after}
@@ -257,9 +245,6 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=60.0, help="duration of each run [s]")
     parser.add_argument("--load", type=int, default=0, help="number of busy processes")
     parser.add_argument(
-        "--stages", action="store_true", help="also time the stages of the controller"
-    )
-    parser.add_argument(
         "--messages",
         action="store_true",
         help="also count periods missed during difficult messages",
@@ -291,8 +276,6 @@ def main() -> int:
         print(table(title, results[title]))
         if options.messages:
             measure(0.0, fifo, options.load, hardest=True)
-        if options.stages:
-            measure(options.seconds, fifo, options.load, stages=True)
     if options.json:
         options.json.write_text(json.dumps(results, indent=1) + "\n")
     return 0
