@@ -18,7 +18,7 @@ from reproduction import jobs as job_cache
 from reproduction.jobs import Job
 from reproduction.studies import new_goals
 from reproduction.studies.flip_sessions import NOVICE, stand_in, teach
-from reproduction.studies.novice import BUDGET, RETESTS, SOLVED
+from reproduction.studies.grounds import BUDGET, RETESTS, SOLVED
 from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.learning.policy import Policy, with_id
 from wam_power_ros.practice.practice import Practice
