@@ -12,20 +12,23 @@ during a replay, and hits a wall: the replay must stop, and the force stay small
 from __future__ import annotations
 
 import argparse
+import math
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import cycle, islice
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmark.honest_driver import HONEST, Habits, report
 from hardware_sim.scenes.flip import wrist_flick
 from hardware_sim.sensors import MocapSettings
 from hardware_sim.wam import PERIOD_NS
+from hardware_sim.world import JointSample, World
 from reproduction.studies.flip_sessions import stand_in, teach
 from wam_power_ros.control import replay_trajectory
 from wam_power_ros.control.modes import Mode
+from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros.joint_messages import JointMovement
@@ -46,22 +49,72 @@ WALLS = (1e3, 2e3, 5e3, 10e3, 75e3)  # stiffness [N/m]; the last is that of a ha
 REPLAY_SPEED = 0.5  # of the replays with contacts, as a share of the recorded speed
 
 
+@dataclass(frozen=True)
+class Habits:
+    """How a driver reports its measurements.
+
+    Attributes:
+        jitter: Standard deviation of the stamps [s]; its clock never runs back.
+        lag: Time constant of a filter of the velocities, after the encoders' own [s]; 0 for none.
+        repeats: Number of states with the same measurement.
+    """
+
+    jitter: float = 0.0
+    lag: float = 0.0
+    repeats: int = 1
+
+
+HONEST = {
+    "stamps that jitter by 0.3 ms": Habits(jitter=3e-4),
+    "stamps that jitter by 0.6 ms": Habits(jitter=6e-4),
+    "velocities behind a filter of 10 ms": Habits(lag=0.01),
+    "250 Hz under 500 Hz stamps": Habits(repeats=2),
+}
+CASES: dict[str, tuple[dict[str, Any], Habits | None]] = {
+    **{name: (condition, None) for name, condition in CONDITIONS.items()},
+    **{name: ({}, habits) for name, habits in HONEST.items()},
+}
+
+
+def report(world: World, habits: Habits, seed: int) -> None:
+    """Let a world report its joint states with these habits; `seed` is that of the jitter."""
+    measure, rng = world.joint_state, np.random.default_rng(seed)
+    share = 1.0 - math.exp(-PERIOD_NS * 1e-9 / habits.lag) if habits.lag else 1.0
+    filtered, held, last_ns = np.zeros(7), measure(), 0
+    told = held, measure()  # the last measurement and what was reported of it
+
+    def joint_state() -> JointSample:
+        nonlocal filtered, held, last_ns, told
+        sample = measure()
+        if sample.stamp_ns == told[0].stamp_ns:
+            return told[1]
+        # Where the simulation puts the arm somewhere else, its driver starts anew.
+        filtered = sample.qd if world.frozen else filtered + share * (sample.qd - filtered)
+        if world.frozen or sample.stamp_ns // PERIOD_NS % habits.repeats == 0:
+            held = sample._replace(qd=filtered.copy())
+        stamp_ns = sample.stamp_ns + round(1e9 * habits.jitter * rng.standard_normal())
+        last_ns = max(stamp_ns, last_ns + 1000)
+        told = sample, held._replace(stamp_ns=last_ns)
+        return told[1]
+
+    world.joint_state = joint_state  # type: ignore[method-assign]
+
+
+def simulated(seed: int, condition: dict[str, Any], habits: Habits | None = None) -> Environment:
+    """Stand-in under a condition, fields of its settings, whose driver has these habits, if any."""
+    environment = stand_in(seed, **condition)
+    if habits is not None:
+        report(environment.world, habits, seed)
+    return environment
+
+
 def rollouts(
     condition: dict[str, Any], count: int, habits: Habits | None = None
 ) -> tuple[int, list[str]]:
-    """Run learning sessions under a condition; return the number of rollouts and all faults.
-
-    Args:
-        condition: Fields of the settings of the stand-in.
-        count: Least number of rollouts.
-        habits: How the driver reports; None for exactly what it measures.
-    """
+    """Run sessions of at least `count` rollouts in all; return their number and all faults."""
     done, faults, seed = 0, [], SEED
-
     while done < count:
-        environment = stand_in(seed, **condition)
-        if habits is not None:
-            report(environment.world, habits, seed)
+        environment = simulated(seed, condition, habits)
         budget = max(6, min(SESSION_ROLLOUTS, count - done))  # a session needs a few rollouts
         settings = preset("flip", "paper", budget=budget, retests=0)
         practice = Practice(settings, {}, teach(environment, seed, 1), seed, environment)
@@ -81,9 +134,7 @@ class Replay:
     """
 
     def __init__(self, seed: int, condition: dict[str, Any], habits: Habits | None = None) -> None:
-        self.environment = stand_in(seed, **condition)
-        if habits is not None:
-            report(self.environment.world, habits, seed)
+        self.environment = simulated(seed, condition, habits)
         script = wrist_flick(np.random.default_rng([seed, 0]))
         stamps_ns, q = self.environment.demonstrate(script, "demonstration")
         self._stamps_ns, self._q = stamps_ns, q
@@ -140,26 +191,34 @@ HOLD_TIME = 8.0  # [s]
 TOUCH = 3.0  # [N] of a hand that touches a held arm
 
 
-class Touch:
-    """A hand that touches the tool: its force rises and falls within a second."""
+class Force:
+    """A force on the tool; `share` of it acts, by the time since it began [s]."""
 
-    def __init__(self, force: np.ndarray) -> None:
-        self._force = force
+    def __init__(self, force: np.ndarray, share: Callable[[float], float]) -> None:
+        self.force, self._share = force, share
+
+    @classmethod
+    def drawn(cls, size: float, rng: np.random.Generator, share: Callable[[float], float]) -> Force:
+        """Force of this size [N] in a random direction."""
+        direction = rng.normal(size=3)
+        return cls(size * direction / np.linalg.norm(direction), share)
 
     def wrench(
         self, t: float, position: np.ndarray, rotation: np.ndarray, twist: np.ndarray
     ) -> np.ndarray:
         """Wrench at the pan's centre; see `hardware_sim.demonstrator.Demonstrator`."""
-        share = float(np.sin(np.pi * min(t, 1.0))) ** 2
-        return np.concatenate([share * self._force, np.zeros(3)])
+        return np.concatenate([self._share(t) * self.force, np.zeros(3)])
+
+
+def touch(t: float) -> float:
+    """Share of a force that rises and falls within a second."""
+    return float(np.sin(np.pi * min(t, 1.0))) ** 2
 
 
 def holds(count: int) -> tuple[int, list[str]]:
     """Hold for `HOLD_TIME` under all conditions, touched once a second; returns as `rollouts`."""
     faults, rng = [], np.random.default_rng(SEED)
-    cases = [(each, None) for each in CONDITIONS.values()]
-    cases += [({}, habits) for habits in HONEST.values()]
-    for k, (condition, habits) in enumerate(islice(cycle(cases), count)):
+    for k, (condition, habits) in enumerate(islice(cycle(CASES.values()), count)):
         replay = Replay(SEED + k, condition, habits)
         environment = replay.environment
         environment.world.attach(None)
@@ -168,9 +227,7 @@ def holds(count: int) -> tuple[int, list[str]]:
             if tick == 100:
                 environment.world.release()
             if tick % 500 == 400:
-                direction = rng.normal(size=3)
-                force = TOUCH * direction / np.linalg.norm(direction)
-                environment.world.attach(Touch(force))
+                environment.world.attach(Force.drawn(TOUCH, rng, touch))
             environment.tick()
         if (latched := environment.controller.latched) is not None:
             faults.append(latched.text)
@@ -178,19 +235,6 @@ def holds(count: int) -> tuple[int, list[str]]:
 
 
 # Contacts
-
-
-class Push:
-    """A force that rises within 10 ms and stays constant."""
-
-    def __init__(self, force: np.ndarray) -> None:
-        self.force = force
-
-    def wrench(
-        self, t: float, position: np.ndarray, rotation: np.ndarray, twist: np.ndarray
-    ) -> np.ndarray:
-        """Wrench at the pan's centre; see `hardware_sim.demonstrator.Demonstrator`."""
-        return np.concatenate([min(t / 0.01, 1.0) * self.force, np.zeros(3)])
 
 
 class Wall:
@@ -231,7 +275,7 @@ class Stop(NamedTuple):
     speed: float
 
 
-def touched(replay: Replay, moment: float, contact: Push | Wall) -> Stop:
+def touched(replay: Replay, moment: float, contact: Force | Wall) -> Stop:
     """Run a replay with a contact at the tool.
 
     Args:
@@ -257,8 +301,7 @@ def pushes(count: int, rng: np.random.Generator) -> list[Stop]:
     """Push the tool in random directions at random moments."""
     replay, stops = Replay(SEED, {}), []
     for _ in range(count):
-        direction = rng.normal(size=3)
-        push = Push(PUSH * direction / np.linalg.norm(direction))
+        push = Force.drawn(PUSH, rng, lambda t: min(t / 0.01, 1.0))  # rises within 10 ms
         stops.append(touched(replay, rng.uniform(0.1, 0.9), push))
     return stops
 
@@ -298,9 +341,7 @@ def main() -> int:
     parser.add_argument("--contacts", type=int, default=50, help="number of contacts of each kind")
     options = parser.parse_args()
     alarms, done = 0, 0
-    cases = [(name, condition, None) for name, condition in CONDITIONS.items()]
-    cases += [(name, {}, habits) for name, habits in HONEST.items()]
-    for name, condition, habits in cases if options.rollouts else ():
+    for name, (condition, habits) in CASES.items() if options.rollouts else ():
         count, faults = rollouts(condition, options.rollouts, habits)
         alarms, done = alarms + len(faults), done + count
         print(f"{count} rollouts, {name}: {len(faults)} faults {faults[:3]}", flush=True)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Latency from state to torque in real time: the controller compared with a bare echo node.
 
-    python -m benchmark.latency [--seconds 60] [--load 0] [--stages] [--messages]
-                                 [--view] [--period 0.001]
+    python -m benchmark.latency [--seconds 60] [--load 0] [--messages] [--view]
+                                 [--period 0.001]
 
 The stand-in publishes 500 states a second, or one each --period, on the wall clock. The controller
 answers each with a torque. The echo, a bare rclpy node in a separate process, answers with the same
@@ -15,29 +15,36 @@ page of `wam-power view` follows the arm during the measurement.
 from __future__ import annotations
 
 import argparse
+import fcntl
 import json
 import os
+import re
 import subprocess
 import sys
 import tempfile
 import time
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty, Float64MultiArray
 
-from benchmark import messages, viewing
-from benchmark.nodes import JOINTS, PERIOD_NS, environment, ros_arguments
-from benchmark.stages import table as table_of_stages
+from benchmark import messages
+from benchmark.nodes import JOINTS, PERIOD_NS, environment, ros_arguments, taught
 from wam_power_ros.cli.processes import Processes, Running
+from wam_power_ros.learning.policy import with_id
+from wam_power_ros.practice.session import Session
+from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import interface, joint_messages, node_runner, scheduling
 from wam_power_ros.ros.domain import private_domain
 from wam_power_ros.ros.stamps import nanoseconds
 
 ECHO = "/echo/commands"
+MODULE = [sys.executable, "-m"]
 PRIORITY = {"stand-in": 70, "controller": 60, "echo": 60}
 
 
@@ -107,11 +114,41 @@ def stand_in(report: Path) -> int:
     return status
 
 
+def start_page(processes: Processes, folder: Path, domain: int) -> IO[str]:
+    """Start the page of a session and a reader in place of a browser; return the session's lock.
+
+    A browser without a graphics card would draw on the processor, and be measured instead.
+    """
+    session = folder / "session"
+    Session.begin(session, preset("flip"), 0, [with_id(taught(), "demonstration-1")]).close()
+    (session / "logs").mkdir()
+    (session / "logs/ros_domain_id").write_text(f"{domain}\n")
+    held = (session / "logs/.lock").open("a")
+    fcntl.flock(held, fcntl.LOCK_EX)
+    view = processes.start("view", [*MODULE, "wam_power_ros.cli", "view", str(session)])
+    while not (found := re.search(r"http(://\S+)", view.log.read_text())):
+        processes.check()
+        time.sleep(0.1)
+    role = f"browser ws{found[1]}"
+    processes.start("browser", [*MODULE, "benchmark.latency", "--role", role])
+    return held
+
+
+def read_all(url: str) -> int:
+    """Receive everything the page sends, indefinitely."""
+    import viser
+    from websockets.sync.client import connect
+
+    with connect(url, subprotocols=[f"viser-v{viser.__version__}"], max_size=None) as socket:
+        for _ in socket:
+            pass
+    return 0
+
+
 def measure(
     seconds: float,
     fifo: bool,
     load: int,
-    stages: bool = False,
     hardest: bool = False,
     view: bool = False,
     period: float = PERIOD_NS * 1e-9,
@@ -122,7 +159,6 @@ def measure(
         seconds: Duration of the measurement [s].
         fifo: Use SCHED_FIFO.
         load: Number of busy processes beside it.
-        stages: Also time the stages of the controller, at a small cost, and print them.
         hardest: Publish the messages of `benchmark.messages` instead, and print the table.
         view: Let the page of `wam-power view` follow the arm.
         period: Time between two states [s].
@@ -131,72 +167,38 @@ def measure(
         Per process: periods met [%], quantiles of the latency [us] or rate of the states [Hz],
         and CPU time [%].
     """
-    module = [sys.executable, "-m"]
+    own = [*MODULE, "benchmark.latency", "--role"]
     with tempfile.TemporaryDirectory() as folder, private_domain() as domain:
-        report = Path(folder) / "times.npy"
+        report, published = Path(folder) / "times.npy", Path(folder) / "messages.json"
         priority = {name: value if fifo else 0 for name, value in PRIORITY.items()}
-        with Processes(Path(folder), environment(domain)) as processes:
-            arm = processes.start(
-                "stand-in",
-                [
-                    *(*module, "benchmark.latency", "--role", str(report)),
-                    *ros_arguments(
-                        "wam_sim",
-                        "optitrack_sim",
-                        pace="real_time",
-                        period=period,
-                        realtime_priority=priority["stand-in"],
-                    ),
-                ],
-            )
-            controller = processes.start(
-                "controller",
-                [
-                    *module,
-                    *(
-                        ["benchmark.stages", str(Path(folder) / "stages.npy")]
-                        if stages
-                        else ["wam_power_ros.nodes.torque_controller"]
-                    ),
-                    *ros_arguments(
-                        "torque_controller",
-                        "simulation",
-                        realtime_priority=priority["controller"],
-                        period=period,
-                    ),
-                ],
-            )
-            echo = processes.start(
-                "echo", [*module, "benchmark.latency", "--role", f"echo {priority['echo']}"]
-            )
-            published = Path(folder) / "messages.json"
+        of_arm = {"period": period, "realtime_priority": priority["stand-in"]}
+        of_loop = {"period": period, "realtime_priority": priority["controller"]}
+        arm_words = ros_arguments("wam_sim", "optitrack_sim", pace="real_time", **of_arm)
+        words = ros_arguments("torque_controller", "simulation", **of_loop)
+        with Processes(Path(folder), environment(domain)) as processes, ExitStack() as stack:
+            start, loop = processes.start, [*MODULE, "wam_power_ros.nodes.torque_controller"]
+            measured = [
+                start("stand-in", [*own, str(report), *arm_words]),
+                start("controller", [*loop, *words]),
+                start("echo", [*own, f"echo {priority['echo']}"]),
+            ]
             if hardest:
-                processes.start(
-                    "messages",
-                    [*module, "benchmark.latency", "--role", f"messages {published}"],
-                )
-            lock = viewing.start(processes, Path(folder), domain, list(JOINTS)) if view else None
+                start("messages", [*own, f"messages {published}"])
+            if view:
+                stack.enter_context(start_page(processes, Path(folder), domain))
             for i in range(load):
-                processes.start(f"load {i}", [sys.executable, "-c", "while True: pass"])
+                start(f"load {i}", [sys.executable, "-c", "while True: pass"])
             time.sleep(10.0)  # for imports and discovery
-            begun_ns, before = time.monotonic_ns(), _cpu([arm, controller, echo])
-            if hardest:
-                while not published.exists():
-                    processes.check()
-                    time.sleep(0.5)
-            else:
-                time.sleep(seconds)
-            ended_ns, after = time.monotonic_ns(), _cpu([arm, controller, echo])
+            begun_ns, before = time.monotonic_ns(), _cpu(measured)
+            while hardest and not published.exists():
+                processes.check()
+                time.sleep(0.5)
+            time.sleep(seconds)
+            ended_ns, after = time.monotonic_ns(), _cpu(measured)
             processes.check()
-            if lock is not None:
-                lock.close()
         rows = np.load(report)
         if hardest:
             print(messages.table(rows, json.loads(published.read_text())))
-        if stages:
-            times = np.load(Path(folder) / "stages.npy")
-            within = (times[:, 0] >= begun_ns) & (times[:, 0] < ended_ns)
-            print(table_of_stages(times[within], rows))
     rows = rows[(rows[:, 0] >= begun_ns) & (rows[:, 0] < ended_ns)]
     seconds = (ended_ns - begun_ns) * 1e-9
     cpu = {name: 100.0 * (after[name] - before[name]) / seconds for name in after}
@@ -256,30 +258,20 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=60.0, help="duration of each run [s]")
     parser.add_argument("--load", type=int, default=0, help="number of busy processes")
-    parser.add_argument(
-        "--stages", action="store_true", help="also time the stages of the controller"
-    )
-    parser.add_argument(
-        "--messages",
-        action="store_true",
-        help="also count periods missed during difficult messages",
-    )
-    parser.add_argument(
-        "--view", action="store_true", help="with the page of `wam-power view` following the arm"
-    )
-    parser.add_argument(
-        "--period", type=float, default=PERIOD_NS * 1e-9, help="between two states [s]"
-    )
+    parser.add_argument("--messages", action="store_true", help="also during difficult messages")
+    parser.add_argument("--view", action="store_true", help="with the page of `wam-power view`")
+    period = PERIOD_NS * 1e-9
+    parser.add_argument("--period", type=float, default=period, help="between two states [s]")
     parser.add_argument("--json", type=Path, help="also write the figures to this file")
     parser.add_argument("--role", help=argparse.SUPPRESS)
     options, _ = parser.parse_known_args()
     if options.role:
-        role, _, priority = options.role.partition(" ")
+        role, _, value = options.role.partition(" ")
         if role == "messages":
-            return messages.publish(Path(priority))
+            return messages.publish(Path(value))
         if role == "echo":
-            return node_runner.run(lambda: Echo(int(priority)))
-        return stand_in(Path(options.role))
+            return node_runner.run(lambda: Echo(int(value)))
+        return read_all(value) if role == "browser" else stand_in(Path(role))
     results = {}
     for title, fifo in (("SCHED_FIFO", True), ("plain scheduling", False)):
         if fifo and not may_schedule():
@@ -291,8 +283,6 @@ def main() -> int:
         print(table(title, results[title]))
         if options.messages:
             measure(0.0, fifo, options.load, hardest=True)
-        if options.stages:
-            measure(options.seconds, fifo, options.load, stages=True)
     if options.json:
         options.json.write_text(json.dumps(results, indent=1) + "\n")
     return 0

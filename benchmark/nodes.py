@@ -6,16 +6,32 @@ from __future__ import annotations
 import json
 import os
 import sys
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 
+from wam_power_ros.bags import reader
+from wam_power_ros.control.arm import Arm
+from wam_power_ros.learning.demonstration import from_joint_samples
+from wam_power_ros.learning.dmp import fit
+from wam_power_ros.learning.policy import Policy
+from wam_power_ros.params.resources import share
 from wam_power_ros.ros.domain import shared
+from wam_power_ros.tasks.flip.settings import FLIP_FIT
 
 ROOT = Path(__file__).resolve().parents[1]
 JOINTS = [f"wam_j{number}" for number in range(1, 8)]
 HOME = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
 PERIOD_NS = 2_000_000
+
+
+@cache
+def taught() -> Policy:
+    """Policy fitted to the first shipped demonstration of the flip."""
+    bag = min(share("bags").glob("demo_*"))
+    arm = Arm(share("urdf/wam7.urdf").read_text(), JOINTS)
+    return fit([from_joint_samples(arm, *reader.read_demonstration(bag, JOINTS))], FLIP_FIT, "soak")
 
 
 def environment(domain: int | None = None) -> dict[str, str]:

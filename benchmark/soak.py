@@ -27,22 +27,17 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
-from benchmark.nodes import JOINTS, environment
+from benchmark.nodes import JOINTS, environment, taught
 from wam_power_ros.bags import reader
 from wam_power_ros.cli.processes import Processes, Running
 from wam_power_ros.client.link import Link
 from wam_power_ros.client.robot import Robot
 from wam_power_ros.client.rollouts import RolloutSettings
-from wam_power_ros.control.arm import Arm
-from wam_power_ros.learning.demonstration import from_joint_samples
-from wam_power_ros.learning.dmp import fit
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.params import overlay
-from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import ServiceError
 from wam_power_ros.ros.domain import private_domain
-from wam_power_ros.tasks.flip.settings import FLIP_FIT
 
 NODES = ("wam_sim", "torque_controller", "pancake_tracker", "demonstration_recorder")
 WARM_UP = 0.2  # share of the time before samples count
@@ -154,13 +149,6 @@ class Director:
         """Let the arm hold for some time [s]."""
         self._link.sleep(seconds)
         self.counts["holds"] += 1
-
-
-def taught() -> Policy:
-    """Policy fitted to the first shipped demonstration of the flip."""
-    bag = min(share("bags").glob("demo_*"))
-    arm = Arm(share("urdf/wam7.urdf").read_text(), JOINTS)
-    return fit([from_joint_samples(arm, *reader.read_demonstration(bag, JOINTS))], FLIP_FIT, "soak")
 
 
 def start(processes: Processes, folder: Path) -> dict[str, Running]:

@@ -25,11 +25,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmark import reactions
-from benchmark.false_states import Falsifier
-from benchmark.hidden_arm import KNOWN, draw
-from benchmark.moments import ALL_FALSE_STATES, PERIOD, Loop
-from benchmark.nodes import JOINTS
+from benchmark.hidden_arm import KNOWN, begin, draw, held
+from benchmark.lies import ALL_FALSE_STATES, PERIOD, Falsifier
+from benchmark.loop import PHASES, Loop
+from benchmark.nodes import JOINTS, taught
 from hardware_sim.hidden_arm import HiddenArm
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller import Controller
@@ -127,7 +126,7 @@ for _name in CALLS:
 def whole(loop: Loop) -> None:
     """Teach, move to the start, execute the policy, replay a movement."""
     core = loop.controller
-    reactions.begin(loop, "move")
+    begin(loop, "move")
     while core.mode is Mode.MOVE_TO_START:
         loop.play(PERIOD)
     rollout(loop)
@@ -153,10 +152,10 @@ def rollout(loop: Loop) -> None:
 
 def recovered(loop: Loop, falsify: Falsifier, phase: str) -> None:
     """Falsify the states from a phase on until 0.5 s after the fault; then reset it."""
-    reactions.begin(loop, phase)
+    begin(loop, phase)
     loop.falsify = falsify
     loop.play(0.5)
-    loop.guide(None)
+    loop.plant.let_go()
     loop.falsify = lambda state: state
     loop.play(0.5)
     with suppress(ControllerError):
@@ -174,20 +173,20 @@ def changed(loop: Loop, **offsets: np.ndarray) -> None:
 def released(loop: Loop) -> None:
     """Release the enabling switch in a rollout."""
     loop.controller.enabled = True
-    reactions.begin(loop, "upwards")
+    begin(loop, "upwards")
     loop.controller.enabled = False
     loop.play(0.5)
 
 
 def pulled(loop: Loop) -> None:
     """Let a demonstrator pull at the arm that holds."""
-    loop.guide(0)
+    loop.plant.guide(0)
     loop.play(0.6)
 
 
 def drives(every: int = 1) -> Iterator[Drive]:
     """Record every drive, or only each n-th."""
-    home = Loop(2).policy.q_start
+    home = taught().q_start
     near = limits_of(
         Arm(URDF, JOINTS),
         teaching_tool_speed=4.0,
@@ -195,7 +194,7 @@ def drives(every: int = 1) -> Iterator[Drive]:
     )
     rows: list[tuple[Callable[[Loop], None], dict[str, Any], HiddenArm | None]] = [
         (whole, {}, None),
-        (partial(reactions.begin, phase="hold"), {}, KNOWN["payload of 0.5 kg"]),
+        (partial(begin, phase="hold"), {}, KNOWN["payload of 0.5 kg"]),
         (whole, {}, draw(9001)),
         (rollout, {"law": "virtual_mass"}, None),
         (pulled, {"driver_compensates_gravity": True}, None),
@@ -209,13 +208,13 @@ def drives(every: int = 1) -> Iterator[Drive]:
         (lambda state: state._replace(qd=None), "upwards"),
         (lambda state: state._replace(q=np.full(7, np.nan)), "hold"),
         (lambda state: state._replace(q=state.q + 0.5 * np.eye(7)[1]), "teaching"),
-        *zip((make() for make in ALL_FALSE_STATES.values()), cycle(reactions.PHASES)),
+        *zip((make() for make in ALL_FALSE_STATES.values()), cycle(PHASES)),
     ]
     rows += [(partial(recovered, falsify=lie, phase=phase), {}, None) for lie, phase in falsified]
     for drive, choices, hidden in rows[::every]:
         fast = {"limits": limits_of(Arm(URDF, JOINTS), teaching_tool_speed=4.0)}
         settings = ControllerSettings(**fast | choices)
-        loop = Loop(2, hidden, partial(Recorded, settings=settings))
+        loop = held(2, hidden, partial(Recorded, settings=settings))
         with suppress(ControllerError):  # of an arm that has faulted
             drive(loop)
         yield Drive(settings, loop.controller.calls)

@@ -16,7 +16,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import subprocess
 import sys
 import tempfile
 import threading
@@ -32,8 +31,8 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import PointCloud2
 
+from benchmark.kill import learning, lines
 from benchmark.nodes import environment
-from benchmark.sessions import learn_environment, lines
 from wam_power_ros.cli.processes import Processes, Running
 from wam_power_ros.client.link import Link
 from wam_power_ros.client.requests import Requests
@@ -56,9 +55,8 @@ DISTURBANCES = ("cameras", "driver", "learner")
 
 def demonstrated(task: str, seed: int, folder: Path) -> list[str]:
     """Bags of a session that is stopped after its first rollout."""
-    words = ["learn", "--task", task, "--seed", str(seed), "--demonstrations", "1"]
-    command = [sys.executable, "-m", "wam_power_ros.cli", *words, "--session", str(folder)]
-    process = subprocess.Popen(command, env=learn_environment(), stdout=subprocess.DEVNULL)
+    words = ["--task", task, "--seed", seed, "--demonstrations", "1"]
+    process = learning(folder, *words)
     while not lines(folder) and process.poll() is None:
         time.sleep(0.05)
     process.terminate()

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reaching to goals that were never tried: predicted from a session, carried over, taught afresh.
+"""What was never tried: a reach to other goals, or a flip of a pancake of another size.
 
     python -m reproduction.studies.new_goals [--arm] [--folder DIR] [--seeds N] [--ways WAY ...]
+    python -m reproduction.studies.new_goals --pancakes [--folder DIR] [--seeds N] [--workers N]
 
-prints a row for each way to begin. Demonstrations are drawn as those of the stand-in; a rollout is
-the path of Eq. 1, with noise at its end, stopped at the obstacle, and every arm can follow. With
-`--arm` both are executed on the simulated arm, by the controller and with its limits.
+prints a row for each way to begin: predicted from a session, carried over, taught afresh. The
+demonstrations of a reach are drawn as those of the stand-in; a rollout is the path of Eq. 1, with
+noise at its end, stopped at the obstacle, and every arm can follow. With `--arm` both are executed
+on the simulated arm, by the controller and with its limits.
 """
 
 from __future__ import annotations
@@ -23,6 +25,8 @@ from hardware_sim.scenes.reach import reach
 from hardware_sim.settings import REACH_GOAL
 from reproduction import jobs as job_cache
 from reproduction.jobs import Job
+from reproduction.studies import grounds
+from reproduction.studies.flip_sessions import NOVICE, stand_in, teach
 from wam_power_ros.faults import Fault
 from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.learning.demonstration import Demonstration, from_positions
@@ -34,6 +38,7 @@ from wam_power_ros.practice.new_goal import policy_for
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.regions import Region
+from wam_power_ros.tasks.flip.frames import PANCAKE_RADIUS
 from wam_power_ros.tasks.reach.scenario import RADIUS, midpoint, resampled
 from wam_power_ros.tasks.reach.task import Reach
 
@@ -51,6 +56,8 @@ GOALS: tuple[Mapping[str, float], ...] = (  # 8 to 11 cm from the demonstrated o
     {"x": 0.84, "y": 0.30, "z": 0.52},
 )
 WAYS = ("predicted", "carried over", "demonstrated before", "taught afresh")
+PANCAKE_SEEDS = range(34000, 34020)  # not used for tuning
+RADII = (0.075, 0.08, 0.10, 0.12)  # [m]; a session's own pancake has `PANCAKE_RADIUS`
 
 
 class Place(Protocol):
@@ -209,22 +216,74 @@ def line(
     }
 
 
+def flipped(environment: Environment, policy: Policy, seed: int) -> Practice:
+    """A finished session of the default preset that begins with a policy."""
+    settings = preset("flip", budget=grounds.BUDGET, retests=grounds.RETESTS)
+    practice = Practice(settings, {}, [policy], seed, environment)
+    for _ in environment.practise(practice):
+        pass
+    return practice
+
+
+def flips_of(practice: Practice) -> dict[str, Any]:
+    """See `outcome`; of the re-tests the true flips count."""
+    retests = [record.truth or {} for record in practice.records if record.kind == "retest"]
+    flips = sum(bool(truth.get("true_flip")) for truth in retests)
+    return {**outcome(practice), "successes": flips}
+
+
+def pancakes(seed: int, radii: Sequence[float] = RADII) -> dict[str, Any]:
+    """A session of a novice, and others with other pancakes by every way to begin."""
+    environment = stand_in(seed)
+    (shown,) = teach(environment, seed, 1, NOVICE)
+    known = flipped(environment, shown, seed)
+    result: dict[str, Any] = {"origin": flips_of(known)}
+    for number, radius in enumerate(radii, start=1):
+        again = 100 * seed + number
+        for way in WAYS[1:]:
+            there = stand_in(again, body_size=radius / PANCAKE_RADIUS)
+            policy: Policy | None = shown
+            if way == "carried over":
+                policy = None if known.best is None else known.best.policy
+            elif way == "taught afresh":
+                (policy,) = teach(there, again, 1, NOVICE)
+            begun = None if policy is None else flipped(there, with_id(policy, "begun"), again)
+            result[f"{way}, {radius}"] = None if begun is None else flips_of(begun)
+    return result
+
+
+def rows(results: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
+    """Outcomes by way and radius, and those of all radii by way."""
+    found = {key: [each[key] for each in results] for key in results[0]}
+    for way in WAYS[1:]:
+        found[way] = [one for key, ones in found.items() if key.startswith(way) for one in ones]
+    return found
+
+
 def main() -> None:
-    """Run the sessions and print a line for each way to begin."""
+    """Run the sessions and print a line for each way to begin, and each size of a pancake."""
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("--folder", type=Path, default=Path("new_goals"))
     parser.add_argument("--seeds", type=int, default=len(HELD_OUT))
     parser.add_argument("--arm", action="store_true", help="execute on the simulated arm")
     parser.add_argument("--ways", nargs="+", choices=WAYS, default=list(WAYS))
     parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--pancakes", action="store_true", help="of other sizes")
     args = parser.parse_args()
-    name, own = "arm" if args.arm else "goals", {"ways": args.ways, "on_the_arm": args.arm}
-    seeds = HELD_OUT[: args.seeds]
-    wanted = [Job(name, f"seed-{s}", session, {"seed": s, **own}) for s in seeds]
-    results = list(job_cache.run(wanted, args.folder, workers=args.workers)[name].values())
-    sys.stdout.write(f"origin: {line([each['origin'] for each in results])}\n")
-    for way in args.ways:
-        sys.stdout.write(f"{way}: {line([one for each in results for one in each[way]])}\n")
+    if args.pancakes:
+        seeds = PANCAKE_SEEDS[: args.seeds]
+        wanted = [Job("pancakes", f"seed-{s}", pancakes, {"seed": s}) for s in seeds]
+        found = job_cache.run(wanted, args.folder, workers=args.workers)["pancakes"]
+        table, robust = rows(list(found.values())), float(grounds.SOLVED)
+    else:
+        name, own = "arm" if args.arm else "goals", {"ways": args.ways, "on_the_arm": args.arm}
+        seeds = HELD_OUT[: args.seeds]
+        wanted = [Job(name, f"seed-{s}", session, {"seed": s, **own}) for s in seeds]
+        found = job_cache.run(wanted, args.folder, workers=args.workers)[name]
+        table, robust = {"origin": [each["origin"] for each in found.values()]}, 0.9 * RETESTS
+        table |= {way: [one for each in found.values() for one in each[way]] for way in args.ways}
+    for key, outcomes in table.items():
+        sys.stdout.write(f"{key}: {line(outcomes, robust)}\n")
 
 
 if __name__ == "__main__":

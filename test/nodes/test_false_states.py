@@ -17,8 +17,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
-from benchmark.false_states import FALSE_STATES, Driver, inject
+from benchmark.false_states import Driver, inject
 from benchmark.lab import Lab
+from benchmark.lies import FALSE_STATES
 from wam_power_ros.control.safety import REST_SPEED
 from wam_power_ros.faults import FaultKind
 from wam_power_ros.ros import interface
@@ -40,7 +41,7 @@ def test_an_arm_that_keeps_the_last_torque_is_stopped_when_its_states_turn_false
     for _ in range(3):  # on a busy processor it brakes late or not at all
         controller = lab.controller(priority=0)
         outcomes.append(inject(driver, lab, "upwards", FALSE_STATES[kind]()))
-        assert outcomes[-1].faulted is not None
+        assert outcomes[-1].noticed is not None
         if outcomes[-1].rest < REST_SPEED:
             return
         lab.end(controller)
@@ -63,7 +64,7 @@ def test_a_controller_that_is_ended_in_a_rollout_stops_the_arm_first(lab: Lab, n
         driver.speeds.clear()
         driver.play(0.5)
         assert lab.label == "inactive"
-        off = np.abs(lab.torques[-1][1].tau - driver.gravity()).max()
+        off = np.abs(lab.torques[-1][1].tau - driver.plant.gravity()).max()
         lab.end(controller)
         seen.append((max(driver.speeds), off))
         if max(driver.speeds) < REST_SPEED and off < 0.5:

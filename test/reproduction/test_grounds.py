@@ -2,30 +2,43 @@
 """The study of easy and hard ground: what differs from the novice, and its figures."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 
-from reproduction.studies import grounds, novice
-from reproduction.studies.flip_sessions import stand_in, teach
+from reproduction.studies import grounds
+from reproduction.studies.flip_sessions import HELD_OUT, stand_in, teach
 from wam_power_ros.practice.settings import preset
 
 
-def test_every_session_is_a_job_of_its_own_and_no_seed_is_one_of_the_other_study() -> None:
+def test_every_session_is_a_job_of_its_own_and_no_seed_is_one_of_the_reproduction() -> None:
     learners = list(grounds.LEARNERS)
     found = grounds.jobs([1, 2], list(grounds.GROUNDS), learners)
-    assert len({job.name for job in found}) == len(found) == 2 * 12 * len(learners)
+    assert len({job.name for job in found}) == len(found) == 2 * len(grounds.GROUNDS) * 8
     assert len({str(job.arguments) for job in found}) == len(found)
-    assert not set(grounds.HELD_OUT) & set(novice.HELD_OUT)
+    assert not {7001, grounds.FIRST} & set(HELD_OUT)
 
 
-def test_learners_of_a_ground_differ_in_the_learner_and_what_it_is_told() -> None:
-    settings = [
-        preset("flip", job.arguments["name"], **job.arguments["changes"])
-        for job in grounds.jobs([1], ["novice"], list(grounds.LEARNERS))
-    ]
-    assert {each.practice for each in settings} == {settings[0].practice}
-    assert len({each.learner for each in settings}) == len(settings) - 1  # PoWER twice
+def test_learners_of_a_ground_differ_only_in_the_learner_and_what_it_is_told() -> None:
+    found = grounds.jobs([1], ["novice"], list(grounds.LEARNERS))
+    own = {"task_settings", "learner", "learner_settings", "practice"}
+    blank = {"name": "", "changes": 0}
+    searched = ("model_based", "hindsight", "power", "bayesian_optimization")
+    plain = preset("flip", "hindsight", **found[0].arguments["changes"])
+    for job, (learner, row) in zip(found, grounds.LEARNERS.items(), strict=True):
+        assert {**job.arguments, **blank} == {**found[0].arguments, **blank}
+        settings = preset("flip", job.arguments["name"], **job.arguments["changes"])
+        assert settings.model_dump(exclude=own) == plain.model_dump(exclude=own)
+        assert settings.practice.budget == plain.practice.budget
+        assert settings.practice.retests == plain.practice.retests
+        assert learner not in searched or settings.practice == plain.practice
+        assert not row.name or settings.learner == row.name == learner
+        task = settings.task_settings
+        blind = not any(
+            (task.landing_gain, task.level_gain, task.turn_gain, task.vigour_gain, task.tempo_gain)
+        )
+        assert ("rotation" in row.told) == (not blind)
 
 
 @pytest.mark.parametrize(
@@ -55,16 +68,49 @@ def test_a_habit_changes_the_demonstration(habit: str) -> None:
     assert not np.allclose(changed.rotation_attractors, plain.rotation_attractors, atol=0.02)
 
 
-def test_a_row_counts_what_was_turned_over_and_a_line_those_that_were_wrong() -> None:
-    run = {"true_flip": True, "landed": True}
-    short = {**run, "true_flip": False}
-    retests = 28 * [run] + 2 * [short]
-    session = {"ended_by": "confirmation", "used": 15, "confirmed": 10, "retests": retests}
-    short30 = 30 * [short]
-    never = {"ended_by": "budget", "used": 60, "retests": short30}
-    rows = [grounds.row(session), grounds.row(never), grounds.row({**session, "retests": short30})]
+def a_session(
+    true: int,
+    ended_by: str,
+    used: int,
+    first: bool = False,
+    elsewhere: int | None = None,
+    landed: int = 30,
+) -> dict[str, Any]:
+    carried = [] if elsewhere is None else [{"true_flip": k < elsewhere} for k in range(30)]
+    return {
+        "carried": {"elsewhere": carried} if carried else {},
+        "used": used,
+        "ended_by": ended_by,
+        "confirmed": 10 if ended_by == "confirmation" else 0,
+        "trials": [{"true_flip": first}],
+        "retests": [{"true_flip": k < true, "landed": k < landed} for k in range(30)],
+    }
+
+
+def test_the_statistics_of_a_row_count_sessions_and_not_rollouts() -> None:
+    sessions = [
+        a_session(30, "confirmation", 20),
+        a_session(27, "confirmation", 30, first=True),
+        a_session(24, "confirmation", 50),
+        a_session(0, "budget", 60, landed=26),
+    ]
+    found = grounds.line(sessions)
+    assert found["landed"] == 3  # turned over and caught, however far in the air
+    assert (found["sessions"], found["reproduced"], found["solved"]) == (4, 1, 2)
+    assert found["confirmed"] == 3 and found["to_streak"] == 20.0  # ten confirm
+    assert found["wrong"] == 1 and found["rollouts"] == (40.0, 60.0)
+    assert found["true"][0] == 0.675 and 0.0 <= found["true"][1] < 0.3
+    assert grounds.line([a_session(0, "budget", 60)])["to_streak"] is None
+
+
+def test_the_statistics_of_other_worlds_are_separate() -> None:
+    found = grounds.line([a_session(30, "confirmation", 20, elsewhere=k) for k in (15, 30)])
+    assert found["true"][0] == 1.0 and found["elsewhere"][0] == 0.75
+    assert found["elsewhere"][1] == pytest.approx(0.55)
+    assert grounds.line([a_session(30, "confirmation", 20)])["elsewhere"] is None
+
+
+def test_a_row_of_the_table_counts_what_was_turned_over() -> None:
     counted = {"true": 28, "landed": 30, "retests": 30, "rollouts": 15, "confirmed": True}
-    assert rows[0] == counted and not rows[1]["confirmed"]
-    text = grounds.line(rows)
-    assert text.startswith("1 of 3 solved, 3 turned over and caught, 2 confirmed, 1 of them wrong")
-    assert text.endswith("median 15, worst decile 60")
+    assert grounds.row(a_session(28, "confirmation", 15)) == counted
+    assert not grounds.row(a_session(0, "budget", 60))["confirmed"]

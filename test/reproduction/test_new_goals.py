@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from reproduction.studies import new_goals
+from reproduction.studies import grounds, new_goals
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.reach.task import Reach
 
@@ -55,3 +55,19 @@ def test_on_the_arm_a_reach_is_taught_to_its_goal_and_executed_as_far_as_the_obs
     rollout = place.executed(task, policy, np.random.default_rng(0))
     assert rollout.fault is None and rollout.stopped_in == place.obstacle.name == "obstacle"
     assert task.assess(policy, rollout).observation["touched"]
+
+
+def test_every_size_is_begun_in_every_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(grounds, "BUDGET", 2)
+    monkeypatch.setattr(grounds, "RETESTS", 1)
+    result = new_goals.pancakes(1, (0.08,))
+    found = new_goals.rows([result, result])
+    keys = {f"{way}, 0.08" for way in new_goals.WAYS[1:]}
+    assert set(result) == {"origin"} | keys
+    assert set(found) == set(result) | set(new_goals.WAYS[1:])
+    for way in new_goals.WAYS[1:]:
+        assert found[way] == found[f"{way}, 0.08"]
+        assert new_goals.line(found[way], 1)["sessions"] == 2
+        assert all(each["used"] == 2 for each in found[way])
+    carried, afresh = found["carried over"][0], found["taught afresh"][0]
+    assert carried != afresh

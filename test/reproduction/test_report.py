@@ -9,13 +9,13 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
 import study_jobs
 from test_jobs import draws, files
 
-from benchmark.cluster import local_cluster
 from reproduction import jobs as job_cache
 from reproduction import report
 from reproduction.chapter import Chapter
@@ -129,11 +129,36 @@ def test_stopped_by_ctrl_c_and_begun_again_a_reproduction_ends_with_the_same_num
 # On a cluster
 
 
+@contextmanager
+def local_cluster(folder: Path, workers: int = 2) -> Iterator[str]:
+    """Start a Dask scheduler and workers as processes; yield the scheduler's address."""
+    environment = os.environ | {"PYTHONPATH": PYTHONPATH, "OMP_NUM_THREADS": "1"}
+    output = folder / "dask.log"
+    with ExitStack() as stack, output.open("wb") as log:
+
+        def start(*words: str) -> None:
+            command = [sys.executable, "-m", "dask", *words, "--no-dashboard"]
+            files = {"stdout": log, "stderr": log}
+            process = subprocess.Popen(command, env=environment, cwd=folder, **files)
+            stack.callback(process.wait)
+            stack.callback(process.kill)
+
+        start("scheduler", "--host", "127.0.0.1", "--port", "0")
+        end = time.monotonic() + 600.0
+        while not (found := re.search(r"tcp://127\.0\.0\.1:\d+", output.read_text())):
+            assert time.monotonic() < end, output.read_text()
+            time.sleep(0.05)
+        alone = ("--nthreads", "1", "--no-nanny", "--local-directory", ".")
+        for _ in range(workers):
+            start("worker", found.group(), *alone)
+        yield found.group()
+
+
 @pytest.fixture
 def cluster(tmp_path: Path) -> Iterator[str]:
     """Address of a Dask scheduler with two workers, each an operating system process."""
     pytest.importorskip("distributed")
-    with local_cluster(tmp_path, PYTHONPATH) as address:
+    with local_cluster(tmp_path) as address:
         yield address
 
 
@@ -155,8 +180,7 @@ def test_a_cluster_of_a_single_worker_computes_on_the_cluster(
 ) -> None:
     pytest.importorskip("distributed")
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)  # a run here would be refused for it
-    monkeypatch.setattr("benchmark.cluster.WORKERS", 1)
-    with local_cluster(tmp_path, PYTHONPATH) as address:
+    with local_cluster(tmp_path, workers=1) as address:
         results = job_cache.run(draws(3), tmp_path / "cluster", scheduler=address)
     assert results == job_cache.run(draws(3), tmp_path / "here")
 
