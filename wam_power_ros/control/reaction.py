@@ -208,9 +208,9 @@ class Reaction:
                 self._model.external = self._external
 
     def distrust(self) -> None:
-        """Let the model alone tell what an arm did since it was held, if that is not long ago."""
+        """Let the model alone tell what an arm did since it was held, if it was not long ago."""
         known = BEFORE + self._seconds < BEFORE_GUIDED and self._weight is None
-        if self.was_held and known and not self._alone:
+        if self.was_held and self._slow and known and not self._alone:
             self._model, self._alone = self._before(BEFORE + self._seconds) or self._model, True
 
     def assume_speeds(self, qd: np.ndarray) -> None:

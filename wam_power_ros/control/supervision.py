@@ -68,8 +68,7 @@ class Supervision:
         self._arm, self._motor_torque = arm, motor_torque
         self._unexplainable = 2.0 * arm.friction + FAULT_SHARE * arm.tau_max
         self._usual = np.zeros(arm.n)  # residual, low-passed: of a model that is wrong [N m]
-        # Least and most torque beyond g(q) under which each joint stood since it slid [N m], and
-        # the posture at the end of the last movement [rad]; NaN before one.
+        # Torques beyond g(q) under which each joint stood since it slid [N m]; where that was [rad].
         self._least = self._most = self._moved_to = np.full(arm.n, np.nan)
         self._explains = False  # model, friction and torques explain the motion of the last state
         self._possible = False  # they do if up to 15 % of a torque limit may be unexplained
@@ -142,9 +141,11 @@ class Supervision:
                 beyond = np.where(np.abs(beyond) > self._arm.friction, beyond, 0.0)
             self.reaction.carried = beyond
         else:  # what held the arm there; friction had a share in it that is not known elsewhere
-            self.reaction.carried = self._amid(unexplained.before(self.reaction.posture))
+            self.reaction.carried = unexplained.before(self.reaction.posture)
         if kind is FaultKind.DRIFT:
             self.reaction.assume_speeds(-unexplained.drift)
+        elif mode is Mode.HOLD:
+            self.reaction.carried = self._amid(self.reaction.carried)
         if kind.of_states:
             self.doubt(kind)
 
@@ -196,7 +197,7 @@ class Supervision:
         if fault is not None and mode is Mode.HOLD and self._states < self._first_states:
             fault = self._gravity_fault(state.q, residual) or fault
         self._usual = self._usual + state.span / USUAL_TIME * (residual - self._usual)
-        if mode in MOVING_MODES:
+        if mode in MOVING_MODES and mode is not Mode.ROLLOUT:
             slides = np.abs(state.qd) > SLIDING
             self._least = np.where(slides, -residual, np.fmin(self._least, -residual))
             self._most = np.where(slides, -residual, np.fmax(self._most, -residual))
