@@ -68,7 +68,7 @@ class Supervision:
         self._arm, self._motor_torque = arm, motor_torque
         self._unexplainable = 2.0 * arm.friction + FAULT_SHARE * arm.tau_max
         self._usual = np.zeros(arm.n)  # residual, low-passed: of a model that is wrong [N m]
-        # Torques beyond g(q) under which each joint stood since it slid [N m]; where that was [rad].
+        # Torques beyond g(q) under which each joint stood since it slid [N m]; and where [rad].
         self._least = self._most = self._moved_to = np.full(arm.n, np.nan)
         self._explains = False  # model, friction and torques explain the motion of the last state
         self._possible = False  # they do if up to 15 % of a torque limit may be unexplained
