@@ -66,6 +66,7 @@ setup(
         "console_scripts": [
             f"torque_controller = {NAME}.entry:torque_controller",
             f"demonstration_recorder = {NAME}.entry:demonstration_recorder",
+            f"body_tracker = {NAME}.entry:body_tracker",
             f"pancake_tracker = {NAME}.entry:pancake_tracker",
             f"learner = {NAME}.entry:learner",
             f"check_driver = {NAME}.entry:check_driver",

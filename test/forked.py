@@ -23,7 +23,7 @@ from pathlib import Path
 
 MODULES = (
     "wam_power_ros.nodes.torque_controller",
-    "wam_power_ros.nodes.pancake_tracker",
+    "wam_power_ros.nodes.body_tracker",
     "wam_power_ros.nodes.demonstration_recorder",
     "wam_power_ros.nodes.learner",
     "wam_power_ros.nodes.check_driver",

@@ -47,7 +47,7 @@ def start(module: str, interrupted: int = 0) -> int:
 
 torque_controller = partial(start, "wam_power_ros.nodes.torque_controller")
 demonstration_recorder = partial(start, "wam_power_ros.nodes.demonstration_recorder")
-pancake_tracker = partial(start, "wam_power_ros.nodes.pancake_tracker")
+body_tracker = pancake_tracker = partial(start, "wam_power_ros.nodes.body_tracker")
 learner = partial(start, "wam_power_ros.nodes.learner")
 check_driver = partial(start, "wam_power_ros.nodes.check_driver", INTERRUPTED)
 wam_sim = partial(start, "hardware_sim.main")

@@ -99,7 +99,7 @@ def test_a_toss_comes_out_right_whatever_the_driver_makes_of_it(
     setup = setup.changed({"pancake_tracker": {"clock_offset_max": SLOW_MAX, "silence": 60.0}})
     file = tmp_path / "parameters.yaml"
     file.write_text(overlay.text(setup))
-    processes.node("wam_power_ros.nodes.pancake_tracker", file)
+    processes.node("wam_power_ros.nodes.body_tracker", file)
     states = probe.listen(Odometry, interface.body_topic("pancake", "state"), interface.DEEP)
     paths = probe.listen(Path, interface.rollout_topic("pancake"), interface.LATCHED)
     ends = probe.publisher(Path, interface.ROLLOUT_END_EFFECTOR, interface.LATCHED)

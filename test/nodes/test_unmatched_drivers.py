@@ -22,7 +22,7 @@ from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.ros.stamps import time_message
 
 CONTROLLER = "wam_power_ros.nodes.torque_controller"
-TRACKER = "wam_power_ros.nodes.pancake_tracker"
+TRACKER = "wam_power_ros.nodes.body_tracker"
 RECORDER = "wam_power_ros.nodes.demonstration_recorder"
 MOCAP = (
     "node 'mocap_driver' publishes geometry_msgs/msg/TransformStamped (reliable, volatile) on "

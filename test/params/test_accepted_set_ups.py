@@ -20,12 +20,12 @@ from wam_power_ros.cli import main
 from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorderParams
 from wam_power_ros.nodes.learner import LearnerParams
 from wam_power_ros.params import overlay, parameter_file
-from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
+from wam_power_ros.params.body_tracker_params import BodyTrackerParams
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.ros.domain import private_domain
 
 READS = (
-    *(TorqueControllerParams, PancakeTrackerParams, DemonstrationRecorderParams, LearnerParams),
+    *(TorqueControllerParams, BodyTrackerParams, DemonstrationRecorderParams, LearnerParams),
     *(WamSimParams, OptitrackSimParams),
 )
 

@@ -20,8 +20,8 @@ from wam_power_ros.console.run_policy import RunPolicyParams
 from wam_power_ros.console.teach import TeachParams
 from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorderParams
 from wam_power_ros.nodes.learner import LearnerParams
+from wam_power_ros.params.body_tracker_params import BodyTrackerParams
 from wam_power_ros.params.node_params import Params
-from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
 from wam_power_ros.params.parameter_file import comments, of_nodes
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 
@@ -134,7 +134,7 @@ def test_every_parameter_describes_itself_its_range_and_that_it_is_read_at_start
         ("wam_sim.yaml", "wam_sim", WamSimParams),
         ("optitrack_sim.yaml", "optitrack_sim", OptitrackSimParams),
         ("learner.yaml", "learner", LearnerParams),
-        ("pancake_tracker.yaml", "pancake_tracker", PancakeTrackerParams),
+        ("pancake_tracker.yaml", "pancake_tracker", BodyTrackerParams),
         (
             "demonstration_recorder.yaml",
             "demonstration_recorder",
@@ -159,7 +159,7 @@ PARAMS = (
     WamSimParams,
     OptitrackSimParams,
     LearnerParams,
-    PancakeTrackerParams,
+    BodyTrackerParams,
     DemonstrationRecorderParams,
     ReplayParams,
     RunPolicyParams,

@@ -19,15 +19,15 @@ from wam_power_ros.cli import main
 from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorderParams
 from wam_power_ros.nodes.learner import LearnerParams
 from wam_power_ros.params import overlay, parameter_file
+from wam_power_ros.params.body_tracker_params import BodyTrackerParams
 from wam_power_ros.params.node_params import Params
-from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
 from wam_power_ros.params.resources import robot_description
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 
 READS: dict[str, type[Params]] = {
     "torque_controller": TorqueControllerParams,
     "demonstration_recorder": DemonstrationRecorderParams,
-    "pancake_tracker": PancakeTrackerParams,
+    "pancake_tracker": BodyTrackerParams,
     "learner": LearnerParams,
     "wam_sim": WamSimParams,
     "optitrack_sim": OptitrackSimParams,

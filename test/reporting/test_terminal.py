@@ -108,7 +108,7 @@ def test_the_summary_has_the_peak_speeds_of_the_retests(practice: Practice) -> N
     truth |= {"peak_forearm_speed": 1.37, "peak_pan_speed": 2.5}
     tests = [practice.records[0].model_copy(update={"kind": "retest", "truth": truth})]
     text = terminal.summary([*practice.records, *tests], practice.task)
-    assert "elbow 0.61 m/s, forearm (350 mm past the elbow) 1.37 m/s, tool 2.50 m/s" in text
+    assert "first guarded point 0.61 m/s, last guarded point 1.37 m/s, tool 2.50 m/s" in text
     assert "no-load speed in 1 of 1" in text
 
 

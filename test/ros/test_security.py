@@ -19,9 +19,9 @@ from rclpy.node import Node
 from hardware_sim.main import Simulation
 from hardware_sim.optitrack_node import OptitrackSim
 from wam_power_ros.cli import main
+from wam_power_ros.nodes.body_tracker import BodyTracker
 from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorder
 from wam_power_ros.nodes.learner import Learner
-from wam_power_ros.nodes.pancake_tracker import PancakeTracker
 from wam_power_ros.nodes.preparation_worker import PreparationWorker
 from wam_power_ros.nodes.torque_controller import TorqueController
 from wam_power_ros.params import overlay
@@ -41,7 +41,7 @@ NODES = {
     "torque_controller_preparation": lambda: PreparationWorker(pair()[0]),
     "torque_controller": TorqueController,
     "demonstration_recorder": DemonstrationRecorder,
-    "pancake_tracker": PancakeTracker,
+    "pancake_tracker": BodyTracker,
     "learner": Learner,
     "wam_sim": lambda: Simulation().wam,  # offers services once its world is built
     "optitrack_sim": OptitrackSim,

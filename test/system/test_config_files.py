@@ -25,7 +25,7 @@ from wam_power_ros.ros import interface
 MODULES = {
     "torque_controller": "wam_power_ros.nodes.torque_controller",
     "demonstration_recorder": "wam_power_ros.nodes.demonstration_recorder",
-    "pancake_tracker": "wam_power_ros.nodes.pancake_tracker",
+    "pancake_tracker": "wam_power_ros.nodes.body_tracker",
     "learner": "wam_power_ros.nodes.learner",
     "wam_sim": "hardware_sim.main",
 }

@@ -54,7 +54,7 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
     quick = {"move_speed": overlay.MOVE_SPEED}
     controller = "wam_power_ros.nodes.torque_controller"
     processes.node(controller, "torque_controller.yaml", "simulation.yaml", **sim, **quick)
-    processes.node("wam_power_ros.nodes.pancake_tracker", "pancake_tracker.yaml", **sim)
+    processes.node("wam_power_ros.nodes.body_tracker", "pancake_tracker.yaml", **sim)
 
     def learner() -> Process:
         node, given = "wam_power_ros.nodes.learner", {"session": folder, "record_rollouts": False}

@@ -254,7 +254,7 @@ def all_but_the_learner(processes: Processes, folder: Path) -> Process:
     """Start the nodes of a session; returns the controller."""
     given = {"wam_sim:pace": "lockstep", "wam_sim:seed": SEED}
     processes.node("hardware_sim.main", "wam_sim.yaml", **given)
-    processes.node("wam_power_ros.nodes.pancake_tracker", "pancake_tracker.yaml", **SIM)
+    processes.node("wam_power_ros.nodes.body_tracker", "pancake_tracker.yaml", **SIM)
     recorder = "demonstration_recorder"
     directory = {"directory": folder / "bags"}
     files = f"{recorder}.yaml", "simulation.yaml"

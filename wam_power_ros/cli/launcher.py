@@ -32,7 +32,7 @@ from wam_power_ros.cli.processes import Processes, Running
 from wam_power_ros.console.prompt import ask, show
 from wam_power_ros.durable_files import check_name
 from wam_power_ros.params import overlay
-from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
+from wam_power_ros.params.body_tracker_params import BodyTrackerParams
 from wam_power_ros.params.resources import robot_description
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.ros import network
@@ -107,7 +107,7 @@ def check(setup: overlay.Setup) -> None:
     if setup.arm() is not None:
         controller.controller(robot_description(controller.urdf))
     if setup["pancake_tracker"]["body"]:
-        PancakeTrackerParams.of_setup(setup)
+        BodyTrackerParams.of_setup(setup)
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ from wam_power_ros.cli.session_options import (
     learner_parameters,
     with_origin,
 )
-from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
+from wam_power_ros.params.body_tracker_params import BodyTrackerParams
 from wam_power_ros.params.resources import robot_description
 from wam_power_ros.ros.domain import exported, hold, lock_files, shared
 from wam_power_ros.tracking.tracker import base_in_world
@@ -168,7 +168,7 @@ def with_displays(plan: Plan, rviz: bool, tf: bool) -> Plan:
         print(f"RViz shows no model of the arm: {STATE_PUBLISHER} {why}", file=sys.stderr)
     tracker, program = plan.parameters[TRACKER], _executable(STATIC_PUBLISHER, "tf2_ros", tf)
     if (plan.stand_ins or tf) and tracker["body"] and program is not None:
-        pose = base_in_world(PancakeTrackerParams.of_setup(plan.parameters))
+        pose = base_in_world(BodyTrackerParams.of_setup(plan.parameters))
         words = [f"--{name}={value}" for name, value in zip(POSE, pose.tolist(), strict=True)]
         words += [f"--frame-id={plan.parameters['optitrack_sim']['frame']}"]
         words += [f"--child-frame-id={plan.namespace}/{arm['base_frame']}".replace("=/", "=")]

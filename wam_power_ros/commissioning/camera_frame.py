@@ -116,8 +116,8 @@ def calibrate(
         if _sizes(other, accepted).max() < OUTLIER * RESIDUAL_MAX:
             raise ValueError(f"{text}the cameras' axes are mirrored (left-handed)")
         raise ValueError(
-            f"{text}the cameras were knocked, the body moved in the tool (a pancake was left in "
-            "the pan, its markers are loose), or the joints have another order or sign"
+            f"{text}the cameras were knocked, the body moved in the tool (another lay on it, "
+            "its markers are loose), or the joints have another order or sign"
         )
     return _result(arm.n, solution, len(q), accepted)
 

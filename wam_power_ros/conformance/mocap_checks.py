@@ -32,7 +32,7 @@ from wam_power_ros.tracking.tracker import (
 USABLE_SHARE = 0.9  # share of frames that the tracker must accept
 LATENCY_MIN = 0.003  # [s] shortest time from exposure to reception
 FALL_COSINE_OK, FALL_COSINE_WARN = 0.985, 0.87  # of the angle between a fall and the vertical
-PAN_DISTANCE = 0.1  # [m] from the pan's floor within which the learner counts the body as in it
+TOOL_DISTANCE = 0.1  # [m] from the tool within which a body counts as in it
 ADVICE = {  # by the tracker's most frequent reason for refusal
     "zero pose": "the driver sends zeros when it has lost the body: is it in view?",
     "out of workspace": "units are not metres, or world_to_base or up_axis is wrong",
@@ -175,27 +175,27 @@ def latency(
 
 
 def body_position(
-    frames: Sequence[FrameSample], settings: TrackerSettings, pan: np.ndarray | None
+    frames: Sequence[FrameSample], settings: TrackerSettings, tool: np.ndarray | None
 ) -> Row:
-    """Position of the body in the arm's base frame, and its distance from the pan.
+    """Position of the body in the arm's base frame, and its distance from the tool.
 
     Args:
         frames: Frames in order of arrival.
         settings: Settings of the tracker.
-        pan: Centre of the pan's floor in the base frame [m], shape (3,); None when unknown.
+        tool: Position of the tool in the base frame [m], shape (3,); None when unknown.
     """
-    row = partial(Row, "mocap frame", "a body in the pan is measured in the pan")
+    row = partial(Row, "mocap frame", "a body in the tool is measured in the tool")
     if not frames:
         return row("no frame", UNCHECKED)
     rotation, origin = world_in_base(settings)
     position = rotation @ np.median([frame.position for frame in frames], axis=0) + origin
     text = f"body at {_listed(position)}"
-    if pan is None or not np.isfinite(position).all():
+    if tool is None or not np.isfinite(position).all():
         return row(text, UNCHECKED, "no state of the arm")
-    text += f", pan at {_listed(pan)} in the base frame"
-    if np.linalg.norm(position - pan) <= PAN_DISTANCE:
+    text += f", tool at {_listed(tool)} in the base frame"
+    if np.linalg.norm(position - tool) <= TOOL_DISTANCE:
         return row(text, OK)
-    return row(text, WARN, "if it lies in the pan, world_to_base or up_axis is wrong")
+    return row(text, WARN, "if it lies in the tool, world_to_base or up_axis is wrong")
 
 
 def fall_direction(frames: Sequence[FrameSample], settings: TrackerSettings) -> Row:

@@ -24,8 +24,8 @@ from wam_power_ros.faults import Fault
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Foreseen, Rollout
 from wam_power_ros.params import overlay
+from wam_power_ros.params.body_tracker_params import BodyTrackerParams
 from wam_power_ros.params.overlay import Setup
-from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session_log import Record
@@ -64,7 +64,7 @@ class Environment:
         params = TorqueControllerParams.of_setup(setup)
         self.controller = params.controller(urdf or world.urdf)
         self.arm = self.controller.arm
-        self._tracker_settings = PancakeTrackerParams.of_setup(setup)
+        self._tracker_settings = BodyTrackerParams.of_setup(setup)
         self.tracker = Tracker(self._tracker_settings)
         self._truth: Truth | None = None  # of the last rollout
 

@@ -41,7 +41,7 @@ from wam_power_ros.conformance.watchdog_check import CommandCheck
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.nodes import check_console
 from wam_power_ros.params import overlay
-from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
+from wam_power_ros.params.body_tracker_params import BodyTrackerParams
 from wam_power_ros.params.resources import robot_description
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.ros import (
@@ -68,7 +68,7 @@ class CheckDriver(Node):
     """Subscribes to the devices of one set-up and checks them."""
 
     def __init__(
-        self, arm: TorqueControllerParams, mocap: PancakeTrackerParams, console: Console
+        self, arm: TorqueControllerParams, mocap: BodyTrackerParams, console: Console
     ) -> None:
         super().__init__("check_driver")
         self._arm_params, self._mocap, self._console = arm, mocap, console
@@ -280,7 +280,7 @@ class CheckDriver(Node):
             return reception
         received, stamp_ns = (np.array([sample[i] for sample in samples]) for i in (0, 1))
         age = float(np.median(record.received_ns - record.stamp_ns)) if len(record.q) else 0.0
-        pan = arm.tool_pose(record.q[-1])[0] if len(record.q) else None
+        tool = arm.tool_pose(record.q[-1])[0] if len(record.q) else None
         offsets = params.latency_offset, params.clock_offset_max
         found = [
             *reception,
@@ -294,7 +294,7 @@ class CheckDriver(Node):
             frames, layout = mocap_checks.marker_poses(self.clouds, params)
             found.append(layout)
         found += mocap_checks.frame_quality(frames, params, self._refused_clouds)
-        return [*found, mocap_checks.body_position(frames, params, pan)]
+        return [*found, mocap_checks.body_position(frames, params, tool)]
 
     def _watchdog(self, arm: Arm, record: ArmRecord, path: Row, active: bool) -> Row:
         """Row about the watchdog of the driver, tested if a person agrees."""
@@ -451,7 +451,7 @@ def main() -> int:
     try:
         setup = overlay.setup(options.config)
         arm = TorqueControllerParams.of_setup(setup)
-        mocap = PancakeTrackerParams.of_setup(setup)
+        mocap = BodyTrackerParams.of_setup(setup)
         make = lambda: CheckDriver(arm, mocap, console)  # noqa: E731
         with node_runner.participant(make) as node, node.link:
             rows = node.check(options.seconds, options.active)

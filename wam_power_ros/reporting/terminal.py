@@ -22,7 +22,8 @@ from wam_power_ros.tasks.task import Task
 
 ROLLOUTS_SHOWN = 14  # newest rollouts in the table
 SILENCE_MAX = 5.0  # longest time without a line in a file [s]
-FOREARM = "forearm (350 mm past the elbow)"  # the point of the truth's `peak_forearm_speed`
+# Points of the truth's `peak_elbow_speed` and `peak_forearm_speed`; elbow and forearm of the WAM.
+FIRST_POINT, LAST_POINT = "first guarded point", "last guarded point"
 OUTCOME_MIN = 24  # width of the column [characters]
 BARS = "▁▂▃▄▅▆▇█"
 STYLES = {"reproduction": "cyan", "explore": "", "mean": "magenta", "retest": "green"}
@@ -178,7 +179,8 @@ def _peaks(truths: Sequence[Mapping[str, Any]]) -> list[str]:
     return [
         f"  peak joint speeds {' '.join(f'{v:.1f}' for v in qd)} rad/s; beyond a motor's no-load "
         f"speed in {beyond} of {len(truths)}",
-        f"  peak speeds: elbow {elbow:.2f} m/s, {FOREARM} {forearm:.2f} m/s, tool {tool:.2f} m/s",
+        f"  peak speeds: {FIRST_POINT} {elbow:.2f} m/s, {LAST_POINT} {forearm:.2f} m/s, "
+        f"tool {tool:.2f} m/s",
     ]
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 if __name__ == "__main__":  # before the other imports, which a signal may interrupt
     from wam_power_ros.entry import start
 
-    raise SystemExit(start("wam_power_ros.nodes.pancake_tracker"))
+    raise SystemExit(start("wam_power_ros.nodes.body_tracker"))
 
 import math
 import time
@@ -26,7 +26,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
 
 from wam_power_ros.learning.rollout import BodyPath
-from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
+from wam_power_ros.params.body_tracker_params import BodyTrackerParams
 from wam_power_ros.ros import endpoints, interface, node_runner, pose_messages
 from wam_power_ros.ros.diagnostics import component, diagnostics_message
 from wam_power_ros.tracking.tracker import (
@@ -51,15 +51,15 @@ class _Rollout(NamedTuple):
 
     start_ns: int
     end_ns: int
-    received_ns: int  # when its end was received, by `PancakeTracker._timeout_clock`
+    received_ns: int  # when its end was received, by `BodyTracker._timeout_clock`
 
 
-class PancakeTracker(Node):
+class BodyTracker(Node):
     """Publishes a state for each frame of the motion capture and a path for each rollout."""
 
     def __init__(self) -> None:
         super().__init__("pancake_tracker", automatically_declare_parameters_from_overrides=True)
-        self._params = params = PancakeTrackerParams.of(self)
+        self._params = params = BodyTrackerParams.of(self)
         self._tracker = Tracker(params)
         namespace = self.get_namespace()
         self._frame = interface.frame(namespace, params.base_frame)
@@ -260,5 +260,5 @@ class PancakeTracker(Node):
 
 
 def main() -> int:
-    """Entry point of `ros2 run wam_power_ros pancake_tracker`."""
-    return node_runner.run(PancakeTracker)
+    """Entry point of `ros2 run wam_power_ros body_tracker`, or `pancake_tracker`."""
+    return node_runner.run(BodyTracker)

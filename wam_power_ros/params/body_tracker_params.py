@@ -10,7 +10,7 @@ from wam_power_ros.params.node_params import Params
 from wam_power_ros.tracking.tracker import TrackerSettings
 
 
-class PancakeTrackerParams(Params, TrackerSettings):
+class BodyTrackerParams(Params, TrackerSettings):
     """Parameters of the node, settings of its tracker included.
 
     The values are in config/pancake_tracker.yaml.

@@ -19,7 +19,7 @@ from wam_power_ros.ros import interface, pose_messages
 from wam_power_ros.ros.stamps import time_message
 from wam_power_ros.tracking import marker_fit
 
-NODE = "wam_power_ros.nodes.pancake_tracker"
+NODE = "wam_power_ros.nodes.body_tracker"
 CONFIG = "pancake_tracker.yaml"
 PERIOD = 33_333_333
 PAN = np.array([0.8, 0.0, 0.6])
