@@ -79,7 +79,7 @@ ALLOWED: dict[str, set[str]] = {
         "params",
         "bags",
     },
-    "reporting": {"durable_files", "plotting", "learning", "tasks", "practice"},
+    "reporting": {"installed", "durable_files", "plotting", "learning", "tasks", "practice"},
 }
 BELOW = set(ALLOWED)
 ALLOWED["client"] = {"faults", "bags", "learning", "control", "tasks", "params", "ros"}
@@ -96,11 +96,11 @@ ALLOWED["benchmark"] = {*ALLOWED}
 # what can go; where nothing can, the commit that raises a figure says why.
 BUDGET = {
     "ground": 1435,  # the modules of wam_power_ros/ itself; what is installed is found in one
-    "learning": 3055,
+    "learning": 2905,
     "control": 4970,  # the reaction asks in every state what is believed, knows a mass, and a drift
     "commissioning": 1230,
     "tracking": 620,
-    "tasks": 4010,  # what follows from the errors of any task is written here once
+    "tasks": 3890,  # what follows from the errors of any task is written here once
     "practice": 2465,  # refusals by a person and pauses are in its log
     "conformance": 1130,
     "bags": 2660,

@@ -18,7 +18,8 @@ from wam_power_ros.faults import FaultKind
 from wam_power_ros.params import overlay
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import interface
-from wam_power_ros.tasks.flip.parametrization import TURN_OF_TEMPO, TURN_OF_VIGOUR
+from wam_power_ros.tasks.flip.parametrization import TURN_OF_FLICK, TURN_OF_TEMPO, TURN_OF_VIGOUR
+from wam_power_ros.tasks.flip.toss_errors import EFFECTS
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
@@ -127,6 +128,7 @@ def test_the_method_states_the_numbers_of_the_presets(name: str) -> None:
     text = " ".join((ROOT / "docs/method.md").read_text().split())
     whole = preset("flip", name)
     settings, power, course = whole.task_settings, whole.learner_settings, whole.practice
+    steps = {effect.group: effect.step for effect in EFFECTS}
     stated = {
         "paper": [
             f"{settings.noise.stiffness:.0%} of the mean stiffness".replace("%", " %"),
@@ -140,14 +142,11 @@ def test_the_method_states_the_numbers_of_the_presets(name: str) -> None:
             f"{settings.noise.stiffness:.0%} of the mean stiffness".replace("%", " %"),
             f"{1000 * settings.noise.attractor:.0f} mm, {settings.noise.rotation} rad",
             f"shrinking by {1 - power.decay:.0%}".replace("%", " %"),
-            f"moved by {settings.landing_gain} of the measured miss",
-            f"along x, {settings.landing_limit} m at most",
-            f"moved by {settings.turn_gain} of what was missing",
-            f"{settings.turn_limit} at most",
-            f"like the flick, by {settings.vigour_gain} of what was missing",
-            f"divided by {TURN_OF_VIGOUR:.0f} rad, {settings.vigour_limit} at most",
-            f"tempo by {settings.tempo_gain} of it divided by {TURN_OF_TEMPO:.0f} rad",
-            f"{settings.tempo_limit} at most",
+            f"moved by `gain`, {settings.gain}, of what would take",
+            *(f"{steps['catch_shift']} m at most", f"{steps['catch_pitch']} rad at most"),
+            f"{TURN_OF_VIGOUR:.0f} rad per unit of vigour, {TURN_OF_TEMPO:.0f} rad per unit of the",
+            f"{TURN_OF_FLICK:.0f} rad per unit of flick",
+            f"{steps['vigour']}, {steps['tempo']} and {steps['flick']} at most",
             f"exp((R_k − R_max)/({power.sharpness} ",
             f"at least {math.degrees(settings.success_angle):.0f} degrees",
             f"or {course.confirm} times in a row, or after {course.budget} rollouts",

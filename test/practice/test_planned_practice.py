@@ -4,31 +4,30 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 import pytest
 from toss_task import ANY_ARM, demonstrated_policy, practice_of, toss
 
 from wam_power_ros.learning.learner import Prediction
-from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session_log import Line
 from wam_power_ros.practice.settings import SessionSettings, preset
+from wam_power_ros.tasks import task as task_module
+from wam_power_ros.tasks.errors import ForeseenErrors
 from wam_power_ros.tasks.flip.parametrization import TURN_OF_FLICK, TURN_OF_TEMPO, TURN_OF_VIGOUR
-from wam_power_ros.tasks.flip.task import Flip
-from wam_power_ros.tasks.flip.toss_errors import ERRORS, TossErrors
+from wam_power_ros.tasks.flip.toss_errors import ERRORS
 
 SETTINGS = preset("flip", "model_based", budget=12, retests=2, confirm=3)
 CANDIDATES = [demonstrated_policy()]
 
 
-class RoughTosses(TossErrors):
+class RoughTosses(ForeseenErrors):
     """What is known of `toss_task.toss`: not its noise, and a rotation that is 0.3 rad off."""
 
     def predict(self, z: np.ndarray) -> Prediction | None:
         """Predict the error of `toss`, without its noise."""
-        noise = self._settings.noise
+        noise = SETTINGS.task_settings.noise
         turn = TURN_OF_VIGOUR * noise.vigour * z[-4] + TURN_OF_FLICK * noise.flick * z[-3]
         turn += TURN_OF_TEMPO * noise.tempo * z[-1]
         landing = 0.12 - noise.catch_shift * z[-2]
@@ -38,12 +37,7 @@ class RoughTosses(TossErrors):
 
 @pytest.fixture(autouse=True)
 def _known(monkeypatch: pytest.MonkeyPatch) -> None:
-    def error_model(
-        task: Flip, parametrization: Parametrization, foresee: Callable[..., None]
-    ) -> RoughTosses:
-        return RoughTosses(parametrization, foresee, task.settings)
-
-    monkeypatch.setattr(Flip, "error_model", error_model)
+    monkeypatch.setattr(task_module, "ForeseenErrors", RoughTosses)
 
 
 def practised(practice: Practice) -> Practice:
@@ -75,10 +69,10 @@ def test_the_error_is_that_of_what_was_executed_not_of_the_correction_in_hindsig
     for _ in range(3):
         trial = practice.next_trial()
         practice.learn_assessed(trial, toss(trial, practice.task.settings))
-    told = practice.learner._measured
-    assert [z.tolist() for z, _ in told] == [record.z for record in practice.records]
+    learner = practice.learner
+    assert learner._z.tolist() == [record.z for record in practice.records]
     assert any(record.learnt_as != record.z for record in practice.records)
-    for (_, error), record in zip(told, practice.records, strict=True):
+    for error, record in zip(learner._errors, practice.records, strict=True):
         angle = (record.observation["angle"] - math.pi) / ERRORS[0].tolerance
         np.testing.assert_allclose(error[0], angle)
 
@@ -107,13 +101,12 @@ def test_a_task_without_a_vector_error_is_refused_by_name_before_anything_moves(
     refusal = f"learner '{name}' needs a model of the vector error, which task 'flip' with"
     with pytest.raises(ValueError, match=refusal):
         practice_of(CANDIDATES, settings, 0)
-    reach = preset("reach", learner={"name": name})
     context = {
         "demonstrated": [[0.6, 0.0, 0.5], [0.65, 0.0, 0.5], [0.7, 0.0, 0.5]],
         "obstacle": [0.0] * 4,
     }
     with pytest.raises(ValueError, match="needs a model of the vector error, which task 'reach'"):
-        Practice(reach, context, CANDIDATES, 0, ANY_ARM)
+        Practice(preset("reach", learner={"name": name}), context, CANDIDATES, 0, ANY_ARM)
 
 
 def test_the_settings_of_the_session_keep_those_of_the_fallback() -> None:

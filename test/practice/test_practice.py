@@ -208,21 +208,18 @@ def test_a_reproduction_that_ended_in_a_fault_is_not_chosen() -> None:
 def test_a_toss_is_learnt_as_moved_by_what_turn_and_landing_missed() -> None:
     practice = started("hindsight")
     settings = practice.task.settings
+    noise, gain = settings.noise, settings.gain
     for record in run(practice, rollouts=12):
         moved = np.subtract(record.learnt_as, record.z)
         assert not moved[:-4].any()
         error = record.observation["landing_error"][0]
-        assert moved[-2] == pytest.approx(settings.landing_gain * error / 0.016)
+        assert moved[-2] == pytest.approx(gain * error / noise.catch_shift)
         missing = math.pi - record.observation["angle"]
-        flick = settings.turn_gain * missing / TURN_OF_FLICK
-        flick = np.clip(flick, -settings.turn_limit, settings.turn_limit)
-        assert moved[-3] == pytest.approx(flick / settings.noise.flick)
-        vigour = settings.vigour_gain * missing / TURN_OF_VIGOUR
-        assert abs(vigour) < settings.vigour_limit
-        assert moved[-4] == pytest.approx(vigour / settings.noise.vigour)
-        tempo = settings.tempo_gain * missing / TURN_OF_TEMPO
-        assert abs(tempo) < settings.tempo_limit
-        assert moved[-1] == pytest.approx(tempo / settings.noise.tempo)
+        vigour, flick, _, tempo = moved[-4:]
+        turn = TURN_OF_VIGOUR * noise.vigour * vigour + TURN_OF_FLICK * noise.flick * flick
+        turn += TURN_OF_TEMPO * noise.tempo * tempo
+        assert turn == pytest.approx(gain * missing)
+        assert np.sign([vigour, flick, tempo]).tolist() == [np.sign(missing)] * 3
     trial = practice.next_trial()
     assessment = toss(trial, settings)
     far = {**assessment.observation, "landing_error": [9.0, 0.0, 0.0]}
@@ -237,21 +234,20 @@ def test_a_toss_is_learnt_as_moved_by_what_turn_and_landing_missed() -> None:
 @pytest.mark.parametrize("seen", [True, False])
 def test_a_pancake_that_was_not_thrown_lacks_the_whole_half_turn(seen: bool) -> None:
     practice = started("hindsight")
-    settings = practice.task.settings
     run(practice, rollouts=4)
     trial = practice.next_trial()
     weak = {"tossed": False, "seen": seen, "angle": 0.0, "landing_error": [0.0, 0.0, 0.0]}
     weak["catch_pitch"] = 0.0
     record = practice.learn_assessed(trial, Assessment(0.05, observation=weak))
     moved = np.subtract(record.learnt_as, record.z)
-    stronger = [settings.vigour_limit, settings.turn_limit, 0.0, settings.tempo_limit]
-    noise = settings.noise
-    stronger /= np.array([noise.vigour, noise.flick, noise.catch_shift, noise.tempo])
-    np.testing.assert_allclose(moved[-4:], stronger)
+    vigour, flick, shift, tempo = moved[-4:] * practice.parametrization.scale[-4:]
+    assert (vigour, tempo, shift) == pytest.approx(
+        (0.3, 0.15, 0.0), abs=2e-4
+    ) and 0.1 < flick <= 0.3
     assert not moved[:-4].any()
 
 
-def test_without_landing_gain_a_trial_is_learnt_as_it_was_executed() -> None:
+def test_without_a_gain_a_trial_is_learnt_as_it_was_executed() -> None:
     practice = started("paper", budget=10)
     assert all(r.learnt_as == r.z for r in run(practice) if r.kind != "retest")
 
@@ -502,12 +498,8 @@ def test_settings_and_candidates_that_cannot_be_are_refused() -> None:
         preset("flip", "hindsight", learner={"name": "genetic"})
     with pytest.raises(ValueError, match="sigmma"):
         preset("flip", "hindsight", learner={"sigmma": 3})
-    gains = ("landing_gain", "level_gain", "turn_gain", "vigour_gain", "tempo_gain")
-    for name in gains:
-        off = dict.fromkeys(gains, 0.0)
-        off[name] = 0.5
-        with pytest.raises(ValueError, match=f"{name} 0.5 needs a parameter .* 'planar'"):
-            preset("flip", "hindsight", variant="full", **off)
+    with pytest.raises(ValueError, match=r"gain 0.7 needs parameters .* 'planar'"):
+        preset("flip", "hindsight", variant="full")
     with pytest.raises(ValueError, match="a success needs"):
         preset("flip", "paper", success_return=0.0)
     with pytest.raises(ValueError, match="budget"):
@@ -712,8 +704,8 @@ def test_a_correction_that_the_arm_cannot_follow_keeps_no_other_back() -> None:
     record = practice.learn_assessed(practice.next_trial(), Assessment(0.5, observation=flight))
     vigour, flick, shift, tempo = np.array(record.learnt_as)[-4:]
     assert vigour == 0.0 < tempo
-    assert flick == pytest.approx(settings.turn_limit / settings.noise.flick)
-    assert shift == pytest.approx(settings.landing_gain * 0.1 / settings.noise.catch_shift)
+    assert 0.0 < flick <= 0.3 / settings.noise.flick
+    assert shift == pytest.approx(settings.gain * 0.1 / settings.noise.catch_shift)
 
 
 def test_a_landing_correction_stops_where_the_arm_cannot_follow() -> None:

@@ -30,7 +30,7 @@ from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.flip.assessment import Assessment
 
 CANDIDATES = [demonstrated_policy("flick-1", seed=1), demonstrated_policy("flick-2", seed=2)]
-SETTINGS = preset("flip", budget=24, retests=3, vigour_gain=0.0, tempo_gain=0.0)
+SETTINGS = preset("flip", budget=24, retests=3)
 HERE = Path(__file__).resolve().parents[1]
 
 

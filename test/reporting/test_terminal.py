@@ -143,8 +143,8 @@ def test_a_file_gets_every_line_once(practice: Practice) -> None:
         display.show(practice.log[:2], practice.settings, practice.task)
         display.show(practice.log, practice.settings, practice.task)
     how, *lines = text.getvalue().splitlines()
-    corrected = "landing error, pitch at the catch, rotation"
-    assert how == f"Task flip, learner power with corrections of {corrected}"
+    errors = "rotation, landing x, landing y, catch pitch"
+    assert how == f"Task flip, learner power: learns from the return, corrected by {errors}"
     assert [int(line.split()[0]) for line in lines] == [1, 2, 3, 4, 5, 6]
 
 

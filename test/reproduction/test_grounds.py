@@ -35,9 +35,7 @@ def test_learners_of_a_ground_differ_only_in_the_learner_and_what_it_is_told() -
         assert learner not in searched or settings.practice == plain.practice
         assert not row.name or settings.learner == row.name == learner
         task = settings.task_settings
-        blind = not any(
-            (task.landing_gain, task.level_gain, task.turn_gain, task.vigour_gain, task.tempo_gain)
-        )
+        blind = not task.gain
         assert ("rotation" in row.told) == (not blind)
 
 

@@ -16,7 +16,7 @@ from toss_task import demonstrated_policy
 from wam_power_ros import installed
 from wam_power_ros.learning.parametrization import Attractors, Direction, Parametrization
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.rollout import Rollout
+from wam_power_ros.learning.rollout import EndEffectorPath, Foreseen, Rollout
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.errors import Effect, Error
 from wam_power_ros.tasks.reach.settings import REACH_FIT
@@ -120,6 +120,48 @@ def test_the_learner_of_a_task_with_errors_plans_unless_its_preset_says_otherwis
     assert preset("push").learner == "power"
     assert TASK.error_model(PARAMETRIZATION, lambda policy: None) is None
     assert list(TASK.hindsight(Assessment(0.5, {}, {"x": 1.0}), PARAMETRIZATION)) == []
+
+
+def test_an_error_that_nothing_moves_is_a_margin_alone_and_without_a_limit_it_is_refused() -> None:
+    """As a misspelt one would be, which would never be learnt from."""
+    watched = Error("depth", "m", 0.01, limit=0.04)
+    deep = type("Deep", (Push,), {"errors": (*Push.errors, watched)})(Settings(), {})
+    seen = {"x": 0.02, "y": -0.01, "depth": 0.01}
+    record = type("Logged", (), {"observation": seen})()
+    assert list(deep.margins(record)) == pytest.approx([0.03, 0.04, 0.03])
+    assert deep.error(seen) == pytest.approx([2.0, -0.5])
+    model = deep.error_model(PARAMETRIZATION, lambda policy: None)
+    assert model.slopes.shape == (2, 2)
+    with pytest.raises(TypeError, match=r"Typo: error 'xx' has no limit, .* move only x, y"):
+        type("Typo", (Push,), {"errors": (Error("xx", "m", 0.01),)})
+
+
+def test_of_fewer_errors_only_what_moves_them_is_planned_and_corrected() -> None:
+    less = type("Less", (Push,), {"errors": Push.errors[:1]})(Settings(), {})
+    model = less.error_model(PARAMETRIZATION, lambda policy: None)
+    assert model.slopes.shape == (1, 1) and len(model.directions) == 1
+    shifts = less.hindsight(Assessment(0.5, {}, {"x": 0.02, "y": 0.01}), PARAMETRIZATION)
+    assert change(list(shifts))["lift"] == 0.0 != change(list(shifts))["sway"]
+
+
+def test_what_a_task_predicts_sharpens_its_slopes() -> None:
+    def predict(self: Task, foreseen: Foreseen) -> list[dict[str, float]]:
+        x = float(foreseen.tool.position[0, 0])
+        return [{"x": x, "y": 0.02}, {"x": x + 0.005, "y": 0.02}, {"x": x + 0.01}]
+
+    tool = EndEffectorPath("t", np.zeros(1), np.full((1, 3), 0.03), np.array([[0.0, 0, 0, 1]]))
+    knowing = type("Knowing", (Push,), {"predict": predict})(Settings(), {})
+    model = knowing.error_model(PARAMETRIZATION, lambda policy: Foreseen(tool, np.array([-0.1])))
+    found = model.predict(np.zeros(PARAMETRIZATION.size))
+    assert found.error == pytest.approx([3.0, 1.0]) and found.excess == pytest.approx([-0.1])
+    # The last of the numbers decides whether y has a value: that tells nothing of x.
+    np.testing.assert_allclose(found.uncertain, [[0.5, 0.0], [0.0, 0.0]])
+    alone = type("Alone", (Push,), {"predict": lambda self, foreseen: [{"x": 0.01}]})
+    model = alone(Settings(), {}).error_model(
+        PARAMETRIZATION, lambda policy: Foreseen(tool, np.empty(0))
+    )
+    found = model.predict(np.zeros(PARAMETRIZATION.size))
+    assert np.isnan(found.error[1]) and found.uncertain.shape == (1, 0)
 
 
 def test_errors_are_planned_on_only_where_what_moves_them_is_learnt() -> None:

@@ -25,6 +25,8 @@ class CorrectionsOnly(GaussianLearner):
     Without corrections every rollout reproduces the demonstration.
     """
 
+    needs_corrections = True
+
     def ask(self) -> np.ndarray:
         """Return the mean, without exploration. Shape (size,)."""
         return self.mean

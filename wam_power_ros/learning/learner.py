@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from bisect import insort
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -118,6 +118,7 @@ class LearnerClass(Protocol):
         Settings: Model of the settings, with a default for every field.
         needs_model: Whether the constructor needs a `Model`; if not, it accepts none.
         needs_error_model: Whether it needs an `ErrorModel` in its place; False if left out.
+        needs_corrections: Whether it learns from the task's corrections alone; the same.
     """
 
     Settings: Any
@@ -141,6 +142,30 @@ class LearnerClass(Protocol):
         Raises:
             ValueError: If `size` is too small, or a model is missing or unused.
         """
+
+
+def needs_errors(learner: Any) -> bool:  # noqa: ANN401 - a `LearnerClass`
+    """Whether a learner learns from the errors of rollouts, as measured or as corrections."""
+    return hasattr(learner, "measure") or getattr(learner, "needs_corrections", False)
+
+
+def check_errors(learner: Any, task: str, errors: Sequence[object]) -> None:  # noqa: ANN401
+    """Check that a learner of corrections alone has some; others are refused without a model.
+
+    Args:
+        learner: Its class.
+        task: Name of the task.
+        errors: What is corrected.
+
+    Raises:
+        ValueError: There are none.
+    """
+    if getattr(learner, "needs_corrections", False) and not errors:
+        raise ValueError(
+            f"learner {learner.__name__} learns from errors, task {task!r} with these settings "
+            "from its return alone: it has no errors and effects, no gain, or a return of its own "
+            "without errors of its own"
+        )
 
 
 class LearnerSettings(BaseModel):

@@ -1,84 +1,63 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Planning on a model of the vector error, corrected and weighted by the session's rollouts.
+"""Planning on the vector error of rollouts: what is foreseen of it, and what rollouts show.
 
-Not in the paper. The return of a rollout is one number; its error is a vector of which a model
-predicts how it changes. As in [Cully2015], rollouts are compared with a model by a Gaussian process
-of what it leaves unexplained; as in [Pautrat2018], the likelihood of the rollouts weighs the model
-against a poorer one. See `ModelBased`.
+Not in the paper. The return of a rollout is one number; its error is a vector of which is known
+roughly how it changes. As in [Cully2015], a Gaussian process models what rollouts differ from what
+was foreseen. See `ModelBased`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from pydantic import Field
 
-from wam_power_ros.learning.discrepancy import Discrepancy
 from wam_power_ros.learning.learner import ErrorModel, GaussianLearner, LearnerSettings, Prediction
 from wam_power_ros.learning.power import Power
 
-UNKNOWN = 8.0  # [tolerances] assumed of an error without a value
-GOOD = 0.5  # [tolerances] of an expected error that needs no better plan
-FINE = 1.25  # [tolerances] of a rollout's error that needs no progress
-PROGRESS = 0.8  # share of an earlier squared error, below which there is progress
-CAUTION = 0.02  # weight of the variance of an expected error
-EXCESS = 0.02  # excess that weighs as much as an error of a tolerance, see `Prediction`
-SLACK = 0.01  # excess that a plan keeps below 0
-IGNORED = 0.02  # weight below which the model is not asked any more
-BLIND = 4  # rollouts without a complete error, after which PoWER decides
-REST = 5.0  # unit of the search beyond the model's directions [sd of the exploration]
-STEP_MAX = 1.0  # largest step along an axis of the search
-PROBE = 0.15  # step along a direction in which the changes are unknown
-SAME = 0.1  # distance along the axes from a rollout below which a plan is not a new one
-NEAR = 1.0  # distance along the axes over which slopes are alike
-SLOPE_SD = 0.1  # change along an axis whose observation weighs as much as the rough slopes
-ACTIVE_SETS = 8  # rounds in which a step finds the limits that it would exceed
+UNKNOWN_ERROR = 8.0  # [tolerances] assumed of an error without a value
+MODEL_ERROR = 4.0  # [tolerances] standard deviation of an error from what is foreseen
+ROLLOUT_NOISE = 0.5  # [tolerances] standard deviation of an error over rollouts of one policy
+EXCESS_UNIT = 0.02  # [share of a limit] beyond it that weighs as much as an error of a tolerance
+OTHER_STEP = 5.0  # [sd of the exploration] step along a direction that is none of the model's
+PROBE_STEP = 0.15  # [steps] by which coordinates differ that tell slopes
 
 
 class _Point(NamedTuple):
     """Coordinates that may be a plan.
 
-    Attributes:
-        z: Coordinates. Shape (size,).
-        values: Expected error, NaN where it has no value, and predicted excess. Shape (m + c,).
-        feasible: Whether no limit is exceeded, as far as it is predicted.
-        loss: Expected squared error, and the squares of what is exceeded.
+    `values` has the expected error, NaN where unknown, and the predicted excess; `loss` is the sum
+    of the squares of the errors and of what exceeds a limit.
     """
 
-    z: np.ndarray
-    values: np.ndarray
-    feasible: bool
-    loss: float
-
-
-def _best(points: Sequence[_Point]) -> _Point:
-    return min(points, key=lambda point: point.loss)
+    z: np.ndarray  # (size,)
+    values: np.ndarray  # (m + c,) [tolerances] and [share]
+    feasible: bool  # whether no limit is exceeded, as far as it is predicted
+    loss: float  # [tolerances^2]
 
 
 class ModelBased(GaussianLearner):
-    """Planning on a model of the vector error. Not in the paper.
+    """Planning on the vector error. Not in the paper.
 
-    Two descriptions of the error are corrected by a Gaussian process of what the rollouts differ
-    from them: the model's prediction, and the rough linear slopes that come with it. They are
-    weighted by their probabilities given the rollouts, so a model that is wrong is soon ignored.
+    Foreseen of a rollout is what the model predicts, or its rough slopes where it predicts nothing.
+    Rollouts correct that by a constant, by what changes slowly, and by the numbers that a
+    prediction only assumes. A part of an error that is unknown teaches nothing, the others do.
 
-    A plan is found by Gauss-Newton steps on the expected error, with the limits that they would
-    exceed, from the best coordinates that were executed or predicted so far. Their slopes are a
-    regression of the predictions near by. The model's few directions are probed first, then random
-    ones among all coordinates. A rollout is executed at the plan, without exploration. Each that
-    had no complete error, as a throw that did not come off or that a fault ended, halves the way of
-    the next plan from the best rollout: there is an edge between them.
+    A plan is found by Gauss-Newton steps on the expected error, within the limits, whose slopes are
+    a regression of the points near by: along the model's few directions first, then along random
+    ones among all coordinates. It is executed without exploration. Between the best rollout and one
+    of which less was known, as a throw that did not come off or that a fault ended, is an edge: a
+    plan is nearer to the former.
 
-    PoWER learns from the same rollouts, as told. It decides when no complete error has been
-    measured in `BLIND` rollouts, or is foreseen before that; when no better plan is found than one
-    that was run and is not within the tolerances; after `patience` rollouts without progress;
-    after `planned` rollouts: the error may leave out something that matters; and once a person has
-    rated a rollout.
+    PoWER learns from the same rollouts, as told. It decides when a part of the error was never
+    measured and is not foreseen; when no better plan is found than one that was run and is not
+    within the tolerances; after `patience` rollouts without progress; after `planned` rollouts: the
+    error may leave out something that matters; and once a person has rated a rollout.
 
-    What was predicted for a plan is known to later ones. So the state is a function of the rollouts
+    What was predicted for a plan is known to later ones: the state is a function of the rollouts
     and of the draws between them, as in a session that is replayed.
     """
 
@@ -87,8 +66,7 @@ class ModelBased(GaussianLearner):
 
         Attributes:
             simulations: Largest number of predictions for a plan.
-            length: Distance over which what a description leaves unexplained changes [sd of the
-                exploration].
+            length: Distance over which what is not foreseen changes [sd of the exploration].
             patience: Number of rollouts without progress after which PoWER decides.
             planned: Number of rollouts after which it decides in any case: small errors alone have
                 not sufficed.
@@ -115,28 +93,22 @@ class ModelBased(GaussianLearner):
         """Start at z = 0; see `LearnerClass`."""
         super().__init__(size, settings, rng, model)
         self._power = Power(size, settings.fallback, rng)
-        self._known: dict[bytes, Prediction | None] = {}  # by coordinates
-        self._measured: list[tuple[np.ndarray, np.ndarray]] = []  # coordinates and errors
-        self._latest: tuple[np.ndarray, np.ndarray] | None = None  # of the rollout told next
+        self._known: dict[bytes, Prediction | None] = {}  # predictions by coordinates
+        self._m, self._d = self._model.slopes.shape
+        self._z, self._errors = np.empty((0, size)), np.empty((0, self._m))
+        self._latest: np.ndarray | None = None  # error of the rollout told next
         self._faults = 0  # rollouts without a measured error and with return 0
-        directions = self._model.directions
-        others = np.linalg.svd(directions)[2][len(directions) :]  # an orthonormal basis
-        self._axes = np.vstack([directions, REST * others])  # of the search, (size, size)
+        others = np.linalg.svd(self._model.directions)[2][self._d :]  # an orthonormal basis
+        self._axes = np.vstack([self._model.directions, OTHER_STEP * others])  # (size, size)
         self._inverse = np.linalg.inv(self._axes)
         self._plan: np.ndarray | None = None
-        self._searched = False  # for a plan since the last rollout
-        self._rated = False  # a rollout, by a person
+        self._searched = self._rated = False  # for a plan since the last rollout; by a person
         self._draws = 0  # since the last rollout
 
     @property
     def falls_back(self) -> bool:
         """Whether PoWER decides."""
         return self._planned() is None
-
-    @property
-    def weight(self) -> float:
-        """Probability of the model's prediction, against that of the rough slopes."""
-        return self._discrepancy().weight
 
     @property
     def mean(self) -> np.ndarray:
@@ -154,15 +126,15 @@ class ModelBased(GaussianLearner):
         if plan is None:
             return self._power.ask()
         self._draws += 1
-        if self._draws == 1 or not self._measured:
+        if self._draws == 1 or not len(self._z):
             return plan.copy()
-        best = self._measured[int(np.argmin(self._losses()))][0]
+        best = self._z[np.argmin(_squares(self._errors))]
         moved = best + 0.8 ** (self._draws - 1) * (plan - best)
         return self._power.ask() if self._was_run(moved) else moved
 
     def measure(self, z: np.ndarray, error: np.ndarray) -> None:
         """See `MeasuringLearner`."""
-        self._latest = np.array(z, dtype=float), np.array(error, dtype=float)
+        self._latest = np.append(z, error)
 
     def trust_returns(self) -> None:
         """See `MeasuringLearner`: PoWER decides."""
@@ -173,176 +145,165 @@ class ModelBased(GaussianLearner):
         self._power.tell(z, ret)
         if self._latest is None and ret == 0.0:  # a fault ended it: there is no error
             self._faults += 1
-            self._latest = np.array(z, dtype=float), np.full(len(self._model.slopes), math.nan)
+            self.measure(z, np.full(self._m, math.nan))
         if self._latest is not None:
-            self._measured.append(self._latest)
+            self._z = np.vstack([self._z, self._latest[: self.size]])
+            self._errors = np.vstack([self._errors, self._latest[self.size :]])
         self._latest, self._plan, self._searched, self._draws = None, None, self._rated, 0
 
     def _update(self) -> None:
         """Nothing: `tell` is this learner's own."""
 
-    def _losses(self) -> np.ndarray:
-        """Squared errors of the measured rollouts. Shape (n,)."""
-        errors = np.stack([error for _, error in self._measured])
-        return (np.where(np.isnan(errors), UNKNOWN, errors) ** 2).sum(axis=1)
-
-    def _complete(self) -> list[bool]:
-        """Whether every component of the measured errors has a value, oldest first."""
-        return [bool(np.isfinite(error).all()) for _, error in self._measured]
-
-    def _stuck(self) -> bool:
-        """Whether the latest plans have not come closer than an earlier one."""
-        losses = self._losses()
-        if len(losses) >= (self.settings.planned if any(self._complete()) else BLIND):
-            return True
-        last = losses[-self.settings.patience :]
-        before = losses[: -self.settings.patience]
-        if not len(before):
-            return False
-        return bool(last.min() > max(FINE**2, PROGRESS * before.min()))
-
     def _planned(self) -> np.ndarray | None:
         """Coordinates of the next rollout, computed once for each; None if PoWER decides."""
         if not self._searched:
-            self._searched = True
-            self._plan = None if self._measured and self._stuck() else self._search()
+            losses, patience, self._searched = _squares(self._errors), self.settings.patience, True
+            before, last = losses[:-patience], losses[-patience:]
+            stuck = len(before) and last.min() > 0.8 * before.min()
+            stuck = stuck and not _within(self._errors[-patience:]).any()
+            self._plan = None if stuck or len(losses) >= self.settings.planned else self._search()
         return self._plan
-
-    def _predicted(self, z: np.ndarray) -> Prediction | None:
-        """What the model predicts at z."""
-        key = z.tobytes()
-        if key not in self._known:
-            predict = self._model.predict
-            self._known[key] = None if predict is None else predict(z)
-        return self._known[key]
-
-    def _along(self, z: np.ndarray) -> np.ndarray:
-        """Coordinates of z (..., size) along the axes of the search. Shape (..., size)."""
-        return z @ self._inverse
-
-    def _rough(self, z: np.ndarray) -> np.ndarray:
-        """Error by the rough slopes alone, 0 at the start. Shape (..., m)."""
-        return self._along(z)[..., : len(self._model.directions)] @ self._model.slopes.T
-
-    def _discrepancy(self) -> Discrepancy:
-        m = len(self._model.slopes)
-        z = np.array([z for z, _ in self._measured]).reshape(-1, self.size)
-        errors = np.array([e for _, e in self._measured]).reshape(-1, m)
-        predictions = [self._predicted(each) for each in z]
-        return Discrepancy(z, errors, predictions, self._rough(z), self.settings.length)
-
-    def _search(self) -> np.ndarray | None:
-        """Gauss-Newton steps from the best known coordinates to a small expected error."""
-        discrepancy = self._discrepancy()
-        trusted = self._model.predict is not None and discrepancy.weight >= IGNORED
-        starts = [np.zeros(self.size), *(z for z, _ in self._measured)]
-        if trusted:
-            starts += [np.frombuffer(key) for key in self._known]
-        points = {z.tobytes(): self._point(z, discrepancy, trusted) for z in starts}
-        failed = 0
-        for _ in range(self.settings.simulations):
-            known = list(points.values())
-            best = _best(known)
-            if best.loss < GOOD**2:
-                break
-            inside = _best([point for point in known if point.feasible] or known)
-            probe = self._probe(best, known, failed > 1) if trusted else None
-            if probe is not None:
-                z = best.z + probe @ self._axes
-            elif failed and inside is not best:
-                z = 0.5 * (inside.z + best.z)  # where limits bend, slopes lead astray
-            else:
-                z = best.z + 0.5**failed * self._step(best, known) @ self._axes
-            if z.tobytes() in points:
-                break
-            points[z.tobytes()] = point = self._point(z, discrepancy, trusted)
-            failed = failed + 1 if probe is None and point.loss >= best.loss else 0
-        feasible = [point for point in points.values() if point.feasible]
-        if not feasible:
-            return None
-        plan, complete = _best(feasible), self._complete()
-        if not any(complete):
-            foreseen = np.isfinite(plan.values[: len(self._model.slopes)]).all()
-            return plan.z if foreseen else None
-        closest = int(np.argmin(np.where(complete, self._losses(), math.inf)))
-        origin = self._measured[closest][0]
-        z = origin + 0.5 ** complete[closest:].count(False) * (plan.z - origin)
-        return None if self._was_run(z) else z
 
     def _was_run(self, z: np.ndarray) -> bool:
         """Whether z is no new plan, and its rollouts are not within the tolerances."""
-        near = [
-            loss
-            for (at, _), loss in zip(self._measured, self._losses(), strict=True)
-            if float(np.linalg.norm(self._along(at - z))) < SAME
-        ]
-        return bool(near) and float(np.mean(near)) > FINE**2
+        near = np.linalg.norm((self._z - z) @ self._inverse, axis=1) < PROBE_STEP
+        return bool(near.any() and _within(self._errors[near]).mean() < 0.5)
 
-    def _point(self, z: np.ndarray, discrepancy: Discrepancy, trusted: bool) -> _Point:
-        rough, excess = self._rough(z), np.empty(0)
-        predicted = self._predicted(z) if trusted else None
-        if trusted and predicted is None:
-            return _Point(z, np.full(len(rough), math.nan), False, math.inf)
-        error, variance = discrepancy.expected(z, predicted, rough)
-        if predicted is not None:
-            excess = predicted.excess
-        excess = excess + EXCESS * self._faults  # the arm exceeds a limit that its model keeps
-        over = np.maximum(excess + SLACK, 0.0) / EXCESS
-        filled = np.where(np.isnan(error), UNKNOWN, error)
-        loss = float((filled**2 + CAUTION * variance).sum() + (over**2).sum())
-        if any((z == at).all() and np.isnan(seen).any() for at, seen in self._measured):
-            loss = math.inf  # whatever is expected there, it has no complete error
-        return _Point(z, np.append(error, excess), bool((excess < 0.0).all()), loss)
+    def _rough(self, z: np.ndarray) -> np.ndarray:
+        """Error by the rough slopes, 0 at the start. Shape (m,)."""
+        return self._model.slopes @ (z @ self._inverse)[: self._d]
+
+    def _foreseen(self, z: np.ndarray) -> Prediction | None:
+        """What the model predicts, or its rough slopes; None if z cannot be executed."""
+        if self._model.predict is None:
+            return Prediction(self._rough(z), np.empty(0))
+        if z.tobytes() not in self._known:
+            self._known[z.tobytes()] = self._model.predict(z)
+        return self._known[z.tobytes()]
+
+    def _expected(self) -> Callable[[np.ndarray], _Point]:
+        """Function of coordinates (size,): what is foreseen, corrected by the rollouts."""
+        rollouts = zip(self._z, self._errors, strict=True)
+        known = [(z, e, p) for z, e in rollouts if (p := self._foreseen(z)) is not None]
+        n, m = len(known), self._m
+        at = np.array([z for z, _, _ in known]).reshape(n, self.size)
+        rest = np.array([e - p.error for _, e, p in known]).reshape(n, m)
+        # Beside a part that was foreseen and is not there, a value is a vague one.
+        lost = [np.isnan(e[np.isfinite(p.error)]).any() for _, e, p in known]
+        vague = np.array(lost, dtype=bool) & (self._model.predict is not None)
+        noise = np.diag(np.where(vague, MODEL_ERROR, ROLLOUT_NOISE) ** 2)
+
+        def covariance(z: np.ndarray, uncertain: np.ndarray) -> np.ndarray:
+            """Covariance of the errors at z with those of the rollouts. Shape (m, n)."""
+            square = ((at - z) ** 2).sum(axis=1) / self.settings.length**2
+            slow = MODEL_ERROR**2 * (1.0 + 0.25 * np.exp(-0.5 * square))
+            assumed = [np.zeros(m) + (p.uncertain * uncertain).sum(axis=1) for _, _, p in known]
+            return slow + np.array(assumed).reshape(n, m).T
+
+        among = np.array([covariance(z, p.uncertain) for z, _, p in known]).reshape(n, m, n)
+        weights = np.zeros((m, n))
+        for k, told in enumerate(np.isfinite(rest).T):
+            a = (among[:, k] + noise)[np.ix_(told, told)]
+            weights[k, told] = np.linalg.solve(a, rest[told, k])
+
+        start = self._foreseen(np.zeros(self.size))
+
+        def expected(z: np.ndarray) -> _Point:
+            if (p := self._foreseen(z)) is None:
+                return _Point(z, np.full(m, math.nan), False, math.inf)
+            error = p.error + (covariance(z, p.uncertain) * weights).sum(axis=1)
+            if start is not None and np.isnan(error).any():  # towards where it may come off
+                error += start.error + self._rough(z) - p.error
+            excess = p.excess + EXCESS_UNIT * self._faults  # an arm exceeds what its model keeps
+            over = np.maximum(excess / EXCESS_UNIT + 0.5, 0.0)
+            loss = float(_squares(error[np.newaxis])[0] + (over**2).sum())
+            return _Point(z, np.append(error, excess), bool((excess < 0.0).all()), loss)
+
+        return expected
+
+    def _search(self) -> np.ndarray | None:
+        """Gauss-Newton steps from the best known coordinates to a small expected error."""
+        expected, failed = self._expected(), 0
+        starts = [np.zeros(self.size), *self._z, *map(np.frombuffer, self._known)]
+        points = {z.tobytes(): expected(z) for z in starts}
+        for _ in range(self.settings.simulations):
+            known = list(points.values())
+            best = _best(known)
+            if best.loss < ROLLOUT_NOISE**2:
+                break
+            inside = _best([point for point in known if point.feasible] or known)
+            step = probe = self._probe(best, known, failed > 1)
+            if probe is None and failed and inside is not best:
+                step = 0.5 * (inside.z - best.z) @ self._inverse  # limits bend: slopes lead astray
+            elif probe is None:
+                step = 0.5**failed * self._step(best, known)
+            z = best.z + step @ self._axes
+            if z.tobytes() in points:
+                break
+            points[z.tobytes()] = found = expected(z)
+            failed = failed + 1 if probe is None and found.loss >= best.loss else 0
+        feasible = [point for point in points.values() if point.feasible]
+        unknown = np.isnan(self._errors).sum(axis=1)
+        if not feasible or (unknown.all() and np.isnan(_best(feasible).values).any()):
+            return None
+        z = _best(feasible).z
+        if len(unknown):
+            closest = int(np.argmin(_squares(self._errors)))
+            origin, lost = self._z[closest], self._z[unknown > unknown[closest]]
+            while (np.linalg.norm(lost - z, axis=1) < np.linalg.norm(origin - z)).any():
+                z = 0.5 * (origin + z)
+        return None if self._was_run(z) else z
 
     def _probe(self, best: _Point, points: list[_Point], beyond: bool) -> np.ndarray | None:
-        """Step along a direction in which the changes near a point are unknown, if there is one.
-
-        Args:
-            best: The point.
-            points: All points.
-            beyond: Whether to leave the model's directions once they are known.
-        """
-        if not np.isfinite(best.values).all():
+        """Step in which the changes near the best point are unknown; `beyond` all known ones."""
+        if self._model.predict is None or not np.isfinite(best.values).all():
             return None
-        moved = self._along(np.stack([point.z - best.z for point in points]))
-        near = moved[np.sqrt((moved**2).sum(axis=1)) <= 2.0 * NEAR]
-        known = near.T @ near
-        designed = len(self._model.directions)
-        for unit in np.eye(self.size)[:designed]:
-            if unit @ known @ unit < 0.5 * PROBE**2:
-                return PROBE * unit
-        if not beyond or np.linalg.matrix_rank(near, tol=0.1 * PROBE) >= self.size:
+        moved = np.stack([point.z - best.z for point in points]) @ self._inverse
+        near = moved[np.linalg.norm(moved, axis=1) <= 2.0]
+        for unit in np.eye(self.size)[: self._d]:
+            if ((near @ unit) ** 2).sum() < 0.5 * PROBE_STEP**2:
+                return PROBE_STEP * unit
+        if not beyond or np.linalg.matrix_rank(near, tol=0.1 * PROBE_STEP) >= self.size:
             return None
         # Not from the session's generator, which only `ask` may draw from: a plan is a function of
         # the rollouts.
-        probes = np.random.Generator(np.random.PCG64(len(self._known)))
-        drawn = probes.standard_normal(self.size)
-        drawn[:designed] = 0.0
-        return 2.0 * PROBE * drawn / np.linalg.norm(drawn)
+        drawn = np.random.Generator(np.random.PCG64(len(self._known))).standard_normal(self.size)
+        drawn[: self._d] = 0.0
+        return 2.0 * PROBE_STEP * drawn / np.linalg.norm(drawn)
 
     def _step(self, best: _Point, points: list[_Point]) -> np.ndarray:
         """Damped Gauss-Newton step along the axes of the search. Shape (size,)."""
-        m = len(self._model.slopes)
+        m, d = self._m, self._d
         alike = [point for point in points if len(point.values) == len(best.values)]
-        moved = self._along(np.stack([point.z - best.z for point in alike]))  # (k, size)
+        moved = np.stack([point.z - best.z for point in alike]) @ self._inverse  # (k, size)
         changed = np.stack([point.values - best.values for point in alike])  # (k, m + c)
-        weights = np.exp(-0.5 * (moved**2).sum(axis=1) / NEAR**2)
-        slopes = np.zeros((len(best.values), moved.shape[1]))
-        slopes[:m, : len(self._model.directions)] = self._model.slopes
+        near = np.exp(-0.5 * (moved**2).sum(axis=1, keepdims=True))
+        slopes = np.zeros((len(best.values), self.size))
+        slopes[:m, :d] = self._model.slopes
         for row in np.flatnonzero(np.isfinite(best.values)):
             # Ridge regression of the changes, towards the rough slopes.
-            valid = np.isfinite(changed[:, row])
-            x, y, w = moved[valid], changed[valid, row], weights[valid][:, np.newaxis]
-            a = (w * x).T @ x + SLOPE_SD**2 * np.eye(x.shape[1])
-            slopes[row] += np.linalg.solve(a, (w * x).T @ (y - x @ slopes[row]))
-        rows = np.flatnonzero(np.isfinite(best.values[:m]))
-        step = np.zeros(moved.shape[1])
-        if not len(rows):
-            return step
-        limits, excess = slopes[m:] / EXCESS, (best.values[m:] + SLACK) / EXCESS
-        for _ in range(ACTIVE_SETS):
+            known = np.isfinite(changed[:, row])
+            x, y = moved[known], changed[known, row]
+            a = (near[known] * x).T @ x + 0.01 * np.eye(self.size)
+            slopes[row] += np.linalg.solve(a, (near[known] * x).T @ (y - x @ slopes[row]))
+        rows, step = np.flatnonzero(np.isfinite(best.values[:m])), np.zeros(self.size)
+        limits, excess = slopes[m:] / EXCESS_UNIT, best.values[m:] / EXCESS_UNIT + 0.5
+        for _ in range(8):  # rounds in which it finds the limits that it would exceed
             over = excess + limits @ step > 0.0
-            j = np.vstack([slopes[rows], limits[over]])
-            e = np.append(best.values[rows], excess[over])
+            j, e = np.vstack([slopes[rows], limits[over]]), [*best.values[rows], *excess[over]]
             step = -j.T @ np.linalg.solve(j @ j.T + np.eye(len(e)), e)
-        return step * min(1.0, STEP_MAX / max(float(np.abs(step).max()), 1e-12))
+        return step / max(1.0, float(np.abs(step).max()))
+
+
+def _best(points: Sequence[_Point]) -> _Point:
+    return min(points, key=lambda point: point.loss)
+
+
+def _squares(errors: np.ndarray) -> np.ndarray:
+    """Squared errors of rollouts (n, m), where unknown parts are large. Shape (n,)."""
+    return (np.where(np.isnan(errors), UNKNOWN_ERROR, errors) ** 2).sum(axis=1)
+
+
+def _within(errors: np.ndarray) -> np.ndarray:
+    """Which errors (n, m) are known and within the tolerances. Shape (n,)."""
+    return (np.abs(errors) <= 1.0).all(axis=1)

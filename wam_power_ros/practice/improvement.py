@@ -13,8 +13,9 @@ from typing import Protocol
 
 import numpy as np
 
+from wam_power_ros import installed
 from wam_power_ros.faults import Fault
-from wam_power_ros.learning.learner import Learner, MeasuringLearner
+from wam_power_ros.learning.learner import Learner, MeasuringLearner, check_errors
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Foreseen
@@ -128,18 +129,11 @@ class Improvement:
 
     Attributes:
         demonstration: Id of the candidate that is learnt from.
-        parametrization: Its parametrization.
         learner: Learner; read-only for callers.
         practised: Number of finished trials of the practice, including dropped ones.
 
     Args:
-        parametrization: Parametrization of the demonstration.
-        settings: Settings of the session.
-        task: Task that is practised.
-        rng: Random generator of the exploration.
-        arm: Model of the arm.
         records: Rollouts of the session so far; those of this demonstration are learnt from.
-        practised: Number of finished trials of the practice.
     """
 
     def __init__(
@@ -156,7 +150,9 @@ class Improvement:
         self.parametrization = parametrization
         self.practised = practised
         self._settings, self._task, self._arm, self._rng = settings, task, arm, rng
-        self._rule = StoppingRule(settings.practice, task.margins, task.margin_scatter)
+        check_errors(installed.find("learner", settings.learner), task.name, task.corrections)
+        margins = task.margins if task.declares("errors", "margins") else lambda record: ()
+        self._rule = StoppingRule(settings.practice, margins, task.margin_scatter)
         self._error_model = task.error_model(parametrization, arm.foresee)
         self.learn_again(records)
 
@@ -182,7 +178,7 @@ class Improvement:
         self.learner = self._settings.make_learner(
             parametrization.size,
             self._rng,
-            task.model(parametrization, start),
+            task.model(parametrization, start) if task.declares("model") else None,
             self._error_model,
         )
         for record in records:

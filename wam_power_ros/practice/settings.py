@@ -11,7 +11,8 @@ from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, ValidationErr
 
 from wam_power_ros import installed
 from wam_power_ros.learning.demonstration import Demonstration
-from wam_power_ros.learning.learner import ErrorModel, Learner, Model
+from wam_power_ros.learning.learner import ErrorModel, Learner, Model, check_errors
+from wam_power_ros.learning.model_based import ModelBased
 from wam_power_ros.learning.policy import PERIOD
 from wam_power_ros.tasks.task import Task
 
@@ -152,6 +153,7 @@ class SessionSettings(BaseModel):
                 f"with these settings does not have; learners that work: {', '.join(working)}"
             )
         kind = installed.find("learner", self.learner)
+        check_errors(kind, self.task, installed.task_type(self.task).learnt_errors())
         learner: Learner = kind(size, self.learner_settings, rng, *given.values())
         return learner
 
@@ -180,8 +182,10 @@ def preset(
     if name not in kind.presets:
         raise ValueError(f"preset {name!r} of {task!r} is not one of {', '.join(kind.presets)}")
     values = dict(kind.presets[name])
-    usual = "model_based" if kind.errors else "power"
-    learning = {"name": usual, **values.pop("learner", {})}
+    errors = kind.learnt_errors()
+    learning = {"name": "model_based" if errors else "power", **values.pop("learner", {})}
+    if learning["name"] == "model_based" and not errors:  # a return of its own is learnt from
+        learning = {"name": "power", **ModelBased.Settings().fallback.model_dump()}
     if learner and learner.get("name", learning["name"]) != learning["name"]:
         learning = {}
     learning |= learner or {}

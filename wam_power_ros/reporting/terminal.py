@@ -15,6 +15,8 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
+from wam_power_ros import installed
+from wam_power_ros.learning.learner import needs_errors
 from wam_power_ros.practice.best_policy import reproduction_learnt_from
 from wam_power_ros.practice.session_log import KIND_NAMES, Line, Record, with_ratings
 from wam_power_ros.practice.settings import SessionSettings
@@ -95,10 +97,13 @@ def rollout_table(
 
 
 def method(settings: SessionSettings, task: Task) -> str:
-    """Task, learner and the hindsight corrections that it is given, in a few words."""
-    given = f"with corrections of {', '.join(task.corrections)}"
-    corrected = given if task.corrections else "without corrections"
-    return f"task {settings.task}, learner {settings.learner} {corrected}"
+    """Task, learner and what it learns from, in a few words."""
+    learner = installed.find("learner", settings.learner)
+    errors = ", ".join(error.name.replace("_", " ") for error in task.learnt_errors())
+    told = (needs_errors(learner) and errors) or "the return"
+    if told != errors and task.corrections:
+        told += f", corrected by {errors}"
+    return f"task {settings.task}, learner {settings.learner}: learns from {told}"
 
 
 def summary(records: Sequence[Record], task: Task) -> str:

@@ -11,10 +11,14 @@ import numpy as np
 
 from wam_power_ros.learning.learner import Prediction
 from wam_power_ros.learning.parametrization import Parametrization
+from wam_power_ros.learning.policy import Policy
+from wam_power_ros.learning.rollout import Foreseen
 
 
 class Error(NamedTuple):
     """Something that a rollout measures and that is to become 0.
+
+    One that no effect moves is not learnt from: its limit alone counts.
 
     Attributes:
         name: Its name.
@@ -59,14 +63,20 @@ class RoughErrors:
     def __init__(
         self, errors: Sequence[Error], effects: Sequence[Effect], parametrization: Parametrization
     ) -> None:
+        self._names = [error.name for error in errors]
+        effects = [each for each in effects if set(self._names) & each.moves.keys()]
         self.tolerances = np.array([error.tolerance for error in errors])
         self.directions = np.zeros((len(effects), parametrization.size))
         self.slopes = np.zeros((len(errors), len(effects)))
         for k, (group, step, moves) in enumerate(effects):
             index = parametrization.groups[group].start
             self.directions[k, index] = step / parametrization.scale[index]
-            moved = np.array([moves.get(error.name, 0.0) for error in errors])
+            moved = np.array([moves.get(name, 0.0) for name in self._names])
             self.slopes[:, k] = step * moved / self.tolerances
+
+    def told(self, measured: Mapping[str, float]) -> np.ndarray:
+        """Errors [tolerances], NaN where unknown, shape (m,), from values by name."""
+        return np.array([measured.get(name, math.nan) for name in self._names]) / self.tolerances
 
     def correction(self, error: np.ndarray, gain: float) -> list[np.ndarray]:
         """Shifts of z (size,), one for each effect, that would have reduced an error.
@@ -79,3 +89,35 @@ class RoughErrors:
         steps = -gain * np.linalg.pinv(self.slopes[known]) @ error[known]
         bounded = zip(np.clip(steps, -1.0, 1.0), self.directions, strict=True)
         return [step * direction for step, direction in bounded if step]
+
+
+class ForeseenErrors(RoughErrors):
+    """A `learner.ErrorModel` of the effects and of what a task predicts, see `Task.predict`."""
+
+    def __init__(
+        self,
+        errors: Sequence[Error],
+        effects: Sequence[Effect],
+        parametrization: Parametrization,
+        foresee: Callable[[Policy], Foreseen | None],
+        predicted: Callable[[Foreseen], Sequence[Mapping[str, float]]],
+    ) -> None:
+        super().__init__(errors, effects, parametrization)
+        self._parametrization, self._foresee, self._predicted = parametrization, foresee, predicted
+
+    def predict(self, z: np.ndarray) -> Prediction | None:
+        """See `learner.ErrorModel`."""
+        foreseen = self._foresee(self._parametrization.policy(z, "predicted")[0])
+        if foreseen is None:
+            return None
+        error, *others = (self.told(each) for each in self._predicted(foreseen))
+        changes = [each - error for each in others]
+        # A number that decides which parts have a value tells nothing of the others.
+        known = [np.where(np.isfinite(each).all(), each, 0.0) for each in changes]
+        uncertain = np.stack(known, axis=1) if known else np.empty((1, 0))
+        return Prediction(error, foreseen.excess, uncertain)
+
+
+def learnt(errors: Sequence[Error], effects: Sequence[Effect]) -> list[Error]:
+    """Those of the errors that an effect moves."""
+    return [error for error in errors if any(error.name in effect.moves for effect in effects)]

@@ -26,7 +26,7 @@ from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Foreseen, Rollout
 from wam_power_ros.regions import Region
-from wam_power_ros.tasks.errors import Effect, Error, RoughErrors
+from wam_power_ros.tasks.errors import Effect, Error, ForeseenErrors, RoughErrors, learnt
 from wam_power_ros.tasks.reset import Action, BodyState
 
 if TYPE_CHECKING:
@@ -153,7 +153,8 @@ class Task(ABC):
             `practice.settings.PracticeSettings`, and `learner`, a mapping with a learner's name and
             settings. The first preset is the default.
         errors: Errors that a rollout measures, see `measure`, each with unit and tolerance; empty
-            for a task that is learnt from returns alone.
+            for a task that is learnt from returns alone. A class that overrides `assess` alone has
+            another return than the errors of its base class: it is learnt from returns, too.
         effects: Rough change of the errors by a learnt parameter, each with its largest step, by
             which learners correct and plan.
         rest_time: Time for which the body must have been `ready` before a rollout [s].
@@ -185,7 +186,7 @@ class Task(ABC):
     region: Region | None = None
 
     def __init_subclass__(cls) -> None:
-        """Refuse an incomplete class when it is defined."""
+        """Refuse an incomplete class, and an error that does nothing, when it is defined."""
         stated = ("name", "body", "single_policy", "fit_settings", "Settings", "presets")
         if missing := [name for name in stated if getattr(cls, name, None) in (None, {})]:
             raise TypeError(f"task {cls.__qualname__} does not state {', '.join(missing)}")
@@ -195,11 +196,30 @@ class Task(ABC):
             raise TypeError(
                 f"{cls.Settings} must refuse unknown fields: ConfigDict(extra='forbid')"
             )
+        moved = learnt(cls.errors, cls.effects)
+        for error in cls.errors:
+            if error not in moved and error.limit == math.inf:
+                known = ", ".join(sorted({name for effect in cls.effects for name in effect.moves}))
+                raise TypeError(
+                    f"{cls.__name__}: error {error.name!r} has no limit, and effects move only "
+                    f"{known or 'nothing'}"
+                )
 
     def __init__(self, settings: Any, context: Mapping[str, Any]) -> None:  # noqa: ANN401
         """Construct the task from `Settings`, which include `settle_time`; no context is used."""
         self.settings = settings
         self.settle_time: float = settings.settle_time
+
+    @classmethod
+    def declares(cls, *names: str) -> bool:
+        """Whether one of these is of the same class as `assess`, or of one derived from it."""
+        last = next(each for each in cls.__mro__ if vars(each).keys() & {"assess", *names})
+        return bool(vars(last).keys() & set(names))
+
+    @classmethod
+    def learnt_errors(cls) -> list[Error]:
+        """Errors that are learnt from: those that an effect moves, if they are of its return."""
+        return learnt(cls.errors, cls.effects) if cls.declares("errors") else []
 
     @classmethod
     def demonstration_of(
@@ -307,7 +327,7 @@ class Task(ABC):
     @property
     def corrections(self) -> Sequence[str]:
         """Measured errors that `hindsight` corrects under these settings, for the reports."""
-        return [error.name for error in self.errors] if self.gain else []
+        return [error.name for error in self.learnt_errors()] if self.gain else []
 
     def margins(self, record: LoggedRollout) -> Sequence[float]:
         """How far inside each of its limits a rollout was, for the stopping rule.
@@ -352,11 +372,13 @@ class Task(ABC):
         return None
 
     def error(self, observation: Mapping[str, Any] | None) -> np.ndarray | None:
-        """Measured `errors` in their tolerances, NaN where unknown, shape (m,); None for none."""
-        measured = None if observation is None else self.measure(observation)
+        """Measured `learnt_errors` [tolerances], NaN where unknown, shape (m,); None for none."""
+        measured, errors = None, self.learnt_errors()
+        if observation is not None and errors:
+            measured = self.measure(observation)
         if measured is None:
             return None
-        return np.array([measured.get(e.name, math.nan) / e.tolerance for e in self.errors])
+        return np.array([measured.get(each.name, math.nan) / each.tolerance for each in errors])
 
     def error_model(
         self,
@@ -369,13 +391,28 @@ class Task(ABC):
             parametrization: Map from coordinates to policies.
             foresee: Simulates the execution of a policy, None if it ends in a fault.
         """
-        return self.rough_errors(parametrization)
+        rough, predicted = self.rough_errors(parametrization), self.predict
+        if rough is None or type(self).predict is Task.predict:
+            return rough
+        return ForeseenErrors(
+            self.learnt_errors(), self.effects, parametrization, foresee, predicted
+        )
 
     def rough_errors(self, parametrization: Parametrization) -> RoughErrors | None:
         """The errors by their `effects` alone; None if these parameters are not learnt."""
-        if not self.errors or any(e.group not in parametrization.groups for e in self.effects):
+        errors = self.learnt_errors()
+        if not errors or any(each.group not in parametrization.groups for each in self.effects):
             return None
-        return RoughErrors(self.errors, self.effects, parametrization)
+        return RoughErrors(errors, self.effects, parametrization)
+
+    def predict(self, foreseen: Foreseen) -> Sequence[Mapping[str, float]]:
+        """Errors of a simulated execution; a task that has none is planned by its effects alone.
+
+        Returns:
+            Values as from `measure`: as expected, and then with each number that is only assumed,
+            such as a friction, off by one standard deviation.
+        """
+        return ()
 
     @abstractmethod
     def outcome(self, record: LoggedRollout) -> str:

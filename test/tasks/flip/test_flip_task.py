@@ -52,6 +52,9 @@ def test_a_rollout_does_not_begin_while_the_pancake_is_not_seen() -> None:
     assert FLIP.ready(None, PAN) == "the pancake is not seen"
 
 
+SEEN = {"tossed": True, "seen": True, "catch_pitch": 0.0}
+
+
 def judged(observation: dict[str, Any] | None, **fields: object) -> SimpleNamespace:
     rest = {"kind": "retest", "fault": "", "why": "", "truth": None, "observation": observation}
     return SimpleNamespace(**(rest | fields))
@@ -61,22 +64,21 @@ def judged(observation: dict[str, Any] | None, **fields: object) -> SimpleNamesp
     ("degrees", "error", "climb", "outside"),
     [
         (151.0, [0.07, 0.0, 0.5], 0.003, None),
-        (-151.0, [0.0, -0.07, 0.5], 0.024, None),
+        (209.0, [0.0, -0.07, 0.5], 0.024, None),
         (149.0, [0.0, 0.0, 0.1], 0.003, 0),
-        (-149.0, [0.0, 0.0, 0.1], 0.0, 0),
-        (239.0, [0.045, 0.045, 0.1], 0.0, None),
-        (-241.0, [0.0, 0.0, 0.1], 0.0, 1),
-        (180.0, [0.085, 0.0, 0.1], 0.0, 2),
-        (180.0, [0.08, 0.08, 0.1], 0.0, 2),
-        (180.0, [0.0, 0.0, 0.1], 0.026, 3),
+        (211.0, [0.0, 0.0, 0.1], 0.0, 0),
+        (180.0, [0.045, 0.045, 0.1], 0.0, None),
+        (180.0, [0.085, 0.0, 0.1], 0.0, 1),
+        (180.0, [0.08, 0.08, 0.1], 0.0, 1),
+        (180.0, [0.0, 0.0, 0.1], 0.026, 2),
     ],
 )
 def test_the_margins_of_a_flip_are_of_its_rotation_its_landing_and_its_climb(
     degrees: float, error: list[float], climb: float, outside: int | None
 ) -> None:
-    flight = {"angle": np.deg2rad(degrees), "landing_error": error, "climb": climb}
+    flight = {**SEEN, "angle": np.deg2rad(degrees), "landing_error": error, "climb": climb}
     margins = FLIP.margins(judged(flight))
-    assert [margin > 0.0 for margin in margins] == [k != outside for k in range(4)]
+    assert [margin > 0.0 for margin in margins] == [k != outside for k in range(3)]
 
 
 def test_one_window_of_rotation_holds_for_success_and_ground_truth() -> None:
@@ -90,15 +92,22 @@ def test_one_window_of_rotation_holds_for_success_and_ground_truth() -> None:
 def test_a_session_from_before_the_window_has_no_largest_rotation() -> None:
     known = preset("flip").task_settings.model_dump(exclude={"success_angle_max"})
     before = Flip(FlipSettings.model_validate(known), {})
-    assert (
-        min(before.margins(judged({"angle": 4.6, "landing_error": [0.0] * 3, "climb": 0.0}))) > 0.0
-    )
+    flight = {**SEEN, "angle": np.pi, "landing_error": [0.0] * 3, "climb": 0.0}
+    assert list(before.margins(judged(flight))) == list(FLIP.margins(judged(flight)))
+
+
+def test_of_a_narrower_window_than_that_of_the_errors_successes_are_counted_alone() -> None:
+    flight = {**SEEN, "angle": np.pi, "landing_error": [0.0] * 3, "climb": 0.0}
+    for change in ({"success_angle": 2.9}, {"success_angle_max": 3.4}):
+        narrow = Flip(preset("flip", **change).task_settings, {})
+        assert list(narrow.margins(judged(flight))) == [] != FLIP.margins(judged(flight))
 
 
 def test_margins_are_unknown_where_nothing_was_seen_or_the_flip_does_not_matter() -> None:
-    flight = {"angle": np.pi, "landing_error": [0.0] * 3, "climb": 0.0}
+    flight = {**SEEN, "angle": np.pi, "landing_error": [0.0] * 3, "climb": 0.0}
     assert FLIP.margins(judged(None)) == ()
-    assert FLIP.margins(judged({"angle": np.pi})) == ()  # of a session before climbs were seen
+    before = {**SEEN, "angle": np.pi, "landing_error": [0.0] * 3}
+    assert FLIP.margins(judged(before)) == ()  # of a session before climbs were seen
     assert Flip(preset("flip", "paper").task_settings, {}).margins(judged(flight)) == ()
 
 
@@ -165,3 +174,20 @@ def test_a_summary_counts_the_re_tests_and_the_truth_of_those_that_have_one() ->
     )
     assert true.endswith("; 1 more turned over and caught")
     assert FLIP.summary(records[2:3]) == []
+
+
+def test_settings_of_a_stored_session_are_read_and_other_gains_and_limits_refused() -> None:
+    limits = {"landing_limit": 0.25, "level_limit": 0.2, "turn_limit": 0.1}
+    limits |= {"vigour_limit": 0.3, "tempo_limit": 0.15}
+    gains = {"landing_gain": 0.7, "level_gain": 0.7, "turn_gain": 0.5}
+    gains |= {"vigour_gain": 0.3, "tempo_gain": 0.3}
+    for name in ("hindsight", "return_only", "paper"):
+        now = preset("flip", name).task_settings
+        stored = {**now.model_dump(exclude={"gain"}), **limits, **gains}
+        if not now.gain:
+            stored |= dict.fromkeys(gains, 0.0)
+        assert FlipSettings.model_validate(stored) == now
+        with pytest.raises(ValueError, match="vigour_limit"):
+            FlipSettings.model_validate({**stored, "vigour_limit": 0.2})
+    with pytest.raises(ValueError, match="landing_gain"):
+        FlipSettings.model_validate({**stored, **gains, "landing_gain": 0.4})

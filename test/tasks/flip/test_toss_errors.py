@@ -7,20 +7,17 @@ import math
 
 import numpy as np
 import pytest
-from pan_paths import thrown
+from pan_paths import path, thrown
 
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Foreseen
 from wam_power_ros.practice.settings import preset
-from wam_power_ros.tasks.flip import toss_errors
-from wam_power_ros.tasks.flip.pan_toss import Pancake, Toss, predict_toss
+from wam_power_ros.tasks.flip import task as flip_task
+from wam_power_ros.tasks.flip.pan_toss import PANCAKE, Pancake, predict_toss
 from wam_power_ros.tasks.flip.task import Flip
-from wam_power_ros.tasks.flip.toss_errors import (
-    ERRORS,
-    SPIN_DECAY_SD,
-)
+from wam_power_ros.tasks.flip.toss_errors import ERRORS, SLOWED, measured_errors
 
-TURN_TOLERANCE, LANDING_TOLERANCE, _, LEVEL_TOLERANCE = (error.tolerance for error in ERRORS)
+TURN_TOLERANCE, LANDING_TOLERANCE, _, LEVEL_TOLERANCE = (error.tolerance for error in ERRORS[:4])
 SETTINGS = preset("flip").task_settings
 
 
@@ -41,6 +38,28 @@ def test_a_measured_error_is_in_tolerances_and_has_no_landing_without_a_toss() -
     assert turn == pytest.approx(-math.pi / TURN_TOLERANCE) and np.isnan(catch).all()
 
 
+def test_an_error_that_was_not_seen_is_unknown_and_a_toss_that_was_not_made_lacks_its_turn() -> (
+    None
+):
+    assert measured_errors({"tossed": True, "seen": False}) is None
+    for seen in (True, False):
+        assert measured_errors({"tossed": False, "seen": seen}) == {"rotation": -math.pi}
+
+
+@pytest.mark.parametrize(("miss", "climb"), [(0.05, 0.01), (0.09, 0.01), (0.05, 0.03)])
+def test_a_flip_is_inside_its_limits_as_far_as_turn_miss_and_climb_are(
+    miss: float, climb: float
+) -> None:
+    flight = {"tossed": True, "seen": True, "angle": math.radians(170.0), "climb": climb}
+    flight |= {"landing_error": [0.6 * miss, -0.8 * miss, 0.2], "catch_pitch": 0.3}
+    record = type("Logged", (), {"observation": flight})()
+    inside = [math.radians(20.0), 0.08 - miss, 0.025 - climb]
+    assert Flip(SETTINGS, {}).margins(record) == pytest.approx(inside)
+    assert list(Flip(preset("flip", "paper").task_settings, {}).margins(record)) == []
+    del flight["climb"]
+    assert list(Flip(SETTINGS, {}).margins(record)) == []
+
+
 def test_the_model_of_the_task_predicts_the_toss_of_the_foreseen_path_and_its_excess(
     demonstrated: Policy,
 ) -> None:
@@ -49,22 +68,13 @@ def test_the_model_of_the_task_predicts_the_toss_of_the_foreseen_path_and_its_ex
     pan, excess = thrown(2.5, rate=4.0), np.array([-0.3, 0.2])
     model = task.error_model(parametrization, lambda policy: Foreseen(pan, excess))
     prediction = model.predict(np.zeros(parametrization.size))
-    toss = predict_toss(pan)
-    landing = np.array(toss.landing_error) / LANDING_TOLERANCE
-    level = toss.catch_pitch / LEVEL_TOLERANCE
-    wanted = [(toss.angle - math.pi) / TURN_TOLERANCE, *landing, level]
-    np.testing.assert_allclose(prediction.error, wanted)
+    np.testing.assert_allclose(prediction.error, model.told(predict_toss(pan)))
+    assert np.isfinite(prediction.error).all()
     np.testing.assert_array_equal(prediction.excess, excess)
     assert prediction.uncertain.shape == (4, 1)
-    more = Pancake()._replace(spin_decay=Pancake().spin_decay + SPIN_DECAY_SD)
-    slowed = predict_toss(pan, pancake=more)
-    by_decay = [
-        (slowed.angle - toss.angle) / TURN_TOLERANCE,
-        *np.subtract(slowed.landing_error, toss.landing_error) / LANDING_TOLERANCE,
-        (slowed.catch_pitch - toss.catch_pitch) / LEVEL_TOLERANCE,
-    ]
-    assert by_decay[0] < 0.0
-    np.testing.assert_allclose(prediction.uncertain[:, 0], by_decay)
+    slowed = model.told(predict_toss(pan, pancake=SLOWED))
+    assert slowed[0] < prediction.error[0]
+    np.testing.assert_allclose(prediction.uncertain[:, 0], slowed - prediction.error)
     none = task.error_model(parametrization, lambda policy: None)
     assert none.predict(np.zeros(parametrization.size)) is None
 
@@ -72,16 +82,29 @@ def test_the_model_of_the_task_predicts_the_toss_of_the_foreseen_path_and_its_ex
 def test_the_decay_of_the_spin_tells_nothing_where_it_decides_whether_there_is_a_toss(
     demonstrated: Policy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def toss_unless_slowed(pan: object, delta_h: float, pancake: Pancake) -> Toss:
-        return Toss(pancake == Pancake(), 1.0)
+    toss = predict_toss(thrown(2.5))
 
-    monkeypatch.setattr(toss_errors, "predict_toss", toss_unless_slowed)
+    def toss_unless_slowed(pan: object, delta_h: float, pancake: Pancake) -> object:
+        return toss if pancake == PANCAKE else None
+
+    monkeypatch.setattr(flip_task, "predict_toss", toss_unless_slowed)
     task = Flip(SETTINGS, {})
     parametrization = task.parametrization(demonstrated)
     foreseen = Foreseen(thrown(2.5), np.array([-0.3]))
     model = task.error_model(parametrization, lambda policy: foreseen)
     prediction = model.predict(np.zeros(parametrization.size))
     assert np.isfinite(prediction.error).all() and not prediction.uncertain.any()
+
+
+def test_a_pan_that_does_not_toss_lacks_the_turn_and_its_landing_is_unknown(
+    demonstrated: Policy,
+) -> None:
+    task = Flip(SETTINGS, {})
+    parametrization = task.parametrization(demonstrated)
+    still = Foreseen(path(np.zeros(500), np.zeros(500)), np.array([-0.3]))
+    model = task.error_model(parametrization, lambda policy: still)
+    turn, *landing = model.predict(np.zeros(parametrization.size)).error
+    assert turn == pytest.approx(-math.pi / TURN_TOLERANCE) and np.isnan(landing).all()
 
 
 def test_the_directions_are_those_of_the_corrections(demonstrated: Policy) -> None:

@@ -53,7 +53,11 @@ SWING_MAX = 0.3  # [m] the same; a larger one loses height by itself
 MISS_OF_VIGOUR = -2.5  # [m] change of the miss along x per unit of vigour
 APEX_OF_VIGOUR = 1.0  # [m] change of the apex per unit of vigour
 MISS_OF_SHIFT = -0.9  # change of the miss along y per shift [1]
-ERRORS = (Error("miss_x", "m", 0.015), Error("miss_y", "m", 0.015))
+ERRORS = (
+    Error("miss_x", "m", 0.015),
+    Error("miss_y", "m", 0.015),
+    Error("distance", "m", 0.015, limit=CUP_RADIUS),
+)
 EFFECTS = (
     Effect("vigour", 0.05, {"miss_x": MISS_OF_VIGOUR}),
     Effect("sideways", 0.05, {"miss_y": MISS_OF_SHIFT}),
@@ -146,12 +150,7 @@ class BallInCup(Task):
         """Where the ball fell; one that stayed low: as if a string's length short, straight."""
         swing = swing_of(observation)
         x, y = swing.miss or (STRING + MISS_OF_VIGOUR / APEX_OF_VIGOUR * swing.apex, 0.0)
-        return {"miss_x": x, "miss_y": y}
-
-    def margins(self, record: LoggedRollout) -> Sequence[float]:
-        """Distance d within the inner radius of the cup [m]; see `Task`."""
-        seen = record.observation
-        return () if seen is None else (CUP_RADIUS - swing_of(seen).distance,)
+        return {"miss_x": x, "miss_y": y, "distance": swing.distance}
 
     def outcome(self, record: LoggedRollout) -> str:
         """Distance from the cup and end of the ball, as tracked; see `Task`."""

@@ -31,6 +31,22 @@ FLIP_FIT = FitSettings(
 TRUE_TURN = (150.0, 240.0)
 
 
+# Settings of stored sessions of which the first became `gain`, and the limits the steps of the
+# effects, see `tasks.errors.Effect`.
+FORMER: Mapping[str, tuple[float, ...]] = {
+    "landing_gain": (0.7, 0.0),
+    "landing_limit": (0.25,),
+    "level_gain": (0.7, 0.0),
+    "level_limit": (0.2,),
+    "turn_gain": (0.5, 0.0),
+    "turn_limit": (0.1,),
+    "vigour_gain": (0.3, 0.0),
+    "vigour_limit": (0.3,),
+    "tempo_gain": (0.3, 0.0),
+    "tempo_limit": (0.15,),
+}
+
+
 class FlipSettings(BaseModel):
     """Settings of the task.
 
@@ -40,20 +56,8 @@ class FlipSettings(BaseModel):
         ret: Return of the session: "eq5" (Eq. 5) or "landing" (`landing_return`).
         pancake_weights: Weights of Eq. 5.
         landing_weights: Weights of `landing_return`.
-        landing_gain: Fraction of the landing error by which the catch shift of a rollout is
-            corrected in hindsight [1]; 0: no correction. Needs the variant "planar".
-        landing_limit: Largest correction of the catch shift per rollout [m].
-        level_gain: Fraction of the pan's pitch at the catch by which the catch pitch of a rollout
-            is corrected in hindsight [1]; 0: no correction. Needs the variant "planar".
-        level_limit: Largest correction of the catch pitch per rollout [rad].
-        turn_gain: Fraction of the rotation missing to half a turn for which the flick of a rollout
-            is corrected in hindsight [1]; 0: no correction. Needs the variant "planar".
-        turn_limit: Largest correction of the flick per rollout [1].
-        vigour_gain: As `turn_gain`, for the vigour, which also makes the toss higher.
-        vigour_limit: Largest correction of the vigour per rollout [1].
-        tempo_gain: As `turn_gain`, for the logarithm of the tempo: a faster toss spins faster and
-            flies longer, within the same joint range.
-        tempo_limit: Largest correction of the logarithm of the tempo per rollout [1].
+        gain: Fraction of the errors for which a rollout is corrected in hindsight [1]; 0: no
+            correction. Needs the variant "planar".
         success_return: Smallest return of a success; 0: any return.
         success_angle: Smallest rotation in flight of a success, which must also be caught and
             flipped [rad]; 0: no flip required.
@@ -69,30 +73,28 @@ class FlipSettings(BaseModel):
     ret: Literal["eq5", "landing"]
     pancake_weights: PancakeWeights = PancakeWeights()
     landing_weights: LandingWeights = LandingWeights()
-    landing_gain: float = Field(ge=0.0, le=1.0)
-    landing_limit: float = Field(default=0.25, gt=0.0, le=1.0)
-    level_gain: float = Field(default=0.0, ge=0.0, le=1.0)
-    level_limit: float = Field(default=0.2, gt=0.0, le=1.0)
-    turn_gain: float = Field(default=0.0, ge=0.0, le=1.0)
-    turn_limit: float = Field(default=0.1, gt=0.0, le=1.0)
-    vigour_gain: float = Field(default=0.0, ge=0.0, le=1.0)
-    vigour_limit: float = Field(default=0.3, gt=0.0, le=1.0)
-    tempo_gain: float = Field(default=0.0, ge=0.0, le=1.0)
-    tempo_limit: float = Field(default=0.15, gt=0.0, le=1.0)
+    gain: float = Field(default=0.0, ge=0.0, le=1.0)
     success_return: float = Field(ge=0.0, allow_inf_nan=False)
     success_angle: float = Field(ge=0.0, allow_inf_nan=False)
     success_angle_max: float = Field(default=100.0, gt=0.0, allow_inf_nan=False)
     delta_h: float = Field(default=DELTA_H, gt=0.0, le=1.0)
     settle_time: float = Field(default=1.0, ge=0.0, le=10.0)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _of_stored_sessions(cls, values: Any) -> Any:  # noqa: ANN401 - whatever was stored
+        if not isinstance(values, Mapping) or "landing_gain" not in values:
+            return values
+        known = {k: v for k, v in values.items() if v not in FORMER.get(k, ())}
+        return {"gain": values["landing_gain"], **known}
+
     @model_validator(mode="after")
     def _check_consistency(self) -> FlipSettings:
-        for name in _GAINS:
-            if getattr(self, name) > 0.0 and self.variant != "planar":
-                raise ValueError(
-                    f"{name} {getattr(self, name)} needs a parameter that only the variant "
-                    f"'planar' has; the variant is {self.variant!r}"
-                )
+        if self.gain > 0.0 and self.variant != "planar":
+            raise ValueError(
+                f"gain {self.gain} needs parameters that only the variant 'planar' has; the "
+                f"variant is {self.variant!r}"
+            )
         if self.success_angle_max < self.success_angle:
             raise ValueError(
                 f"no rotation is a success: success_angle {self.success_angle} is larger than "
@@ -111,24 +113,19 @@ _HINDSIGHT: Mapping[str, Any] = {
     "ret": "landing",
     "budget": 60,
     "mean_every": 5,
-    "landing_gain": 0.7,
-    "level_gain": 0.7,
-    "turn_gain": 0.5,
-    "vigour_gain": 0.3,
-    "tempo_gain": 0.3,
+    "gain": 0.7,
     "success_return": 0.0,
     "success_angle": math.radians(TRUE_TURN[0]),
     "success_angle_max": math.radians(TRUE_TURN[1]),
     "confirm": 29,  # a success rate of 0.9
     "retests": 10,
 }
-_GAINS = ("landing_gain", "level_gain", "turn_gain", "vigour_gain", "tempo_gain")
 PRESETS: Mapping[str, Mapping[str, Any]] = {
     # Plans on a model of the toss, and falls back on the learner of `hindsight`.
     "model_based": {**_HINDSIGHT, "learner": {"name": "model_based"}},
     "hindsight": _HINDSIGHT,
     # For comparison: what the returns, or the corrections, reach alone.
-    "return_only": {**_HINDSIGHT, **dict.fromkeys(_GAINS, 0.0)},
+    "return_only": {**_HINDSIGHT, "gain": 0.0},
     "corrections_only": {
         **_HINDSIGHT,
         "learner": {"name": "corrections_only"},
@@ -141,7 +138,6 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
         "ret": "eq5",
         "budget": 50,
         "mean_every": 0,
-        "landing_gain": 0.0,
         "success_return": 0.9,
         "success_angle": 0.0,
         "confirm": 3,

@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from wam_power_ros.learning.learner import ErrorModel, Model
+from wam_power_ros.learning.learner import Model
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Foreseen, Rollout
@@ -17,12 +17,18 @@ from wam_power_ros.tasks.flip import assessment as flip_assessment
 from wam_power_ros.tasks.flip import paper
 from wam_power_ros.tasks.flip.flight import FLIP_ANGLES, observe_flight
 from wam_power_ros.tasks.flip.frames import REST_HEIGHT_MAX
-from wam_power_ros.tasks.flip.landing_correction import landing_correction
+from wam_power_ros.tasks.flip.pan_toss import PANCAKE, predict_toss
 from wam_power_ros.tasks.flip.parametrization import flip_parametrization
 from wam_power_ros.tasks.flip.planned_toss import TossModel
 from wam_power_ros.tasks.flip.returns import pancake_return
 from wam_power_ros.tasks.flip.settings import FLIP_FIT, PRESETS, FlipSettings
-from wam_power_ros.tasks.flip.toss_errors import EFFECTS, ERRORS, TossErrors, measured_errors
+from wam_power_ros.tasks.flip.toss_errors import (
+    EFFECTS,
+    ERRORS,
+    NOT_TOSSED,
+    SLOWED,
+    measured_errors,
+)
 from wam_power_ros.tasks.task import (
     Assessment,
     BodyState,
@@ -42,10 +48,6 @@ _FLAT_OFFSET_MAX = 0.06  # largest distance of a pancake that lies on the floor,
 _MISPLACED_MAX = (
     0.15  # height up to which a body at rest is one in the pan that is seen wrongly [m]
 )
-# Miss up to which a pancake that had turned was caught in 98 % of 3084 simulated tosses [m]: below
-# 0.06 m in 99 %, from there on in 93 %, and from 0.08 to 0.10 m in 82 %.
-CAUGHT_MISS = 0.08
-CLIMB_MAX = 0.025  # height of its centre above the pan's floor from which it may stay there [m]
 _REST_SPEED_MAX = 0.05  # largest speed at rest [m/s]
 
 
@@ -76,6 +78,11 @@ class Flip(Task):
     )
     published = Published("Eq. 5", equation_5, paper.RETURNS, paper.STIFFNESS)
 
+    def __init__(self, settings: FlipSettings, context: Mapping[str, Any]) -> None:
+        """See `Task`."""
+        super().__init__(settings, context)
+        self.gain = settings.gain
+
     def parametrization(self, policy: Policy) -> Parametrization:
         """Learnt parameters of a policy; see `Task`."""
         return flip_parametrization(policy, self.settings.variant, self.settings.noise)
@@ -103,45 +110,12 @@ class Flip(Task):
         """Return and success of a rollout of `policy`."""
         return flip_assessment.assess(policy, rollout, self.settings)
 
-    def hindsight(
-        self, assessment: Assessment, parametrization: Parametrization
-    ) -> Sequence[np.ndarray]:
-        """Correct shifts, pitch, flick, vigour and tempo; see `landing_correction`."""
-        return landing_correction(assessment, parametrization, self.settings)
-
-    @property
-    def corrections(self) -> Sequence[str]:
-        """Landing error, pitch and rotation, as far as they are corrected; see `Task`."""
-        settings = self.settings
-        turned = (settings.turn_gain, settings.vigour_gain, settings.tempo_gain)
-        gains = {
-            "landing error": settings.landing_gain,
-            "pitch at the catch": settings.level_gain,
-            "rotation": max(turned),
-        }
-        return [name for name, gain in gains.items() if gain > 0.0]
-
     def margins(self, record: LoggedRollout) -> Sequence[float]:
-        """Rotation inside its window [rad], landing near the middle and climb [m]; see `Task`.
-
-        A pancake that climbs the rim after its fall is nearly thrown out, or stays there. Where no
-        rotation is required, successes are counted alone.
-        """
-        settings, flight = self.settings, record.observation
-        if settings.success_angle == 0.0 or not flight or "climb" not in flight:
-            return ()
-        angle = abs(flight["angle"])
-        return (
-            angle - settings.success_angle,
-            settings.success_angle_max - angle,
-            CAUGHT_MISS - math.hypot(*flight["landing_error"][:2]),
-            CLIMB_MAX - flight["climb"],
-        )
-
-    @property
-    def margin_scatter(self) -> Sequence[float]:
-        """Of the rotation twice [rad], of landing and climb [m]; see `Task`."""
-        return math.radians(5.0), math.radians(5.0), 0.015, 0.004
+        """Those of the errors, unless another rotation is a success, or none is needed."""
+        low, high = self.settings.success_angle, self.settings.success_angle_max
+        least, most = math.pi - ERRORS[0].limit, math.pi + ERRORS[0].limit
+        within = 0.0 < low <= least + 1e-9 and most <= high + 1e-9
+        return super().margins(record) if within else ()
 
     def model(self, parametrization: Parametrization, start: np.ndarray) -> Model | None:
         """Return of the planned toss, corrected by the returns of rollouts; see `Task`."""
@@ -153,15 +127,10 @@ class Flip(Task):
         """Errors of rotation, landing and catch; see `Task`."""
         return measured_errors(observation)
 
-    def error_model(
-        self,
-        parametrization: Parametrization,
-        foresee: Callable[[Policy], Foreseen | None],
-    ) -> ErrorModel | None:
-        """Toss from the simulated path of the pan; see `TossErrors`."""
-        if self.settings.variant != "planar":
-            return None
-        return TossErrors(parametrization, foresee, self.settings)
+    def predict(self, foreseen: Foreseen) -> Sequence[Mapping[str, float]]:
+        """Toss from the simulated path of the pan, and that of a pancake which drag slows more."""
+        tosses = (predict_toss(foreseen.tool, self.settings.delta_h, p) for p in (PANCAKE, SLOWED))
+        return [NOT_TOSSED if toss is None else toss for toss in tosses]
 
     def outcome(self, record: LoggedRollout) -> str:
         """Rotation and end state of the pancake, as tracked; see `Task`."""
