@@ -200,3 +200,13 @@ def test_an_arm_that_follows_a_drift_is_carried_without_the_friction_of_its_moti
         if unexplained.crept:
             break
     assert unexplained.compensation[1] == pytest.approx(torque + friction)
+
+
+def test_what_held_the_arm_when_a_fault_was_reset_is_what_held_it_before_the_next() -> None:
+    unexplained = UnexplainedTorque(MODEL)
+    for _ in range(200):
+        unexplained.observe(True, HOME, 0.0, JOINT_2, DT)
+    elsewhere = HOME + 0.8 * JOINT_2
+    unexplained.assume(elsewhere, 9.0 * JOINT_2)
+    unexplained.observe(True, elsewhere, 0.0, 9.0 * JOINT_2, DT)
+    np.testing.assert_allclose(unexplained.before(elsewhere), 9.0 * JOINT_2)

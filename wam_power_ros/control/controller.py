@@ -334,6 +334,8 @@ class Controller:
         self._enter(Mode.HOLD, reset=True)
         self.latched = None
         self._supervision.begin()
+        beyond = self._output.motor_torque(last.q) - self.arm.gravity(last.q)
+        self.unexplained.assume(last.q, beyond)
 
     def deactivate(self) -> None:
         """Abort any motion; the caller must send no torque from now on. A fault stays latched."""

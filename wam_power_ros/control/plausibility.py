@@ -87,12 +87,7 @@ class VelocityCheck:
         self._leap = _LEAP * min(1.0, period / PERIOD)
         self._constants = (
             *(VELOCITY_LAG, self._leap, _MISMATCH_PER_STATE, MISMATCH_SHARE),
-            *(
-                float(self._standstill),
-                STANDSTILL_SPEED,
-                *MISMATCH_WINDOWS[0],
-                *MISMATCH_WINDOWS[1],
-            ),
+            *(float(self._standstill), STANDSTILL_SPEED, *sum(MISMATCH_WINDOWS, ())),
         )
         self.begin()
 

@@ -22,11 +22,9 @@ from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.policy import PERIOD
 
 # Shapes that are not (n,)
-_SHAPES = {name: () for name in ("elbow_speed", "tool_speed", "teaching_tool_speed")} | {
-    "workspace_min": (3,),
-    "workspace_max": (3,),
-    "plane": (4,),
-}
+_SHAPES: dict[str, tuple[int, ...]]
+_SHAPES = dict.fromkeys(("elbow_speed", "tool_speed", "teaching_tool_speed"), ())
+_SHAPES |= {"workspace_min": (3,), "workspace_max": (3,), "plane": (4,)}
 _SIGNED = ("q_min", "q_max", "workspace_min", "workspace_max", "plane")  # may be negative
 SPRING_RANGE = 0.1  # [rad] width of the soft springs inside the position limits
 SPRING_RISE = 0.05  # [s] in which their torque may rise to that at a limit: a joint at 2 rad/s
@@ -227,12 +225,11 @@ class LimitSprings:
         Returns:
             [N m], shape (n,); None when none acts.
         """
-        wanted = limit_springs(q, self._limits)
-        if wanted is None and self._last is None:
+        wanted, last, zero = limit_springs(q, self._limits), self._last, np.zeros(len(q))
+        if wanted is None and last is None:
             return None
-        last = np.zeros(len(q)) if self._last is None else self._last
+        last, wanted = zero if last is None else last, zero if wanted is None else wanted
         step = self._limits.spring_torque * (dt / SPRING_RISE)
-        wanted = np.zeros(len(q)) if wanted is None else wanted
         torque = np.minimum(np.maximum(wanted, last - step), last + step)
         if np.isnan(torque).any():  # the posture is none; the caller sends no such torque
             return torque

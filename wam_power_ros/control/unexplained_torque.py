@@ -75,6 +75,11 @@ class UnexplainedTorque:
         self._settled = self._latest = self._before = self._mover = None
         self.drift = self._drag = np.zeros(self._n)
 
+    def assume(self, q: np.ndarray, beyond: np.ndarray) -> None:
+        """Begin with a torque (n,) [N m] beyond g(q) that holds the arm at q (n,) [rad]."""
+        self.torque, self._held_at = beyond, q
+        self._past = deque([beyond], maxlen=PAST_OBSERVATIONS)
+
     def observe(
         self, at_rest: bool, q: np.ndarray, qd: np.ndarray, beyond: np.ndarray, dt: float
     ) -> None:
