@@ -376,8 +376,7 @@ class Controller:
         """Whether this mode requires the enabling switch and it is not held."""
         if self.enabled or not self.settings.hold_to_run or mode not in SWITCH_MODES:
             return False
-        loaded = self._policy
-        completed = loaded is not None and loaded.content in self._completed
+        completed = self._policy is not None and self._policy.content in self._completed
         return mode is not Mode.ROLLOUT or not completed
 
     def _require_switch(self, mode: Mode) -> None:
@@ -616,8 +615,7 @@ class Controller:
     # Torque of each mode
 
     def _braking_torque(self, state: JointState, _: Motion | Speeds | None = None) -> np.ndarray:
-        beyond = self.unexplained.compensation
-        return self._damped_gravity(state, safety.FAULT_DAMPING, beyond)
+        return self._damped_gravity(state, safety.FAULT_DAMPING, self.unexplained.compensation)
 
     def _fault_torque(self, state: JointState, motion: Motion | Speeds) -> np.ndarray:
         return self._supervision.reaction_torque(state, motion)

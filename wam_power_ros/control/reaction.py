@@ -182,7 +182,9 @@ class Reaction:
         self._seconds = self._calm = 0.0
         self._recent.clear()
 
-    def begin(self, before: float, alone: bool = False, guided: bool = False) -> None:
+    def begin(
+        self, before: float, alone: bool = False, guided: bool = False, held: bool = False
+    ) -> None:
         """Begin at the state a time [s] ago, unless the model is followed already.
 
         Args:
@@ -191,9 +193,11 @@ class Reaction:
                 themselves, or the arm moved by itself, under torques that are known. Else the model
                 only confirms what they report.
             guided: Whether a person moved the arm, who may let go now.
+            held: Whether the arm was in a hold, by `carried`.
         """
         if self._model is None:
             self.end()
+            self.was_held = held
             self._model = self._before(before)
             self._alone = alone
             if not alone and self._model is not None:
@@ -227,12 +231,10 @@ class Reaction:
         first = past[0]
         seconds = sum(each.dt for each in past[1 : self._rates + 1])
         qd = (past[self._rates].q - first.q) / seconds
-        if self.was_held:
-            qd, first = 0.0 * qd, first._replace(external=(-self.carried).tolist())
         delay = at_rate(TORQUE_DELAY, self._period)
         taus = [first.tau] * delay + [each.tau for each in past]
-        external = np.array(first.external)
-        self._external = external
+        rested = self.was_held and np.abs(qd).max() < SETTLED_SPEED
+        self._external = external = -self.carried if rested else np.array(first.external)
         model = ModelState(self._arm, first.q, qd, external, taus[len(past) :], self._period)
         stride = max(1, math.ceil(len(past) / STRIDE_COUNT))
         for k in range(1, len(past), stride):

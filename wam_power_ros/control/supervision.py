@@ -133,32 +133,33 @@ class Supervision:
             self._usual = np.zeros(self._arm.n)
         sudden = BEFORE_STEP if kind.of_states else BEFORE_GUIDED
         alone = kind.of_states or mode in MOVING_MODES
-        self.reaction.begin(sudden if guided else BEFORE, alone, guided)
-        self.reaction.was_held = mode is Mode.HOLD
+        if held := mode is Mode.HOLD:
+            self.reaction.carried = self._holding(kind, unexplained)
+        self.reaction.begin(sudden if guided else BEFORE, alone, guided, held)
         if mode in MOVING_MODES:
             beyond = -self._usual
             if mode is Mode.ROLLOUT:  # fast: what sensors and motors lag is unexplained, too
                 beyond = np.where(np.abs(beyond) > self._arm.friction, beyond, 0.0)
             self.reaction.carried = beyond
-        else:  # what held the arm there; friction had a share in it that is not known elsewhere
+        elif not held:  # what held it there; elsewhere the share of friction in it is not known
             self.reaction.carried = unexplained.before(self.reaction.posture)
         if kind is FaultKind.DRIFT:
             self.reaction.assume_speeds(-unexplained.drift)
-        elif mode is Mode.HOLD:
-            self.reaction.carried = self._amid(self.reaction.carried)
         if kind.of_states:
             self.doubt(kind)
 
-    def _amid(self, held: np.ndarray) -> np.ndarray:
-        """Torque (n,) [N m] beyond g(q) in whose neighbourhood friction holds a resting arm.
+    def _holding(self, kind: FaultKind, unexplained: UnexplainedTorque) -> np.ndarray:
+        """Torque (n,) [N m] beyond g(q) that held the arm until a fault.
 
         Friction holds a joint as well under the least as under the most torque under which it
         stood since it moved; the one that held it last may be at the edge. So take half-way.
         """
-        if not np.abs(self._moved_to - self.reaction.posture).max() < NEAR:
+        past = self.reaction.past
+        at = past[max(0, len(past) - self._belief_states)].q if past else self.reaction.posture
+        held, half = unexplained.before(at), 0.5 * self._arm.friction
+        if kind is FaultKind.DRIFT or not np.abs(self._moved_to - at).max() < NEAR:
             return held
         amid = 0.5 * (np.fmin(self._least, held) + np.fmax(self._most, held))
-        half = 0.5 * self._arm.friction
         return np.minimum(np.maximum(amid, held - half), held + half)
 
     def doubt(self, kind: FaultKind) -> None:
