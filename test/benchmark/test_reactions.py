@@ -68,3 +68,17 @@ def test_an_arm_that_is_not_its_model_stays_under_gravity_compensation(arm: str 
     loop.play(4.0)
     assert loop.controller.mode is Mode.GRAVITY_COMPENSATION
     assert np.linalg.norm(loop.plant.tool_position() - at) < 0.05
+
+
+@pytest.mark.requirement("S-121")
+@pytest.mark.parametrize("seconds", [0.0, 0.004, 0.02, 0.1, 0.3])
+def test_a_zero_that_jumps_back_after_the_reset_of_its_fault_moves_nothing(seconds: float) -> None:
+    loop = held(2)
+    loop.falsify = LIES["smooth bump"](1)
+    assert loop.observe(3.0).fault is not None
+    loop.controller.reset()
+    loop.play(seconds)
+    loop.falsify = lambda state: state
+    outcome = loop.observe(2.0)
+    assert outcome.fault is not None
+    assert outcome.peak < 0.3, outcome

@@ -198,11 +198,12 @@ class Reaction:
         if self._model is None:
             self.end()
             self.was_held = held
-            self._model = self._before(before)
-            self._alone = alone
+            self._model, self._alone = self._before(before), alone
+            if self._model is None and held and self.past:  # held for less than RATE_STATES
+                self._model = self._at_posture(self.past[-1].q)
+                self._model.external = self._external = -self.carried
             if not alone and self._model is not None:
-                last = self.past[-1].q
-                self._model.q = last
+                self._model.q = self.past[-1].q
                 self._model.qd = confirmed(self._model.qd, self.reported())
             speeds = self.reported() if self._model is None else self._model.qd
             self._slow = bool(np.abs(speeds).max() < SETTLED_SPEED)

@@ -126,8 +126,7 @@ class Supervision:
         self.believed, self._contradicted, self._lasting = True, False, False
         self._drifts, self._doubted, self._unexplained = False, False, 0
         self._payload.begin()
-        begun = np.abs(self._plausibility.residual)
-        self._suspect = bool((begun > self._explainable).any())
+        self._suspect = bool((np.abs(self._plausibility.residual) > self._explainable).any())
         guided = mode is Mode.GRAVITY_COMPENSATION
         if guided:
             self._usual = np.zeros(self._arm.n)
