@@ -79,21 +79,20 @@ def refused(driver: Driver, name: str, phase: str) -> Line:
     return row(f"{name}, did not get there", phase, 0.0, found, acceptable(found, 0.0))
 
 
-def cells(lab: Lab) -> Iterator[Line]:
-    """A dozen false states of `benchmark.reaction_matrix`."""
+def cell(lab: Lab, name: str, joint: int, phase: str) -> Line:
+    """A false state of `benchmark.reaction_matrix`."""
     driver = Driver(lab)
     lab.controller()
-    nominal: dict[str, float] = {}
-    for name, joint, phase in CELLS:
-        while phase not in nominal:
-            driver.begin(phase)
-            if (without := driver.observe(1.2)).noticed is None:  # else a process was late
-                nominal[phase] = without.peak
+    nominal = None
+    while nominal is None:
         driver.begin(phase)
-        driver.falsify = LIES[name](joint)
-        found = observe(driver)
-        good = found.noticed is not None and found.peak <= nominal[phase] + MARGIN
-        yield row(f"{name}, joint {joint + 1}", phase, nominal[phase], found, good)
+        if (without := driver.observe(1.2)).noticed is None:  # else a process was late
+            nominal = without.peak
+    driver.begin(phase)
+    driver.falsify = LIES[name](joint)
+    found = observe(driver)
+    good = found.noticed is not None and found.peak <= nominal + MARGIN
+    return row(f"{name}, joint {joint + 1}", phase, nominal, found, good)
 
 
 def faults(lab: Lab, arm: HiddenArm, name: str) -> Iterator[Line]:
@@ -139,15 +138,17 @@ def hands_off(lab: Lab, arm: HiddenArm, name: str) -> Iterator[Line]:
 def lines(case: str, count: int) -> Iterator[Line]:
     """All lines of a case.
 
-    Each arm has a lab of its own: a killed controller stays announced in the one before.
+    Each cell and each arm has a lab of its own: what one leaves behind is no condition of the next.
     """
+    if case == "cells":
+        for each in CELLS:
+            with tempfile.TemporaryDirectory() as folder, Lab(Path(folder)).open() as lab:
+                yield cell(lab, *each)
+        return
     drawn = {f"drawn arm {seed}": draw(seed) for seed in range(9000, 9000 + count)}
-    for name, arm in {"": None}.items() if case == "cells" else (KNOWN | drawn).items():
+    for name, arm in (KNOWN | drawn).items():
         with tempfile.TemporaryDirectory() as folder, Lab(Path(folder)).open() as lab:
-            if arm is None:
-                yield from cells(lab)
-            else:
-                yield from (hands_off if case == "hands_off" else faults)(lab, arm, name)
+            yield from (hands_off if case == "hands_off" else faults)(lab, arm, name)
 
 
 def main(arguments: list[str] | None = None) -> int:
