@@ -136,10 +136,7 @@ def hands_off(lab: Lab, arm: HiddenArm, name: str) -> Iterator[Line]:
 
 
 def lines(case: str, count: int) -> Iterator[Line]:
-    """All lines of a case.
-
-    Each cell and each arm has a lab of its own: what one leaves behind is no condition of the next.
-    """
+    """All lines of a case; each cell and each arm has a lab of its own."""
     if case == "cells":
         for each in CELLS:
             with tempfile.TemporaryDirectory() as folder, Lab(Path(folder)).open() as lab:
