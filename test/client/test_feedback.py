@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from types import SimpleNamespace
 
@@ -49,7 +50,8 @@ class Services:
         return bool(condition())
 
     def sleep(self, seconds: float) -> None:
-        """Do not wait."""
+        """Wait for a moment, so that answers are not used up before a timeout."""
+        time.sleep(min(seconds, 1e-3))
 
     def _full(self, name: str) -> str:
         return name

@@ -144,16 +144,25 @@ class SessionSettings(BaseModel):
             kind = installed.find("learner", name)
             return dict(models[need] for need in models if getattr(kind, need, False))
 
+        errors = installed.task_type(self.task).learnt_errors()
+        working = [
+            name
+            for name in installed.names("learner")
+            if None not in needed(name).values()
+            and (errors or not getattr(installed.find("learner", name), "needs_corrections", False))
+        ]
+        advice = f"; learners that work: {', '.join(working)}"
         given = needed(self.learner)
         if missing := [what for what, model in given.items() if model is None]:
-            others = installed.names("learner")
-            working = (name for name in others if None not in needed(name).values())
             raise ValueError(
                 f"learner {self.learner!r} needs a model of {missing[0]}, which task {self.task!r} "
-                f"with these settings does not have; learners that work: {', '.join(working)}"
+                f"with these settings does not have{advice}"
             )
         kind = installed.find("learner", self.learner)
-        check_errors(kind, self.task, installed.task_type(self.task).learnt_errors())
+        try:
+            check_errors(kind, self.task, errors)
+        except ValueError as error:
+            raise ValueError(f"{error}{advice}") from None
         learner: Learner = kind(size, self.learner_settings, rng, *given.values())
         return learner
 
