@@ -53,7 +53,7 @@ class Outcome(NamedTuple):
         travel: Largest distance of the tool from where it was 0.5 s after the fault, or from its
             beginning without a fault [m].
         stop: The same distance from where the tool was at the fault [m].
-        reset: Whether the fault, if any, could be reset after the observation.
+        reset: True if a fault could be reset after the observation, or there was none.
         after: Largest speed of the tool after true states have returned [m/s].
         nominal: Largest speed of the tool without the cause [m/s].
         before: Largest distance of the tool from the nominal path until the fault [m].
@@ -158,7 +158,7 @@ class Loop:
 
         Args:
             seconds: Time to the end [s].
-            enough: Whether to end early, by the periods until the fault, if it has come.
+            enough: Returns True to end early; gets the periods until the fault, None before it.
         """
         core, noticed = self.controller, list[int]()
 

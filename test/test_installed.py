@@ -119,6 +119,14 @@ def test_a_name_that_two_packages_declare_is_refused_with_both(
     assert installed.names(kind).count(name) == 1
 
 
+def test_a_learner_that_cannot_be_loaded_hinders_no_session_of_another_one(lab: Lab) -> None:
+    lab(learners=("broken = no_such_package:Learner", "pi2_bb = LAB.task:Stack"))
+    preset("reach").check(1)
+    with pytest.raises(ValueError, match=r"a model of .* that work: adaptive") as refused:
+        preset("reach", None, {"name": "model_based"}).check(1)
+    assert not {"broken", "pi2_bb"} & set(str(refused.value).rpartition(": ")[2].split(", "))
+
+
 def test_what_cannot_be_imported_is_refused_with_its_package(lab: Lab) -> None:
     lab(scenes=("broken = no_such_package:Scene", "pan = hardware_sim.scenes.flip:Flip"))
     assert scene_type("pan") is FlipScene

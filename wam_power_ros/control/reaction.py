@@ -193,7 +193,7 @@ class Reaction:
                 themselves, or the arm moved by itself, under torques that are known. Else the model
                 only confirms what they report.
             guided: Whether a person moved the arm, who may let go now.
-            held: Whether the arm was in a hold, by `carried`.
+            held: True if the arm was in a hold, in which the torque `carried` held it.
         """
         if self._model is None:
             self.end()

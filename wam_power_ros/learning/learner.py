@@ -118,7 +118,7 @@ class LearnerClass(Protocol):
         Settings: Model of the settings, with a default for every field.
         needs_model: Whether the constructor needs a `Model`; if not, it accepts none.
         needs_error_model: Whether it needs an `ErrorModel` in its place; False if left out.
-        needs_corrections: Whether it learns from the task's corrections alone; the same.
+        needs_corrections: True if it learns from the task's corrections alone; may be left out.
     """
 
     Settings: Any
@@ -155,7 +155,7 @@ def check_errors(learner: Any, task: str, errors: Sequence[object]) -> None:  # 
     Args:
         learner: Its class.
         task: Name of the task.
-        errors: What is corrected.
+        errors: Errors of the task that are learnt from.
 
     Raises:
         ValueError: There are none.

@@ -140,30 +140,32 @@ class SessionSettings(BaseModel):
             "needs_error_model": ("the vector error", error_model),
         }
 
-        def needed(name: str) -> dict[str, Model | ErrorModel | None]:
-            kind = installed.find("learner", name)
-            return dict(models[need] for need in models if getattr(kind, need, False))
-
         errors = installed.task_type(self.task).learnt_errors()
-        working = [
-            name
-            for name in installed.names("learner")
-            if None not in needed(name).values()
-            and (errors or not getattr(installed.find("learner", name), "needs_corrections", False))
-        ]
-        advice = f"; learners that work: {', '.join(working)}"
-        given = needed(self.learner)
-        if missing := [what for what, model in given.items() if model is None]:
-            raise ValueError(
-                f"learner {self.learner!r} needs a model of {missing[0]}, which task {self.task!r} "
-                f"with these settings does not have{advice}"
-            )
+
+        def given(name: str) -> list[Model | ErrorModel | None]:
+            kind = installed.find("learner", name)
+            needed = [need for need in models if getattr(kind, need, False)]
+            for what, model in map(models.__getitem__, needed):
+                if model is None:
+                    text = f"learner {name!r} needs a model of {what}, which task {self.task!r}"
+                    raise ValueError(f"{text} with these settings does not have")
+            check_errors(kind, self.task, errors)
+            return [models[need][1] for need in needed]
+
+        def works(name: str) -> bool:
+            try:
+                given(name)
+            except ValueError:  # one of another package that cannot be loaded is none, too
+                return False
+            return True
+
         kind = installed.find("learner", self.learner)
         try:
-            check_errors(kind, self.task, errors)
+            chosen = given(self.learner)
         except ValueError as error:
-            raise ValueError(f"{error}{advice}") from None
-        learner: Learner = kind(size, self.learner_settings, rng, *given.values())
+            working = ", ".join(filter(works, installed.names("learner")))
+            raise ValueError(f"{error}; learners that work: {working}") from None
+        learner: Learner = kind(size, self.learner_settings, rng, *chosen)
         return learner
 
 
