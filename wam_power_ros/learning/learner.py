@@ -98,38 +98,24 @@ class ErrorModel(Protocol):
         """Function of z (size,) alone, None where the error is unknown; None for slopes only."""
 
 
-class Model(Protocol):
-    """A predictor of returns, usable before the first rollout, that may learn from every rollout.
-
-    Both methods depend only on the rollouts learnt from and their order: no generator, no clock.
-    """
-
-    def predict(self, z: np.ndarray) -> np.ndarray:
-        """Predict the returns of candidates z (B, size). Shape (B,)."""
-
-    def learn(self, z: np.ndarray, ret: float) -> None:
-        """Learn from a rollout at z (size,) with return `ret`."""
-
-
 class LearnerClass(Protocol):
     """Class of a learner, registered in the entry-point group `wam_power_ros.learners`.
 
     Attributes:
         Settings: Model of the settings, with a default for every field.
-        needs_model: Whether the constructor needs a `Model`; if not, it accepts none.
-        needs_error_model: Whether it needs an `ErrorModel` in its place; False if left out.
+        needs_error_model: Whether the constructor needs an `ErrorModel`; if not, it accepts none.
+            False if left out.
         needs_corrections: True if it learns from the task's corrections alone; may be left out.
     """
 
     Settings: Any
-    needs_model: bool
 
     def __call__(
         self,
         size: int,
         settings: Any,  # noqa: ANN401 - the class's own `Settings`
         rng: np.random.Generator,
-        model: Any = None,  # noqa: ANN401 - a `Model` or an `ErrorModel`
+        model: ErrorModel | None = None,
     ) -> Learner:
         """Construct a learner.
 
@@ -137,7 +123,7 @@ class LearnerClass(Protocol):
             size: Number of parameters.
             settings: Instance of `Settings`.
             rng: Source of the exploration noise; used by `ask` only.
-            model: Predictor of returns or of errors, given if and only if it is needed.
+            model: Predictor of errors, given if and only if it is needed.
 
         Raises:
             ValueError: If `size` is too small, or a model is missing or unused.
@@ -243,7 +229,6 @@ class GaussianLearner(ABC):
     """
 
     Settings: type[LearnerSettings] = LearnerSettings
-    needs_model = False
     needs_error_model = False
     size_min = 1
     settings: LearnerSettings
@@ -253,19 +238,18 @@ class GaussianLearner(ABC):
         size: int,
         settings: LearnerSettings,
         rng: np.random.Generator,
-        model: Any = None,  # noqa: ANN401 - a `Model` or an `ErrorModel`
+        model: ErrorModel | None = None,
     ) -> None:
         """Start at z = 0; see `LearnerClass`."""
         name = type(self).__name__
         if size < self.size_min:
             raise ValueError(f"size is {size}, {name} needs at least {self.size_min}")
-        needed = self.needs_model or self.needs_error_model
-        if (model is not None) != needed:
-            raise ValueError(f"{name} {'needs a' if needed else 'uses no'} model")
+        if (model is not None) != self.needs_error_model:
+            raise ValueError(f"{name} {'needs a' if self.needs_error_model else 'uses no'} model")
         self.size = size
         self.settings = settings
         self._rng = rng
-        self._model = model
+        self._model: Any = model  # an `ErrorModel` where it is needed
         self._rollouts = Rollouts(size)
         self._mean = np.zeros(size)
         self._noise: float | np.ndarray = 1.0  # standard deviation of the exploration

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, ValidationErr
 
 from wam_power_ros import installed
 from wam_power_ros.learning.demonstration import Demonstration
-from wam_power_ros.learning.learner import ErrorModel, Learner, Model, check_errors
+from wam_power_ros.learning.learner import ErrorModel, Learner, check_errors
 from wam_power_ros.learning.model_based import ModelBased
 from wam_power_ros.learning.policy import PERIOD
 from wam_power_ros.tasks.task import Task
@@ -110,47 +110,38 @@ class SessionSettings(BaseModel):
         try:
             task = self.make_task(kind.context_of([made_up], None))
             parametrization = task.parametrization(kind.policy_of([made_up], "made-up"))
-            model = task.model(parametrization, made_up.position[0])
             errors = task.error_model(parametrization, lambda policy: None)
         except Exception:  # of any task, at what is none of its movements: demonstrations will tell
             return
         rng = np.random.Generator(np.random.PCG64(0))
-        self.make_learner(parametrization.size, rng, model, errors)
+        self.make_learner(parametrization.size, rng, errors)
 
     def make_learner(
         self,
         size: int,
         rng: np.random.Generator,
-        task_model: Model | None,
-        error_model: ErrorModel | None = None,
+        model: ErrorModel | None = None,
     ) -> Learner:
         """Create a learner.
 
         Args:
             size: Number of parameters.
             rng: Random generator of the exploration.
-            task_model: Model of the task for a learner that needs one.
-            error_model: Model of the vector error of the task for a learner that needs one.
+            model: Model of the vector error of the task for a learner that needs one.
 
         Raises:
             ValueError: The learner needs a model and the task has none; names those that work.
         """
-        models = {
-            "needs_model": ("the returns", task_model),
-            "needs_error_model": ("the vector error", error_model),
-        }
-
         errors = installed.task_type(self.task).learnt_errors()
 
-        def given(name: str) -> list[Model | ErrorModel | None]:
+        def given(name: str) -> list[ErrorModel]:
             kind = installed.find("learner", name)
-            needed = [need for need in models if getattr(kind, need, False)]
-            for what, model in map(models.__getitem__, needed):
-                if model is None:
-                    text = f"learner {name!r} needs a model of {what}, which task {self.task!r}"
-                    raise ValueError(f"{text} with these settings does not have")
+            needed = getattr(kind, "needs_error_model", False)
+            if needed and model is None:
+                text = f"learner {name!r} needs a model of the vector error, which task"
+                raise ValueError(f"{text} {self.task!r} with these settings does not have")
             check_errors(kind, self.task, errors)
-            return [models[need][1] for need in needed]
+            return [model] if needed and model is not None else []
 
         def works(name: str) -> bool:
             try:
