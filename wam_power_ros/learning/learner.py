@@ -10,7 +10,6 @@ generator and of the rollouts: to restore it, tell a new learner the same rollou
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from bisect import insort
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -161,28 +160,23 @@ class LearnerSettings(BaseModel):
 
 
 class Rollouts:
-    """Coordinates and returns of past rollouts, oldest first."""
+    """Past rollouts, oldest first.
+
+    Attributes:
+        z: Coordinates, read-only. Shape (m, size).
+        returns: Returns, read-only. Shape (m,).
+    """
+
+    z: np.ndarray
+    returns: np.ndarray
 
     def __init__(self, size: int) -> None:
         """Start without rollouts; z has `size` elements."""
         self._size = size
-        self._z: np.ndarray
-        self._returns: np.ndarray
-        self._best_first: list[int]
         self.clear()
 
     def __len__(self) -> int:
-        return len(self._best_first)
-
-    @property
-    def z(self) -> np.ndarray:
-        """Coordinates, read-only. Shape (m, size)."""
-        return _read_only(self._z[: len(self)])
-
-    @property
-    def returns(self) -> np.ndarray:
-        """Returns, read-only. Shape (m,)."""
-        return _read_only(self._returns[: len(self)])
+        return len(self.returns)
 
     def elite(self, sigma: int) -> tuple[np.ndarray, np.ndarray]:
         """The `sigma` rollouts that `best_first` puts first, oldest first.
@@ -190,8 +184,8 @@ class Rollouts:
         Returns:
             Coordinates and returns. Shapes (k, size) and (k,), k at most `sigma`.
         """
-        indices = sorted(self._best_first[:sigma])
-        return self._z[indices], self._returns[indices]
+        indices = np.sort(best_first(self.returns)[:sigma])
+        return self.z[indices], self.returns[indices]
 
     def add(self, z: np.ndarray, ret: float) -> None:
         """Append a copy of a rollout.
@@ -204,17 +198,13 @@ class Rollouts:
             raise ValueError(f"z must be finite and of shape ({self._size},), got {z.shape}: {z}")
         if not (np.isfinite(ret) and ret >= 0.0):
             raise ValueError(f"a return must be finite and >= 0, got {ret}")
-        new = len(self)
-        if new == len(self._returns):  # doubled, so that a rollout costs the same at any number
-            self._z = np.concatenate([self._z, np.empty_like(self._z)])
-            self._returns = np.concatenate([self._returns, np.empty_like(self._returns)])
-        self._z[new], self._returns[new] = z, ret
-        insort(self._best_first, new, key=lambda index: (-self._returns[index], -index))
+        self.z = _read_only(np.vstack([self.z, z]))
+        self.returns = _read_only(np.append(self.returns, ret))
 
     def clear(self) -> None:
         """Discard all rollouts to start the next batch; arrays given out keep their values."""
-        self._z, self._returns = np.empty((8, self._size)), np.empty(8)
-        self._best_first = []
+        self.z = _read_only(np.empty((0, self._size)))
+        self.returns = _read_only(np.empty(0))
 
 
 class GaussianLearner(ABC):
@@ -298,12 +288,7 @@ def generator_state(rng: np.random.Generator) -> dict[str, Any]:
     Raises:
         ValueError: If the bit generator is not PCG64.
     """
-    state = rng.bit_generator.state
+    state = dict(rng.bit_generator.state)
     if state["bit_generator"] != "PCG64":
         raise ValueError(f"bit generator {state['bit_generator']!r} must be 'PCG64'")
-    return {
-        "bit_generator": "PCG64",
-        "state": {key: int(value) for key, value in state["state"].items()},
-        "has_uint32": int(state["has_uint32"]),
-        "uinteger": int(state["uinteger"]),
-    }
+    return state
