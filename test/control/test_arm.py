@@ -189,8 +189,8 @@ def test_a_joint_or_frame_that_does_not_match_is_named() -> None:
 @pytest.mark.parametrize(
     ("attribute", "value", "words"),
     [
-        ("armature", "-0.001", "armature .* must not be negative"),
-        ("armature", "nan", "armature .* must be 7 finite numbers"),
+        ("armature", "-0.001", "armature .-0.001. of joint .* that is not negative"),
+        ("armature", "nan", "armature .nan. of joint .* must be a finite number"),
         ("velocity", "0.0", "limit velocity = '0.0' of joint .* above 0"),
         ("effort", "0.0", "limit effort = '0.0' of joint .* above 0"),
         ("upper", "-9.0", "upper = '-9.0' of joint .* above -"),
