@@ -22,12 +22,13 @@ from wam_power_ros.learning.learner import (
     best_first,
     weighted_mean,
 )
-from wam_power_ros.learning.power import power_update
+from wam_power_ros.learning.power import SIGMA_DEFAULT, Power, power_update
 
 RIVALS = {  # name in a study -> name for a session
     name: f"{__name__}:{kind}"
     for name, kind in {
         "random": "RandomSearch",
+        "auto_power": "AutoPower",
         "adaptive_power": "AdaptivePower",
         "pi2_bb": "Pi2",
         "reinforce": "Reinforce",
@@ -36,6 +37,8 @@ RIVALS = {  # name in a study -> name for a session
         "bayesian_optimization": "BayesianOptimization",
     }.items()
 }
+SIGMAS = (2, 3, 4, 6, 8, 12, 16, 24)  # elite sizes that `choose_sigma` chooses from
+ROLLOUTS_MIN = 8  # smallest number of rollouts with which `choose_sigma` chooses
 # Of Bayesian optimisation
 LENGTHS = (0.25, 0.5, 1.0, 2.0)  # of the kernel, along a direction; that of the highest likelihood
 NOISES = (0.05, 0.2, 0.5)  # sd of a return, relative to that of all returns
@@ -51,6 +54,69 @@ class RandomSearch(GaussianLearner):
 
     def _update(self) -> None:
         self._mean = self._rollouts.z[int(np.argmax(self._rollouts.returns))]
+
+
+def choose_sigma(rollouts: np.ndarray, returns: np.ndarray) -> int:
+    """Choose the elite size with the largest expected gain, by leave-one-out. Not in the paper.
+
+    For each size s, and each rollout k left out in turn, m is the return-weighted mean of the s
+    best of the others and c the unweighted mean of the others:
+
+        d_k = m - c,    p_k = (theta_k - c) . d_k / |d_k|,
+        gain(s) = mean_k |d_k| cov_k(p, R) / var_k(p),
+
+    the length of the step from the centre of the rollouts to the mean of the elite, times the slope
+    of the return along that step at the rollouts left out. A small elite makes a large step, which
+    is uphill without noise in the returns. If its returns are high by chance, the rollouts left out
+    show a small slope, and a larger elite, which averages the noise, is chosen.
+
+    Args:
+        rollouts: Parameters of the past rollouts, oldest first. Shape (m, n).
+        returns: Returns of the past rollouts, >= 0. Shape (m,).
+
+    Returns:
+        The size in `SIGMAS` with the largest gain, the smaller one of equals; SIGMA_DEFAULT with
+        fewer than ROLLOUTS_MIN rollouts or if no gain is positive.
+    """
+    count = len(returns)
+    if count < ROLLOUTS_MIN:
+        return SIGMA_DEFAULT
+    order = best_first(returns)
+    rollouts, returns = rollouts[order], returns[order]
+    sums = np.cumsum(returns[:, np.newaxis] * rollouts, axis=0)  # sums over the best 1, 2, ...
+    weights = np.cumsum(returns)
+    centre = (rollouts.sum(axis=0) - rollouts) / (count - 1)  # (m, n), mean of all but k
+    best, chosen = 0.0, SIGMA_DEFAULT
+    for size in SIGMAS:
+        if size >= count - 1:
+            break
+        inside = np.arange(count) < size  # if k is in the elite, the next best replaces it
+        total = np.where(inside, weights[size] - returns, weights[size - 1])
+        if not (total > 0.0).all():
+            continue
+        own = returns[:, np.newaxis] * rollouts
+        step = np.where(inside[:, np.newaxis], sums[size] - own, sums[size - 1])
+        step = step / total[:, np.newaxis] - centre  # d_k, (m, n)
+        length = np.sqrt((step**2).sum(axis=1))
+        if not (length > 0.0).all():
+            continue
+        along = ((rollouts - centre) * step).sum(axis=1) / length  # p_k
+        spread = along - along.mean()
+        if not (variance := float((spread**2).mean())) > 0.0:
+            continue
+        gain = float(length.mean()) * float((spread * (returns - returns.mean())).mean()) / variance
+        if gain > best:
+            best, chosen = gain, size
+    return chosen
+
+
+class AutoPower(Power):
+    """PoWER whose elite has the size that `choose_sigma` chooses after every rollout."""
+
+    @property
+    def sigma(self) -> int:
+        """Size of the elite of the present rollouts."""
+        return choose_sigma(self._rollouts.z, self._rollouts.returns)
 
 
 class AdaptivePower(GaussianLearner):
