@@ -21,6 +21,7 @@ from wam_power_ros import compiled
 from wam_power_ros.arm_identity import ArmIdentity
 from wam_power_ros.control.corrections import Corrections
 from wam_power_ros.control.urdf_checks import number, require_physical, require_usable
+from wam_power_ros.learning.policy import read_only
 
 JOINTS_MAX = 64  # of a chain: the compiled loops have room for no more
 FRICTION_SPEED = 0.02  # [rad/s] width of the tanh that smooths Coulomb friction at standstill
@@ -208,7 +209,7 @@ class Arm:
         self._data = self.model.createData()
         self.guarded = tuple(point.name for point in guarded)
         self._guarded = [
-            self._point(self._frame(link), _checked(f"guarded point {name}", offset, 3))
+            self._point(self._frame(link), read_only(f"guarded point {name}", offset, (3,)))
             for name, link, offset in guarded
         ]
         self._moving = [*self._guarded, self._point(self._tool, np.zeros(3))]
@@ -326,10 +327,6 @@ class Arm:
         """Torque for an acceleration, by recursive Newton-Euler [N m]. Shape (n,)."""
         return pin.rnea(self.model, self._data, q, qd, qdd)
 
-    def forward_dynamics(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        """Acceleration under a torque, without friction [rad/s^2]. Shape (n,)."""
-        return pin.aba(self.model, self._data, q, qd, tau)
-
     def resisted_dynamics(
         self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, resistance: np.ndarray, dt: float
     ) -> np.ndarray:
@@ -421,13 +418,6 @@ def _armature(tree: ElementTree.Element, joint_name: str) -> float:
         text = f"armature {text!r} of joint {joint_name!r}"
         raise ValueError(f"{text} must be a finite number that is not negative")
     return armature
-
-
-def _checked(name: str, values: Sequence[float], count: int) -> np.ndarray:
-    array = np.array(values, dtype=float)
-    if array.shape != (count,) or not np.isfinite(array).all():
-        raise ValueError(f"{name} {array.tolist()} must be {count} finite numbers")
-    return array
 
 
 def _digest(numbers: list[str]) -> str:

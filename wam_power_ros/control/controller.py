@@ -117,7 +117,7 @@ class Controller:
             Mode.MOVE_TO_START: self._joint_torque,
             Mode.ROLLOUT: self._rollout_torque,
             Mode.REPLAY: self._joint_torque,
-            Mode.FAULT: self._fault_torque,
+            Mode.FAULT: self._supervision.reaction_torque,
         }
         self._law: Law = self._braking_torque
         self._set(Mode.INACTIVE if latched is None else Mode.FAULT)
@@ -616,9 +616,6 @@ class Controller:
 
     def _braking_torque(self, state: JointState, _: Motion | Speeds | None = None) -> np.ndarray:
         return self._damped_gravity(state, safety.FAULT_DAMPING, self.unexplained.compensation)
-
-    def _fault_torque(self, state: JointState, motion: Motion | Speeds) -> np.ndarray:
-        return self._supervision.reaction_torque(state, motion)
 
     def _teaching_torque(self, state: JointState, motion: Motion | Speeds) -> np.ndarray:
         before, step = self._states.before, 0.0

@@ -34,11 +34,6 @@ def prepare(policy: Policy, limits: Limits, settings: ControllerSettings) -> Tab
 
     Its `content` is given with `hold_to_run` alone.
 
-    Args:
-        policy: Policy to execute.
-        limits: Limits of the arm.
-        settings: Settings of the controller.
-
     Raises:
         ControllerError: The policy does not fit the arm.
     """
@@ -79,7 +74,7 @@ class Execution:
 
     Args:
         policy: Policy to execute, from `prepare`.
-        arm: Model of the arm.
+        arm: Model of the arm; its buffers are used.
         settings: Settings of the controller.
     """
 
