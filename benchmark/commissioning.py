@@ -94,7 +94,7 @@ def recorded(environment: Environment, plan: Excitation) -> tuple[Recording, str
     rng = np.random.default_rng([world.seed, 7])
     changed = world.settings.ticks(float(plan.sweeps[1, 1]))
     peak = np.zeros(2)
-    core.start_replay(interpolated(plan.t, plan.q, 1.0, core.settings.period))
+    core.start_replay(interpolated(plan.t, plan.q, core.settings.period))
     while core.mode is Mode.REPLAY:
         if len(rows) == changed:
             world.model.dof_frictionloss[: world.n] *= 1.0 + WARMER * rng.uniform(-1, 1, world.n)

@@ -157,7 +157,7 @@ class Replay:
             environment.tick()
         controller = environment.controller
         period, limits = controller.settings.period, controller.limits
-        controller.start_replay(replay_trajectory.sampled(movement, 1.0, period, limits))
+        controller.start_replay(replay_trajectory.sampled(*movement, period, limits))
         environment.world.release()
         while environment.controller.mode is not Mode.REPLAY:
             environment.tick()

@@ -197,7 +197,7 @@ def _waves(loop: Loop, rate: float, size: float) -> None:
     t = np.arange(0.0, 14.0, 0.02)
     wave = size * np.sin(rate * t) * np.minimum(t / 1.0, 1.0) ** 2
     q = HOME + np.outer(wave, [0.3, 0.6, 0.2, 1.0, 0.3, 0.8, 0.3])
-    loop.controller.start_replay(interpolated(t, q, 1.0, PERIOD))
+    loop.controller.start_replay(interpolated(t, q, PERIOD))
 
 
 def hold(loop: Loop, q: np.ndarray) -> None:

@@ -131,7 +131,7 @@ def whole(loop: Loop) -> None:
         loop.play(PERIOD)
     rollout(loop)
     q = loop.policy.q_start + 0.2 * np.sin(np.linspace(0.0, np.pi, 61))[:, None] ** 2 * np.ones(7)
-    core.start_replay(interpolated(np.linspace(0.0, 1.2, 61), q, 1.0, PERIOD))
+    core.start_replay(interpolated(np.linspace(0.0, 1.2, 61), q, PERIOD))
     loop.play(2.0)
     core.stop()
     core.deactivate()

@@ -126,7 +126,9 @@ def begin(q: np.ndarray = HOME, controller: Controller | None = None, **plant: o
 
 def start_replay(controller: Controller, trajectory: object, speed: float = 1.0) -> None:
     period, limits = controller.settings.period, controller.limits
-    controller.start_replay(replay_trajectory.sampled(trajectory, speed, period, limits))
+    controller.start_replay(
+        replay_trajectory.sampled(trajectory.t / speed, trajectory.q, period, limits)
+    )
 
 
 def run(

@@ -14,7 +14,6 @@ from wam_power_ros.control.safety import limits_of
 from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import robot_description
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
-from wam_power_ros.ros.joint_messages import JointMovement
 
 ARM = true_arm.plain()
 LIMITS = limits_of(ARM)
@@ -68,8 +67,7 @@ def test_every_arm_of_a_set_up_has_room_for_its_movement(arm: str) -> None:
     home = np.array(setup["wam_sim"]["home"])
     plan = module.excitation(setup.arm(), core.limits, home, np.random.default_rng(0))
     assert plan.t[-1] < 300.0
-    movement = JointMovement(plan.t, plan.q)
-    sampled(movement, 1.0, params.period, core.limits)  # raises beyond a limit
+    sampled(plan.t, plan.q, params.period, core.limits)  # raises beyond a limit
 
 
 def test_a_place_without_room_is_refused() -> None:

@@ -101,7 +101,7 @@ def test_a_reference_continues_from_the_last_one_and_after_a_release_from_the_me
 
 def test_only_the_states_of_a_replay_count_for_its_error() -> None:
     t = np.linspace(0.0, 0.1, 11)
-    replay = interpolated(t, HOME + 0.1 * t[:, None] * np.ones(7), 1.0, 0.002)
+    replay = interpolated(t, HOME + 0.1 * t[:, None] * np.ones(7), 0.002)
     control = holding()
     assert control.replay_error is None
     control.move(HOME + AWAY, 0.3)

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
@@ -95,22 +93,21 @@ def test_a_recording_with_a_gap_is_refused() -> None:
 
 def test_too_fast_a_replay_is_refused_with_the_largest_possible_speed() -> None:
     t, q = movement(*reader.read_demonstration(REACH, NAMES), 1.0)
-    trajectory = SimpleNamespace(t=t, q=q)
     with pytest.raises(ControllerError, match="times a joint-speed limit") as refused:
-        sampled(trajectory, 8.0, 0.002, LIMITS)
+        sampled(t / 8.0, q, 0.002, LIMITS)
     assert refused.value.refusal is Refusal.TOO_FAST
-    possible = float(refused.value.values["speed"])
+    possible = 8.0 * float(refused.value.values["speed"])
     assert 1.0 < possible < 8.0
-    assert np.abs(sampled(trajectory, 0.999 * possible, 0.002, LIMITS).qd / LIMITS.qd_max).max() < 1
+    assert np.abs(sampled(t / (0.995 * possible), q, 0.002, LIMITS).qd / LIMITS.qd_max).max() < 1
     with pytest.raises(ControllerError):
-        sampled(trajectory, 1.001 * possible, 0.002, LIMITS)
+        sampled(t / (1.005 * possible), q, 0.002, LIMITS)
 
 
 def test_a_movement_beyond_the_limits_or_of_another_arm_is_refused() -> None:
     t, q = movement(*reader.read_demonstration(REACH, NAMES), 1.0)
     for wrong, text in ((q + 3.0, "joint limits"), (q[:, :6], "6 joints"), (q[:3], "N >= 4")):
         with pytest.raises(ControllerError, match=text) as refused:
-            sampled(SimpleNamespace(t=t, q=wrong), 1.0, 0.002, LIMITS)
+            sampled(t, wrong, 0.002, LIMITS)
         assert refused.value.refusal is Refusal.REFUSED
 
 
@@ -123,12 +120,12 @@ def test_one_joint_beyond_its_limit_or_too_fast_in_either_direction_is_enough(jo
     for limit, sign in ((LIMITS.q_min, -1.0), (LIMITS.q_max, 1.0)):
         at, fast = still.copy(), still.copy()
         at[:, joint] = limit[joint]
-        assert sampled(SimpleNamespace(t=t, q=at), 1.0, 0.002, LIMITS).duration == 1.0
+        assert sampled(t, at, 0.002, LIMITS).duration == 1.0
         at[:, joint] += 1e-6 * sign
         with pytest.raises(ControllerError, match="joint limits"):
-            sampled(SimpleNamespace(t=t, q=at), 1.0, 0.002, LIMITS)
+            sampled(t, at, 0.002, LIMITS)
         room = 0.9 * abs(limit[joint] - still[0, joint])
         fast[:, joint] += sign * room * swing
         speed = 1.1 * LIMITS.qd_max[joint] / (1.875 * room)
         with pytest.raises(ControllerError, match=r"1\.10 times a joint-speed limit"):
-            sampled(SimpleNamespace(t=t, q=fast), speed, 0.002, LIMITS)
+            sampled(t / speed, fast, 0.002, LIMITS)

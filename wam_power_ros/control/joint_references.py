@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Joint references: a move, a recorded movement, braking to rest; and sequences of these."""
 
-import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,14 +9,6 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 import scipy
-
-
-class JointTrajectory(Protocol):
-    """A recorded joint movement, such as a `demonstration.Demonstration`."""
-
-    t: np.ndarray  # (N,) [s], increasing
-    q: np.ndarray  # (N, n) [rad]
-
 
 State = tuple[np.ndarray, np.ndarray, np.ndarray]  # q_ref, qd_ref, qdd_ref, each (n,)
 
@@ -118,13 +109,12 @@ class Sampled:
         return self.q[row], self.qd[row], self.qdd[row]
 
 
-def interpolated(t: npt.ArrayLike, q: npt.ArrayLike, speed: float, period: float) -> Sampled:
+def interpolated(t: npt.ArrayLike, q: npt.ArrayLike, period: float) -> Sampled:
     """Interpolate a recorded movement by a cubic spline and sample it at the control period.
 
     Args:
         t: Times, strictly increasing [s]. Shape (N,), N >= 4.
         q: Joint positions, smooth [rad]. Shape (N, n).
-        speed: Speed relative to the recording.
         period: Sampling period of the control loop [s].
 
     Raises:
@@ -137,12 +127,10 @@ def interpolated(t: npt.ArrayLike, q: npt.ArrayLike, speed: float, period: float
         np.isfinite(times).all() and np.isfinite(joints).all() and np.all(np.diff(times) > 0.0)
     ):
         raise ValueError("the times must increase and all values be finite")
-    if not 0.0 < speed < math.inf:
-        raise ValueError(f"speed {speed} must be positive")
-    duration = float(times[-1] - times[0]) / speed
+    duration = float(times[-1] - times[0])
     if duration > 600.0:
         raise ValueError(f"the movement takes {duration:.0f} s; at most 600 allowed")
-    spline = scipy.interpolate.CubicSpline((times - times[0]) / speed, joints)
+    spline = scipy.interpolate.CubicSpline(times - times[0], joints)
     grid = np.minimum(np.arange(round(duration / period) + 1) * period, duration)
     rows, speeds, accelerations = (spline(grid, order) for order in range(3))
     return Sampled(rows, speeds, accelerations, duration, period)

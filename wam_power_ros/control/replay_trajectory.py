@@ -7,9 +7,10 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+import numpy.typing as npt
 import scipy
 
-from wam_power_ros.control.joint_references import JointTrajectory, Sampled, interpolated
+from wam_power_ros.control.joint_references import Sampled, interpolated
 from wam_power_ros.control.modes import ControllerError, Refusal
 from wam_power_ros.control.safety import Limits
 from wam_power_ros.learning.demonstration import smooth_joints
@@ -53,13 +54,12 @@ def movement(
     return times, scipy.interpolate.CubicSpline(t, smooth)(np.clip(played * speed, 0.0, t[-1]))
 
 
-def sampled(trajectory: JointTrajectory, speed: float, period: float, limits: Limits) -> Sampled:
+def sampled(t: npt.ArrayLike, q: npt.ArrayLike, period: float, limits: Limits) -> Sampled:
     """Sample a joint movement at the control period, and check it against the limits of the arm.
 
     Args:
-        trajectory: `t` [s] increasing, shape (N,), and `q` [rad], shape (N, n); smooth, because its
-            second derivative is used.
-        speed: Speed relative to the recording.
+        t: Times, increasing [s]. Shape (N,).
+        q: Joint positions, smooth, because their second derivative is used [rad]. Shape (N, n).
         period: Sampling period of the joint states [s].
         limits: Limits of the arm.
 
@@ -68,8 +68,8 @@ def sampled(trajectory: JointTrajectory, speed: float, period: float, limits: Li
             limits, or is too fast.
     """
     try:
-        movement = interpolated(trajectory.t, trajectory.q, speed, period)
-    except (ValueError, TypeError, AttributeError) as error:
+        movement = interpolated(t, q, period)
+    except (ValueError, TypeError) as error:
         raise ControllerError(Refusal.REFUSED, f"replay refused: {error}") from None
     n = len(limits.q_min)
     if movement.q.shape[1] != n:
@@ -81,5 +81,5 @@ def sampled(trajectory: JointTrajectory, speed: float, period: float, limits: Li
     share = float(np.max(np.abs(movement.qd) / limits.qd_max))
     if share > 1.0:
         text = f"replay refused: the movement reaches {share:.2f} times a joint-speed limit"
-        raise ControllerError(Refusal.TOO_FAST, text, {"speed": f"{speed / share:.3f}"})
+        raise ControllerError(Refusal.TOO_FAST, text, {"speed": f"{1.0 / share:.3f}"})
     return movement

@@ -195,7 +195,7 @@ class Environment:
             resetting.add(self.tracker.at(world.time_ns), world.time_ns)
             if (move := resetting.move) is not None:
                 settings, limits = controller.settings, controller.limits
-                controller.start_replay(sampled(move, 1.0, settings.period, limits))
+                controller.start_replay(sampled(move.t, move.q, settings.period, limits))
                 while controller.mode is Mode.REPLAY or not controller.at_rest:
                     self.tick()
                 resetting.move = None

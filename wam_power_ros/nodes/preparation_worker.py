@@ -208,8 +208,8 @@ class PreparationWorker(Node):
         settings, limits = self._arm()
         if (points := len(message.points)) > POINTS_MAX:
             raise ValueError(f"{points} points; at most {POINTS_MAX} allowed")
-        movement = joint_messages.movement(message, self._joint_names)
-        sampled = replay_trajectory.sampled(movement, 1.0, settings.period, limits)
+        t, q = joint_messages.movement(message, self._joint_names)
+        sampled = replay_trajectory.sampled(t, q, settings.period, limits)
         values = {"duration": sampled.duration, "period": sampled.period}
         arrays = {"q": sampled.q, "qd": sampled.qd, "qdd": sampled.qdd}
         about = {"what": "movement", "id": id, "movement": values, "sent": sent}
