@@ -96,8 +96,8 @@ ALLOWED["benchmark"] = {*ALLOWED}
 # what can go; where nothing can, the commit that raises a figure says why.
 BUDGET = {
     "ground": 1447,  # the modules of wam_power_ros/ itself; a learner is also found by its class
-    "learning": 2535,
-    "control": 4970,  # the reaction asks in every state what is believed, knows a mass, and a drift
+    "learning": 2474,
+    "control": 4881,  # the reaction asks in every state what is believed, knows a mass, and a drift
     "commissioning": 1221,
     "tracking": 620,
     "tasks": 3577,  # what follows from the errors of any task is written here once
@@ -107,7 +107,7 @@ BUDGET = {
     "params": 1140,
     "ros": 2810,
     "client": 1450,
-    "nodes": 3292,
+    "nodes": 3275,
     "console": 983,
     "view": 1430,
     "reporting": 990,
@@ -116,7 +116,7 @@ BUDGET = {
     "hardware_sim": 3365,
     "launch": 260,
     "examples": 380,
-    "reproduction": 4584,  # learners that only studies compare with, and their models
+    "reproduction": 4653,  # learners that only studies compare with, and their models
     "benchmark": 5369,  # the matrix of the reaction has a plant of its own
 }
 PURE = (
