@@ -167,7 +167,7 @@ def test_margins_and_models_of_another_return_are_not_used(monkeypatch: pytest.M
     def begun(kind: type[Task]) -> Improvement:
         task = kind(screened.task_settings, CONTEXT)
         rng = np.random.default_rng(0)
-        return Improvement(parametrization, screened, task, rng, arm, (), 0)
+        return Improvement(parametrization, screened, task, rng, arm, ())
 
     assert begun(Reach).learner is not None
     with pytest.raises(ValueError, match="needs a model of the returns"):

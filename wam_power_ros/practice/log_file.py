@@ -11,11 +11,11 @@ import logging
 import os
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from wam_power_ros import durable_files, plain_json
 from wam_power_ros.practice.session_log import Line, Record, out_of_order, parse_line
-from wam_power_ros.practice.settings import in_one_line
+from wam_power_ros.practice.settings import validated
 
 LOG, ACKNOWLEDGED = "rollouts.jsonl", "acknowledged.json"
 RESTORE = "Restore it from a backup; nothing was changed."
@@ -25,13 +25,7 @@ _log = logging.getLogger(__name__)
 
 
 class _Acknowledged(BaseModel):
-    """Contents of acknowledged.json.
-
-    Attributes:
-        rollouts: Number of rollouts in the log.
-        bytes: Size of the log [byte].
-        sha256: SHA-256 of the log, hexadecimal.
-    """
+    """Contents of acknowledged.json: number of rollouts, size [byte] and SHA-256 of the log."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -54,11 +48,23 @@ class LogFile:
             ValueError: The log is malformed, or has lost acknowledged lines.
         """
         self.folder = folder
-        self.lines, data = read_lines(folder)
+        self.lines, data, acknowledged = read_lines(folder)
         self._size, self._digest = len(data), hashlib.sha256(data)
         self._count = sum(isinstance(line, Record) for line in self.lines)
-        self._file = self._open()
-        if self.lines and _read_acknowledged(folder) != self._state():
+        path = folder / LOG
+        self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
+        if incomplete := os.fstat(self._file).st_size - self._size:
+            _log.warning(
+                "%s: cut off %d bytes after line %d: a line was being written when the session "
+                "ended and was never acknowledged; if it is a rollout, it is executed again",
+                path,
+                incomplete,
+                len(self.lines),
+            )
+            os.ftruncate(self._file, self._size)
+        os.fsync(self._file)
+        durable_files.sync(folder)
+        if self.lines and acknowledged != self._state():
             self._acknowledge()  # killed before it could, or a session of an earlier version
 
     def append(self, entry: Line) -> None:
@@ -79,7 +85,9 @@ class LogFile:
             raise ValueError(f"{self.folder}: line would not be readable: {error}") from None
         try:
             with durable_files.naming(self.folder / LOG):
-                _write_all(self._file, line)
+                left = memoryview(line)
+                while left:
+                    left = left[os.write(self._file, left) :]
                 os.fsync(self._file)
         except OSError:
             os.ftruncate(self._file, self._size)
@@ -107,32 +115,18 @@ class LogFile:
         except OSError as error:
             _log.warning("could not be written: %s", durable_files.explained(error))
 
-    def _open(self) -> int:
-        path = self.folder / LOG
-        file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
-        incomplete = os.fstat(file).st_size - self._size
-        if incomplete:
-            _log.warning(
-                "%s: cut off %d bytes after line %d: a line was being written when the session "
-                "ended and was never acknowledged; if it is a rollout, it is executed again",
-                path,
-                incomplete,
-                len(self.lines),
-            )
-            os.ftruncate(file, self._size)
-        os.fsync(file)
-        durable_files.sync(self.folder)
-        return file
 
+def read_lines(folder: Path) -> tuple[list[Line], bytes, _Acknowledged | None]:
+    """Read the complete lines of a log, their bytes, and what was acknowledged last.
 
-def read_lines(folder: Path) -> tuple[list[Line], bytes]:
-    """Read the complete lines of a log, and their bytes.
+    Nothing is acknowledged of a session without a line, or of an earlier version.
 
     Raises:
         ValueError: The log is malformed, or has lost acknowledged lines.
     """
-    path = folder / LOG
-    acknowledged = _read_acknowledged(folder)  # before the log: a learner may be writing
+    path, noted, acknowledged = folder / LOG, folder / ACKNOWLEDGED, None
+    if noted.is_symlink() or noted.exists():  # before the log: a learner may be writing
+        acknowledged = validated(_Acknowledged, plain_json.read(noted), f"{noted}: ")
     data = b""
     if path.is_symlink() or path.exists():
         durable_files.check_regular(path)
@@ -144,14 +138,24 @@ def read_lines(folder: Path) -> tuple[list[Line], bytes]:
     for number, text in enumerate(data[:size].split(b"\n")[:-1], start=1):
         try:
             line = parse_line(text.decode())
+            if why := out_of_order(line, count):
+                raise ValueError(why)
         except ValueError as error:
             raise ValueError(f"{path}, line {number}: {error}") from None
-        if why := out_of_order(line, count):
-            raise ValueError(f"{path}, line {number}: {why}")
         count += isinstance(line, Record)
         log.append(line)
     if acknowledged is not None:
-        _check_acknowledged(path, data, acknowledged)
+        found = ""
+        if len(data) < acknowledged.bytes:
+            found = f"has {len(data)} bytes" if path.exists() else "is missing"
+        elif hashlib.sha256(data[: acknowledged.bytes]).hexdigest() != acknowledged.sha256:
+            found = "has other contents"
+        if found:
+            raise ValueError(
+                f"{path} {found}: {acknowledged.rollouts} rollouts in {acknowledged.bytes} bytes "
+                f"were acknowledged, and some of them are lost. {RESTORE} To continue with the "
+                f"rest, delete {noted}"
+            )
     if len(data) - size > _LINE_MAX:
         raise ValueError(
             f"{path}: {len(data) - size} bytes after line {len(log)} are not a log line"
@@ -161,36 +165,4 @@ def read_lines(folder: Path) -> tuple[list[Line], bytes]:
             f"{path} has no rollout, but {folder / 'policy.json'} was learnt from some: they are "
             f"lost. {RESTORE} To begin again with the same demonstrations, delete policy.json"
         )
-    return log, data[:size]
-
-
-def _check_acknowledged(path: Path, data: bytes, acknowledged: _Acknowledged) -> None:
-    """Raise ValueError if the data of a log lack what was acknowledged."""
-    if len(data) < acknowledged.bytes:
-        found = f"has {len(data)} bytes" if path.exists() else "is missing"
-    elif hashlib.sha256(data[: acknowledged.bytes]).hexdigest() != acknowledged.sha256:
-        found = "has other contents"
-    else:
-        return
-    raise ValueError(
-        f"{path} {found}: {acknowledged.rollouts} rollouts in {acknowledged.bytes} bytes were "
-        f"acknowledged, and some of them are lost. {RESTORE} To continue with the rest, delete "
-        f"{path.with_name(ACKNOWLEDGED)}"
-    )
-
-
-def _read_acknowledged(folder: Path) -> _Acknowledged | None:
-    """Last acknowledgement; None for a session without a rollout, or of an earlier version."""
-    path = folder / ACKNOWLEDGED
-    if not (path.is_symlink() or path.exists()):
-        return None
-    try:
-        return _Acknowledged.model_validate(plain_json.read(path))
-    except ValidationError as error:
-        raise ValueError(f"{path}: {in_one_line(error)}") from None
-
-
-def _write_all(file: int, data: bytes) -> None:
-    view = memoryview(data)
-    while view:
-        view = view[os.write(file, view) :]
+    return log, data[:size], acknowledged

@@ -31,7 +31,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from wam_power_ros import durable_files, plain_json, plain_yaml
 from wam_power_ros.arm_identity import ArmIdentity, refusal
@@ -41,10 +41,17 @@ from wam_power_ros.practice.improvement import ArmModel
 from wam_power_ros.practice.log_file import LogFile, read_lines
 from wam_power_ros.practice.practice import Practice, check_candidates
 from wam_power_ros.practice.session_log import Line, NewDemonstration, Record, with_ratings
-from wam_power_ros.practice.settings import SessionSettings, in_one_line
+from wam_power_ros.practice.settings import SessionSettings, validated
 from wam_power_ros.tasks.task import Task
 
 PACKAGES = ("numpy", "scipy", "pydantic", "pin", "mujoco", "rosbags", "ros-jazzy-rclpy")
+
+
+def _read_policy(path: Path) -> Policy:
+    try:
+        return policies.from_json(path.read_text(encoding="utf-8"))
+    except ValueError as error:  # also of bytes that are no text
+        raise ValueError(f"{path} is not a policy: {error}") from None
 
 
 def read_policy(path: Path, arm: ArmIdentity) -> Policy:
@@ -54,41 +61,28 @@ def read_policy(path: Path, arm: ArmIdentity) -> Policy:
         ValueError: The file is not a policy, or one of another arm.
         OSError: It cannot be read.
     """
-    try:
-        policy = policies.from_json(path.read_text(encoding="utf-8"))
-    except ValueError as error:  # also of bytes that are no text
-        raise ValueError(f"{path} is not a policy: {error}") from None
+    policy = _read_policy(path)
     if why := refusal(policy.arm, arm):
         raise ValueError(f"{path}: policy {policy.id} {why}")
     return policy
 
 
 class SessionHeader(BaseModel):
-    """Contents of session.yaml.
-
-    Attributes:
-        schema_: Version of this layout ("schema" in YAML).
-        seed: Seed of the exploration, and of the simulator in simulation.
-        settings: Settings of practice, task and learner.
-        candidates: Ids of the candidate policies, in their order.
-        demonstrations: Bags that the candidates were fitted to, as given.
-        versions: Versions of the software at the beginning, see `versions`.
-        resumed: Versions at each resumption that changed them, oldest first.
-        clock: Wall-clock figures; empty.
-    """
+    """Contents of session.yaml."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
 
     schema_: Literal["wam_power_ros/session/2"] = Field(
         default="wam_power_ros/session/2", alias="schema"
     )
-    seed: int = Field(ge=0)
+    seed: int = Field(ge=0)  # of the exploration, and of the simulator in simulation
     settings: SessionSettings
-    candidates: list[str] = Field(min_length=1)
-    demonstrations: list[str]
-    versions: dict[str, str]
+    candidates: list[str] = Field(min_length=1)  # ids of the candidate policies, in their order
+    demonstrations: list[str]  # bags that the candidates were fitted to, as given
+    versions: dict[str, str]  # of the software at the beginning, see `versions`
+    # Versions at each resumption that changed them, oldest first
     resumed: list[dict[str, str]] = Field(default_factory=list)
-    clock: dict[str, Any]
+    clock: dict[str, Any]  # wall-clock figures; empty
 
     @field_validator("candidates")
     @classmethod
@@ -119,21 +113,14 @@ def _read_head(folder: Path) -> tuple[SessionHeader, tuple[Policy, ...], dict[st
     path = folder / "session.yaml"
     if not path.is_file():
         raise ValueError(f"{folder} holds no session: there is no session.yaml")
-    try:
-        header = SessionHeader.model_validate(plain_yaml.read(path))
-    except ValidationError as error:
-        raise ValueError(f"{path}: {in_one_line(error)}") from None
+    header = validated(SessionHeader, plain_yaml.read(path), f"{path}: ")
     candidates = []
     for id in header.candidates:
         path = folder / "candidates" / f"{id}.json"
         durable_files.check_regular(path)
-        try:
-            candidate = policies.from_json(path.read_text(encoding="utf-8"))
-        except ValueError as error:
-            raise ValueError(f"{path}: {error}") from None
-        if candidate.id != id:
-            raise ValueError(f"{path}: holds policy {candidate.id!r}, expected {id!r}")
-        candidates.append(candidate)
+        candidates.append(_read_policy(path))
+        if candidates[-1].id != id:
+            raise ValueError(f"{path}: holds policy {candidates[-1].id!r}, expected {id!r}")
     return header, tuple(candidates), plain_json.read(folder / "task.json")
 
 
@@ -149,8 +136,6 @@ class Session:
     Close a locked one, or use it as a context manager.
 
     Attributes:
-        folder: Folder of the session.
-        header: Contents of session.yaml.
         context: Contents of task.json.
         candidates: Policies that the session began with.
         log: Lines of the log, oldest first.
@@ -164,7 +149,7 @@ class Session:
         self._saved = ""  # text of the policy saved last
         self._file = None if lock is None else LogFile(folder)
         self.log = read_lines(folder)[0] if self._file is None else self._file.lines
-        if self._file is not None:
+        if lock is not None:
             self._compare_versions()
 
     @staticmethod
@@ -186,7 +171,7 @@ class Session:
         """Begin a session in a new folder, or in one whose creation was interrupted.
 
         Args:
-            folder: Folder of the session; created with its parents.
+            folder: Created with its parents.
             settings: Settings of the session.
             seed: Seed of the exploration.
             candidates: Policies fitted to the demonstrations.
@@ -194,13 +179,14 @@ class Session:
             demonstrations: Bags that the candidates were fitted to.
 
         Raises:
-            ValueError: The folder holds a session already, or another process has locked it.
-            ValueError: `check_candidates` refuses the candidates.
+            ValueError: The folder holds a session already, another process has locked it, or
+                `check_candidates` refuses the candidates.
         """
         check_candidates(candidates, settings.practice)
         folder = Path(folder)
         new = [folder, *(parent for parent in folder.parents if not parent.exists())]
-        folder.mkdir(parents=True, exist_ok=True)
+        for name in ("candidates", "bags"):
+            (folder / name).mkdir(parents=True, exist_ok=True)
         with _locked(folder) as lock:
             if cls.exists(folder) or (folder / "rollouts.jsonl").exists():
                 raise ValueError(f"{folder} holds a session already; open it, or name another")
@@ -212,8 +198,6 @@ class Session:
                 versions=versions(),
                 clock={},
             )
-            (folder / "candidates").mkdir(exist_ok=True)
-            (folder / "bags").mkdir(exist_ok=True)
             for policy in candidates:
                 path = folder / "candidates" / f"{policy.id}.json"
                 durable_files.replace(path, policies.to_json(policy))
@@ -234,11 +218,9 @@ class Session:
             ValueError: There is no session, another process has locked it, a file is malformed,
                 or the log has lost acknowledged lines; names the file and line.
         """
-        folder = Path(folder)
-        if not cls.exists(folder):
-            raise ValueError(f"{folder} holds no session: there is no session.yaml")
-        with _locked(folder) as lock:
-            return cls(folder, lock)
+        _read_head(Path(folder))  # what is no session gets no lock
+        with _locked(Path(folder)) as lock:
+            return cls(Path(folder), lock)
 
     @property
     def records(self) -> tuple[Record, ...]:
