@@ -39,6 +39,7 @@ DRAWN = st.fixed_dictionaries(
 def record(number: int, **changes: Any) -> Record:  # noqa: ANN401
     values: dict[str, Any] = {"kind": "mean", "demonstration": "one", "ret": 0.5, "success": True}
     values |= {"attempt": 1, "terms": {}, "why": "", "note": "", "observation": None, "fault": ""}
+    values |= {"bag": "", "truth": None, "clock": {}}
     values |= {"z": PLACES[1], "generator": {}} | changes
     learnt = values["ret"] is not None and values["kind"] != "retest"
     values |= {"learnt": learnt, "learnt_as": values["z"] if learnt else None}

@@ -45,20 +45,19 @@ def choose_best(
 
     Args:
         records: Rollouts of the session.
-        parametrizations: Parametrizations of the demonstrations, by id.
+        parametrizations: Those of the demonstrations, by id.
         demonstration: Id of the current demonstration, None before the choice.
         answer: Coordinates of the session's answer, None while learning. Shape (size,).
         stopped: Reason why learning stopped.
         return_noise: Standard deviation of the return of one policy.
     """
+    refused = {record.executed for record in records if record.refused}
     runs_of: dict[tuple[str, tuple[float, ...]], list[Record]] = {}  # in the order of first runs
     for record in records:
+        usable = record.ret is not None and record.kind != "explore"
         current = demonstration in (None, record.demonstration)
-        if current and record.ret is not None and record.kind != "explore":
+        if usable and current and record.executed not in refused:
             runs_of.setdefault(record.executed, []).append(record)
-    for record in records:
-        if record.refused:
-            runs_of.pop(record.executed, None)
     if not runs_of:
         return None
     known = [*runs_of.values()]
@@ -123,30 +122,20 @@ def reproduction_learnt_from(records: Sequence[Record]) -> Record | None:
     return next((r for r in usable if practised and r.demonstration == practised[-1]), None)
 
 
-def choose_demonstration(reproductions: Sequence[Record]) -> tuple[int, str]:
-    """Choose the reproduction with the highest return, including ratings.
+def choose_demonstration(reproductions: Sequence[Record]) -> tuple[Record | None, str]:
+    """Choose the reproduction with the highest return, including ratings; the first one on a tie.
 
-    The authors selected one good demonstration of a small series ([Kormushev2010], Sec. IV).
-
-    Args:
-        reproductions: One record for each candidate; those without a return or with a fault are not
-            eligible.
+    The authors selected one good demonstration of a small series ([Kormushev2010], Sec. IV). One
+    without a return or with a fault is not eligible.
 
     Returns:
-        Index into `reproductions`, the first one on a tie, and a human-readable reason.
-
-    Raises:
-        ValueError: No reproduction is eligible.
+        The reproduction, None if none is eligible, and a human-readable reason.
     """
-    eligible = [
-        index
-        for index, record in enumerate(reproductions)
-        if record.rated_return is not None and not record.fault
-    ]
+    eligible = [r for r in reproductions if r.ret is not None and not r.fault]
     if not eligible:
         reasons = "; ".join(f"{record.demonstration}: {record.why}" for record in reproductions)
-        raise ValueError(f"no demonstration could be reproduced ({reasons})")
-    best = max(eligible, key=lambda index: float(reproductions[index].rated_return or 0.0))
+        return None, f"no demonstration could be reproduced ({reasons})"
+    best = max(eligible, key=lambda record: record.rated_return or 0.0)
     count = len(reproductions)
     rank = f"highest return of {count} reproductions" if count > 1 else "the only reproduction"
-    return best, f"{rank}, {reproductions[best].rated_return:.3f}"
+    return best, f"{rank}, {best.rated_return:.3f}"

@@ -10,7 +10,7 @@ halvings is logged: a replay passes it in, and nothing is simulated; otherwise i
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Foreseen
 from wam_power_ros.practice.best_policy import best_without_fault, ended_by_fault, overruns
-from wam_power_ros.practice.session_log import Kind, Record
+from wam_power_ros.practice.session_log import Record, Trial
 from wam_power_ros.practice.settings import SessionSettings
 from wam_power_ros.practice.stopping_rule import StoppingRule
 from wam_power_ros.tasks.task import Task
@@ -56,13 +56,9 @@ class ArmModel(Protocol):
 def feasibility(
     parametrization: Parametrization, arm: ArmModel, overruns: int, name: str
 ) -> Callable[[np.ndarray], bool]:
-    """Function of z (size,): whether its policy, which is simulated under a name, is feasible.
+    """Function of z (size,): whether its policy, simulated under a name, is feasible.
 
-    Args:
-        parametrization: Parametrization of the demonstration.
-        arm: Model of the arm.
-        overruns: See `ArmModel.infeasible`.
-        name: Id of the simulated policies.
+    For `overruns` see `ArmModel.infeasible`.
     """
 
     def is_feasible(z: np.ndarray) -> bool:
@@ -124,17 +120,6 @@ def _first(
     return z, count
 
 
-class Draw(NamedTuple):
-    """What is executed next; the attributes are those of a `Trial`."""
-
-    kind: Kind
-    demonstration: str
-    z: np.ndarray
-    rejections: int
-    purpose: str
-    attempt: int = 1
-
-
 class Improvement:
     """Selects trials around one demonstration and learns from their records.
 
@@ -143,10 +128,6 @@ class Improvement:
         learner: Learner; read-only for callers.
         practised: Number of finished trials of the practice, including dropped ones.
         rule: Stopping rule; read-only for callers.
-
-    Args:
-        records: Rollouts of the session, to which the caller appends; those of this demonstration
-            so far are learnt from.
     """
 
     def __init__(
@@ -159,6 +140,7 @@ class Improvement:
         records: Sequence[Record],
         practised: int = 0,
     ) -> None:
+        """Learn from the records of this demonstration; the caller appends to those it gives."""
         self.demonstration = parametrization.policy0.id
         self.parametrization = parametrization
         self.practised = practised
@@ -191,16 +173,12 @@ class Improvement:
                 if record.adjustment and isinstance(self.learner, MeasuringLearner):
                     self.learner.trust_returns()
 
-    def draw(self, rejections: int | None) -> Draw:
-        """Next trial: the mean being confirmed, the current mean, or an exploration.
-
-        Args:
-            rejections: Logged number of rejections in a replay, else None; see `sample`.
-        """
-        name, rule, settings = self.demonstration, self.rule, self._settings.practice
+    def draw(self, number: int, rejections: int | None) -> Trial:
+        """Next trial: the mean being confirmed, the current mean, or an exploration."""
+        own, rule, settings = self.parametrization, self.rule, self._settings.practice
         if rule.z is not None:
             nth = f"{rule.count + 1} of at most {settings.confirm}"
-            return Draw("mean", name, rule.z, 0, f"confirms the mean policy, {nth}")
+            return Trial.of(number, own, "mean", rule.z, f"confirms the mean policy, {nth}")
         every = settings.mean_every
         if rule.mean_is_due or (every > 0 and (self.practised + 1) % every == 0):
             z, count, is_mean = *self.shrunk(self.learner.mean, rejections), True
@@ -208,8 +186,9 @@ class Improvement:
             z, count = sample(self.learner, self._ran, self._is_feasible, rejections)
             is_mean = count == 0 and np.array_equal(z, self.learner.mean)  # without exploration
         if is_mean:
-            return Draw("mean", name, z, count, "the mean policy, without exploration")
-        return Draw("explore", name, z, count, "explores")
+            purpose = "the mean policy, without exploration"
+            return Trial.of(number, own, "mean", z, purpose, count)
+        return Trial.of(number, own, "explore", z, "explores", count)
 
     def shrunk(self, z: np.ndarray, halvings: int | None) -> tuple[np.ndarray, int]:
         """Coordinates shrunk until they are feasible, and the number of halvings; see `shrink`."""

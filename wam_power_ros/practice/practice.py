@@ -24,7 +24,7 @@ from wam_power_ros.learning.policy import Policy, check_id, to_json
 from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.practice import session_log
 from wam_power_ros.practice.best_policy import Best, choose_best, choose_demonstration, overruns
-from wam_power_ros.practice.improvement import ArmModel, Draw, Improvement, feasibility
+from wam_power_ros.practice.improvement import ArmModel, Improvement, feasibility
 from wam_power_ros.practice.session_log import Line, NewDemonstration, Pause, Rating, Record, Trial
 from wam_power_ros.practice.settings import PracticeSettings, SessionSettings
 from wam_power_ros.tasks.task import Assessment, Task
@@ -67,30 +67,26 @@ class Practice:
     `add_demonstration` and `pause` return are to be appended to the log before any other; their
     `clock` is wall-clock figures, logged only, but for `took` [s], which counts towards `minutes`.
 
+    The rules, whose reasons docs/method.md gives:
+
     * Each candidate is reproduced once; `choose_demonstration` chooses one; its reproduction is the
-      learner's first rollout, at z = 0.
-    * A rollout without a return is no evidence about its policy: nothing is learnt from it and the
-      same z is executed again, up to `attempts` times, then dropped. So a transient failure does
-      not change the course of learning.
+      learner's first rollout, at z = 0. If it succeeded, the mean is run next.
+    * A rollout without a return is not learnt from; the same z is executed again, up to `attempts`
+      times, then dropped. So a transient failure does not change the course of learning.
     * A rollout ended by a motion limit is learnt from with return 0: the policy caused it. So is
       one that a fault ended, if the next attempt ends by a torque which is not explained: a contact
       may be chance, but a policy may also want more than motors give at their speed.
     * A rollout that a person ended is learnt from with return 0 and pauses the session. Its policy
       is never run again; a re-test that a person ended has failed and is the last one.
     * An infeasible policy is not executed, see `improvement.sample`.
-    * If the chosen reproduction succeeded, the mean is run next.
     * A mean that succeeds is run again, unchanged, until it fails or `StoppingRule` is satisfied;
-      all these runs are learnt from. Returns are noisy and lucky rollouts stay in the elite for
-      ever; running the mean again separates luck from skill.
+      all these runs are learnt from.
     * The session stops when a mean is confirmed or the budget is used. Its answer is the confirmed
       mean or else the last one; the answer is re-tested and does not change any more.
-    * A person may add to the return of any usable rollout (`rate`) while learning: the learner is
-      rebuilt from all rollouts, with `Record.rated_return`. A punished rollout is no success.
-    * A person may add a demonstration (`add_demonstration`), which is reproduced next. If its
-      return exceeds the mean of the last five rollouts, learning restarts from it with the rest
-      of the budget; otherwise learning continues unchanged. The two are not mixed: a weighted mean
-      of different demonstrations smooths out the peaks of acceleration that make a toss
-      ([Kormushev2010], Sec. IV).
+    * After a rating (`rate`) the learner is rebuilt from all rollouts, with `Record.rated_return`.
+      A punished rollout is no success.
+    * A demonstration that is added (`add_demonstration`) is reproduced next. If its return exceeds
+      the mean of the last five rollouts, learning restarts from it with the rest of the budget.
     * Ratings and demonstrations take effect on the next trial, not on the one being executed.
 
     Attributes:
@@ -110,15 +106,15 @@ class Practice:
         arm: ArmModel,
         log: Sequence[Line] = (),
     ) -> None:
-        """Begin a session, or resume it after the last line of `log`, whose oldest is the first.
+        """Begin a session, or resume it after the last line of `log`, oldest first.
 
         Args:
             settings: Settings of the session.
             context: Data of the demonstrations that the task needs, see `Task.context_of`.
-            candidates: Policies fitted to the demonstrations, with distinct ids.
+            candidates: Policies fitted to the demonstrations. They are not simulated: the caller
+                checks `reproduction_of` each.
             seed: Seed of the exploration, >= 0.
-            arm: Model of the arm. These candidates are not simulated: the caller checks
-                `reproduction_of` each.
+            arm: Model of the arm.
             log: Lines of the log.
 
         Raises:
@@ -129,10 +125,8 @@ class Practice:
         check_candidates(candidates, settings.practice)
         self.settings = settings
         self.task = settings.make_task(context)
-        self.choice = ""
-        self.used = 0
-        self.seconds = 0.0
-        self.stopped = self.paused = ""
+        self.choice = self.stopped = self.paused = ""
+        self.used, self.seconds = 0, 0.0
         self._arm = arm
         self._rng = np.random.Generator(np.random.PCG64(seed))
         self._candidates = list(candidates)
@@ -140,7 +134,7 @@ class Practice:
         self._improvement: Improvement | None = None
         self._reproductions: list[int] = []  # rollout number for each candidate
         self._retried: Record | None = None  # whose z is executed again
-        self._answer: np.ndarray | None = None
+        self._answer: np.ndarray | None = None  # re-tested once learning has stopped
         self._retested = 0
         self._records: list[Record] = []
         self._refused: set[tuple[str, tuple[float, ...]]] = set()  # as `Record.executed`
@@ -197,14 +191,10 @@ class Practice:
     @property
     def best(self) -> Best | None:
         """Best policy so far, see `choose_best`."""
-        return choose_best(
-            self._records,
-            self._parametrizations,
-            None if self._improvement is None else self._improvement.demonstration,
-            self._answer,
-            self.stopped,
-            self.settings.practice.return_noise,
-        )
+        name = None if self._improvement is None else self._improvement.demonstration
+        noise = self.settings.practice.return_noise
+        known, answer = self._parametrizations, self._answer
+        return choose_best(self._records, known, name, answer, self.stopped, noise)
 
     def next_trial(self) -> Trial | None:
         """Trial to execute now, the same until it is recorded; None when finished."""
@@ -213,10 +203,7 @@ class Practice:
     def learn(self, trial: Trial, rollout: Rollout, **logged: Any) -> Record:  # noqa: ANN401
         """Assess the rollout of the trial that `next_trial` returned, and learn from it.
 
-        Args:
-            trial: The trial.
-            rollout: Its rollout.
-            **logged: `bag`, name of its bag; `truth`, ground truth of the simulator; `clock`.
+        What is `logged` is the name of its `bag`, the `truth` of a simulator and its `clock`.
 
         Raises:
             ValueError: This is not the trial that is due, or a path is of another rollout.
@@ -241,12 +228,8 @@ class Practice:
     ) -> Record:
         """Learn from a rollout that the caller has assessed; otherwise like `learn`.
 
-        Args:
-            trial: Trial that `next_trial` returned.
-            assessment: Assessment of its rollout.
-            fault: Text of the fault or the person's stop that ended it, empty without.
-            refused: Whether a person ended it.
-            **logged: See `learn`.
+        A `fault` is the text of the fault or the person's stop that ended it, empty without; it is
+        `refused` if a person did.
 
         Raises:
             ValueError: This is not the trial that is due, or the return is negative or not finite.
@@ -271,19 +254,16 @@ class Practice:
                 fault=fault,
                 refused=refused,
                 generator=generator_state(self._rng),
-                **logged,
+                **{"bag": "", "truth": None, "clock": {}, **logged},
             )
         )
 
     def rate(
         self, amount: float, number: int | None = None, clock: Mapping[str, Any] | None = None
     ) -> Rating:
-        """Add a person's rating to the return of a rollout.
+        """Add a person's rating to the return of a rollout, the last finished one without a number.
 
-        Args:
-            amount: Amount added to the return; several ratings of a rollout add up.
-            number: Number of the rollout, the last finished one when omitted.
-            clock: See the class.
+        Several ratings of a rollout add up.
 
         Raises:
             ValueError: The amount is out of range, the rollout does not exist or has no return, or
@@ -311,12 +291,7 @@ class Practice:
     def add_demonstration(
         self, policy: Policy, bag: str = "", clock: Mapping[str, Any] | None = None
     ) -> NewDemonstration:
-        """Add a further demonstration: its policy is reproduced next.
-
-        Args:
-            policy: Policy fitted to the demonstration, with an id not in use.
-            bag: Bag of the demonstration, logged only.
-            clock: See the class.
+        """Add a further demonstration: the policy fitted to it is reproduced next.
 
         Raises:
             ValueError: The id is in use, the policy does not have the learnt parameters, it is
@@ -406,7 +381,7 @@ class Practice:
     def _next_trial(self, rejections: int | None) -> Trial | None:
         """The next trial; `rejections` is given in a replay, see `improvement.sample`."""
         if self._pending is None and not self.finished:
-            trial = self._trial(self._draw(rejections))
+            trial = self._draw(len(self._records) + 1, rejections)
             if (trial.demonstration, tuple(trial.z.tolist())) in self._refused:
                 self.stopped = NONE_LEFT
                 self._retested = self.settings.practice.retests
@@ -414,32 +389,24 @@ class Practice:
             self._pending = trial
         return self._pending
 
-    def _draw(self, rejections: int | None) -> Draw:
+    def _draw(self, number: int, rejections: int | None) -> Trial:
         if (last := self._retried) is not None:
             purpose, attempt = f"attempt {last.attempt + 1}: {last.why}", last.attempt + 1
-            return Draw(last.kind, last.demonstration, np.array(last.z), 0, purpose, attempt)
+            own, z = self._parametrizations[last.demonstration], np.array(last.z)
+            return Trial.of(number, own, last.kind, z, purpose, attempt=attempt)
         if len(self._reproductions) < len(self._candidates):
             name = self._candidates[len(self._reproductions)].id
-            zero = np.zeros(self._parametrizations[name].size)
-            return Draw("reproduction", name, zero, 0, f"reproduces {name}")
+            own = self._parametrizations[name]
+            return Trial.of(number, own, "reproduction", np.zeros(own.size), f"reproduces {name}")
         improvement = self._improvement
         if improvement is None:
             raise ValueError("the session has ended: no demonstration was chosen")
         if self._answer is None:
-            return improvement.draw(rejections)
+            return improvement.draw(number, rejections)
         self._answer, count = improvement.shrunk(self._answer, rejections)
         purpose = f"re-test {self._retested + 1} of {self.settings.practice.retests}"
-        return Draw("retest", improvement.demonstration, self._answer, count, purpose)
-
-    def _trial(self, drawn: Draw) -> Trial:
-        number = len(self._records) + 1
-        parametrization = self._parametrizations[drawn.demonstration]
-        policy, z = parametrization.policy(drawn.z, f"trial-{number:04d}")
-        theta = parametrization.theta(z)
-        z.setflags(write=False)
-        theta.setflags(write=False)
-        fields = drawn._replace(z=z)._asdict()
-        return Trial(number=number, id=policy.id, theta=theta, policy=policy, **fields)
+        own = improvement.parametrization
+        return Trial.of(number, own, "retest", self._answer, purpose, count)
 
     def _in_hindsight(self, trial: Trial, assessment: Assessment) -> np.ndarray:
         """Coordinates at which a rollout is learnt from: corrected as far as it stays feasible."""
@@ -510,21 +477,16 @@ class Practice:
             return self._compare(record, self._improvement)
         if len(self._reproductions) < len(self._candidates):
             return ""
-        reproductions = [self._records[number - 1] for number in self._reproductions]
-        try:
-            index, why = choose_demonstration(reproductions)
-        except ValueError as error:
-            self.stopped = str(error)
+        chosen, why = choose_demonstration([self._records[n - 1] for n in self._reproductions])
+        if chosen is None:
+            self.stopped = why
             return ""
-        return self._learn_from(reproductions[index], why)
+        return self._learn_from(chosen, why)
 
     def _compare(self, record: Record, present: Improvement) -> str:
         """Switch to a demonstration that was added later if its reproduction is better."""
-        recent = [
-            float(other.rated_return)
-            for other in self._records
-            if other.demonstration == present.demonstration and other.rated_return is not None
-        ][-COMPARED_ROLLOUTS:]
+        own = [r.rated_return for r in self._records if r.demonstration == present.demonstration]
+        recent = [ret for ret in own if ret is not None][-COMPARED_ROLLOUTS:]
         level = float(np.mean(recent))
         if record.ret is None or record.fault:
             return f"goes on with {present.demonstration}: {record.why}"

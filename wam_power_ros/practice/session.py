@@ -19,6 +19,7 @@ After a kill at any moment, `Session.open(folder).practice(arm)` resumes bit for
 from __future__ import annotations
 
 import fcntl
+import hashlib
 import json
 import logging
 import os
@@ -38,13 +39,24 @@ from wam_power_ros.arm_identity import ArmIdentity, refusal
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.practice.improvement import ArmModel
-from wam_power_ros.practice.log_file import LogFile, read_lines
 from wam_power_ros.practice.practice import Practice, check_candidates
-from wam_power_ros.practice.session_log import Line, NewDemonstration, Record, with_ratings
+from wam_power_ros.practice.session_log import (
+    Line,
+    NewDemonstration,
+    Record,
+    out_of_order,
+    parse_line,
+    with_ratings,
+)
 from wam_power_ros.practice.settings import SessionSettings, validated
 from wam_power_ros.tasks.task import Task
 
+HEADER, LOG, ACKNOWLEDGED = "session.yaml", "rollouts.jsonl", "acknowledged.json"
+RESTORE = "Restore it from a backup; nothing was changed."
+_LINE_MAX = 1_000_000  # length of a line of the log, far above any real one [byte]
 PACKAGES = ("numpy", "scipy", "pydantic", "pin", "mujoco", "rosbags", "ros-jazzy-rclpy")
+
+_log = logging.getLogger(__name__)
 
 
 def _read_policy(path: Path) -> Policy:
@@ -92,6 +104,16 @@ class SessionHeader(BaseModel):
         return candidates
 
 
+class _Acknowledged(BaseModel):
+    """Contents of acknowledged.json: number of rollouts, size [byte] and SHA-256 of the log."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    rollouts: int = Field(ge=0)
+    bytes: int = Field(ge=0)
+    sha256: str = Field(pattern="^[0-9a-f]{64}$")
+
+
 def versions() -> dict[str, str]:
     """Versions of Python, this package and its numerical dependencies, as far as installed."""
     found = {"python": platform.python_version()}
@@ -110,9 +132,9 @@ def _read_head(folder: Path) -> tuple[SessionHeader, tuple[Policy, ...], dict[st
         ValueError: There is no session, or a file is malformed; names the file.
     """
     durable_files.check_name(folder)
-    path = folder / "session.yaml"
+    path = folder / HEADER
     if not path.is_file():
-        raise ValueError(f"{folder} holds no session: there is no session.yaml")
+        raise ValueError(f"{folder} holds no session: there is no {HEADER}")
     header = validated(SessionHeader, plain_yaml.read(path), f"{path}: ")
     candidates = []
     for id in header.candidates:
@@ -127,7 +149,59 @@ def _read_head(folder: Path) -> tuple[SessionHeader, tuple[Policy, ...], dict[st
 def _write_header(folder: Path, header: SessionHeader) -> None:
     """Replace session.yaml atomically."""
     text = yaml.safe_dump(header.model_dump(mode="json", by_alias=True), sort_keys=False)
-    durable_files.replace(folder / "session.yaml", text)
+    durable_files.replace(folder / HEADER, text)
+
+
+def _read_log(folder: Path) -> tuple[list[Line], bytes, _Acknowledged | None]:
+    """Complete lines of a log, their bytes, and what was acknowledged last.
+
+    Nothing is acknowledged of a session without a line, or of an earlier version.
+
+    Raises:
+        ValueError: The log is malformed, or has lost acknowledged lines.
+    """
+    path, noted, acknowledged = folder / LOG, folder / ACKNOWLEDGED, None
+    if noted.is_symlink() or noted.exists():  # before the log: a learner may be writing
+        acknowledged = validated(_Acknowledged, plain_json.read(noted), f"{noted}: ")
+    data = b""
+    if path.is_symlink() or path.exists():
+        durable_files.check_regular(path)
+        data = path.read_bytes()
+    # A line without its line feed was never acknowledged, whatever it contains.
+    size = data.rfind(b"\n") + 1
+    log: list[Line] = []
+    count = 0
+    for number, text in enumerate(data[:size].split(b"\n")[:-1], start=1):
+        try:
+            line = parse_line(text.decode())
+            if why := out_of_order(line, count):
+                raise ValueError(why)
+        except ValueError as error:
+            raise ValueError(f"{path}, line {number}: {error}") from None
+        count += isinstance(line, Record)
+        log.append(line)
+    if acknowledged is not None:
+        found = ""
+        if len(data) < acknowledged.bytes:
+            found = f"has {len(data)} bytes" if path.exists() else "is missing"
+        elif hashlib.sha256(data[: acknowledged.bytes]).hexdigest() != acknowledged.sha256:
+            found = "has other contents"
+        if found:
+            raise ValueError(
+                f"{path} {found}: {acknowledged.rollouts} rollouts in {acknowledged.bytes} bytes "
+                f"were acknowledged, and some of them are lost. {RESTORE} To continue with the "
+                f"rest, delete {noted}"
+            )
+    if len(data) - size > _LINE_MAX:
+        raise ValueError(
+            f"{path}: {len(data) - size} bytes after line {len(log)} are not a log line"
+        )
+    if not count and acknowledged is None and (folder / "policy.json").exists():
+        raise ValueError(
+            f"{path} has no rollout, but {folder / 'policy.json'} was learnt from some: they are "
+            f"lost. {RESTORE} To begin again with the same demonstrations, delete policy.json"
+        )
+    return log, data[:size], acknowledged
 
 
 class Session:
@@ -145,17 +219,21 @@ class Session:
         """Use `begin`, `open` or `read`; `lock` is the locked descriptor of the folder."""
         self.folder = folder
         self.header, self.candidates, self.context = _read_head(folder)
-        self._lock = lock
+        self.log, data, acknowledged = _read_log(folder)
+        self._count = sum(isinstance(line, Record) for line in self.log)
+        self._size, self._digest = len(data), hashlib.sha256(data)  # of the log
         self._saved = ""  # text of the policy saved last
-        self._file = None if lock is None else LogFile(folder)
-        self.log = read_lines(folder)[0] if self._file is None else self._file.lines
+        self._lock, self._file = lock, None
         if lock is not None:
+            self._file = self._open_log()
+            if self.log and acknowledged != self._state():
+                self._acknowledge()  # killed before it could, or a session of an earlier version
             self._compare_versions()
 
     @staticmethod
     def exists(folder: Path | str) -> bool:
         """Whether a folder holds a session, to be opened instead of begun."""
-        return (Path(folder) / "session.yaml").is_file()
+        return (Path(folder) / HEADER).is_file()
 
     @classmethod
     def begin(
@@ -188,7 +266,7 @@ class Session:
         for name in ("candidates", "bags"):
             (folder / name).mkdir(parents=True, exist_ok=True)
         with _locked(folder) as lock:
-            if cls.exists(folder) or (folder / "rollouts.jsonl").exists():
+            if cls.exists(folder) or (folder / LOG).exists():
                 raise ValueError(f"{folder} holds a session already; open it, or name another")
             header = SessionHeader(
                 seed=seed,
@@ -235,21 +313,14 @@ class Session:
 
     @cached_property
     def task(self) -> Task:
-        """Task of the session.
-
-        Raises:
-            ValueError: Its context is malformed.
-        """
+        """Task of the session; a ValueError names the folder if its context is malformed."""
         try:
             return self.header.settings.make_task(self.context)
         except (ValueError, KeyError) as error:
             raise ValueError(f"{self.folder}: {error}") from error
 
     def practice(self, arm: ArmModel) -> Practice:
-        """The practice as it was after the last line on disk.
-
-        Args:
-            arm: Model of the arm for the rest of the session.
+        """The practice as it was after the last line on disk, with a model of the arm from now on.
 
         Raises:
             ValueError: The log does not follow from this session's settings and seed.
@@ -261,14 +332,38 @@ class Session:
             raise ValueError(f"{self.folder / 'rollouts.jsonl'}: {error}") from error
 
     def append(self, entry: Line) -> None:
-        """Append a line to the log; see `LogFile.append`.
+        """Append a line to the log; when this returns, it is on the disk.
 
         Raises:
-            ValueError: The session is not locked for writing, or as `LogFile.append`.
+            ValueError: The session is not locked for writing, or the line is not the next one of
+                the log, or too long.
+            OSError: The disk refused the line; the log is unchanged as far as the disk allows.
         """
         if self._file is None:
             raise ValueError(f"session {self.folder} is closed")
-        self._file.append(entry)
+        if why := out_of_order(entry, self._count):
+            raise ValueError(f"{self.folder}: {why}")
+        line = (entry.to_json() + "\n").encode()
+        if len(line) > _LINE_MAX:
+            raise ValueError(f"{self.folder}: log line of {len(line)} bytes, limit {_LINE_MAX}")
+        try:
+            parse_line(line.decode())
+        except ValueError as error:  # such as a ground truth nested too deeply
+            raise ValueError(f"{self.folder}: line would not be readable: {error}") from None
+        try:
+            with durable_files.naming(self.folder / LOG):
+                left = memoryview(line)
+                while left:
+                    left = left[os.write(self._file, left) :]
+                os.fsync(self._file)
+        except OSError:
+            os.ftruncate(self._file, self._size)
+            raise
+        self._size += len(line)
+        self._digest.update(line)
+        self.log.append(entry)
+        self._count += isinstance(entry, Record)
+        self._acknowledge()
 
     def save_policy(self, policy: Policy) -> None:
         """Replace policy.json atomically, if it is another than the one saved last."""
@@ -279,7 +374,7 @@ class Session:
     def close(self) -> None:
         """Unlock the folder; may be called twice."""
         if self._file is not None and self._lock is not None:
-            self._file.close()
+            os.close(self._file)
             os.close(self._lock)
             self._file = self._lock = None
 
@@ -288,6 +383,36 @@ class Session:
 
     def __exit__(self, *error: object) -> None:
         self.close()
+
+    def _open_log(self) -> int:
+        """Open the log for appending; cut off an incomplete last line, left by a crash."""
+        path = self.folder / LOG
+        file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
+        if incomplete := os.fstat(file).st_size - self._size:
+            _log.warning(
+                "%s: cut off %d bytes after line %d: a line was being written when the session "
+                "ended and was never acknowledged; if it is a rollout, it is executed again",
+                path,
+                incomplete,
+                len(self.log),
+            )
+            os.ftruncate(file, self._size)
+        os.fsync(file)
+        durable_files.sync(self.folder)
+        return file
+
+    def _state(self) -> _Acknowledged:
+        digest = self._digest.hexdigest()
+        return _Acknowledged(rollouts=self._count, bytes=self._size, sha256=digest)
+
+    def _acknowledge(self) -> None:
+        """Write size and digest of the log, so that a loss is detected; the log is on disk."""
+        path = self.folder / ACKNOWLEDGED
+        try:
+            with durable_files.naming(path):
+                durable_files.replace(path, self._state().model_dump_json() + "\n")
+        except OSError as error:
+            _log.warning("could not be written: %s", durable_files.explained(error))
 
     def _compare_versions(self) -> None:
         """Warn of versions that differ from those at the beginning, and record them."""
@@ -298,7 +423,7 @@ class Session:
             if begun.get(name) != now.get(name)
         ]
         if changed:
-            logging.getLogger(__name__).warning(
+            _log.warning(
                 "%s was begun with other versions: %s. Its next policies may differ from those "
                 "with the old versions",
                 self.folder,
@@ -312,11 +437,7 @@ class Session:
 
 @contextmanager
 def _locked(folder: Path) -> Iterator[int]:
-    """Lock a folder, until the descriptor is closed, the process ends or the block fails.
-
-    Raises:
-        ValueError: Another process has locked it.
-    """
+    """Lock a folder, until the descriptor is closed, the process ends or the block fails."""
     file = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     try:
         try:

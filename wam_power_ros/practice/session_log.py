@@ -19,6 +19,7 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from wam_power_ros import plain_json
+from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy, from_json
 from wam_power_ros.practice.settings import validated
 
@@ -48,17 +49,31 @@ class Trial:
     policy: Policy  # to be executed, at the coordinates z
     purpose: str  # human-readable
 
+    @classmethod
+    def of(
+        cls,
+        number: int,
+        parametrization: Parametrization,
+        kind: Kind,
+        z: np.ndarray,
+        purpose: str,
+        rejections: int = 0,
+        attempt: int = 1,
+    ) -> Trial:
+        """Trial of the policy at coordinates z (size,) of a demonstration."""
+        policy, z = parametrization.policy(z, f"trial-{number:04d}")
+        theta, name = parametrization.theta(z), parametrization.policy0.id
+        z.setflags(write=False)
+        theta.setflags(write=False)
+        return cls(number, policy.id, kind, name, attempt, rejections, z, theta, policy, purpose)
+
     def logged(self) -> dict[str, Any]:
         """Fields that its record holds."""
         fields = {name: value for name, value in vars(self).items() if name in Record.model_fields}
         return fields | {"z": self.z.tolist(), "theta": self.theta.tolist()}
 
     def check(self, record: Record, generator: dict[str, Any]) -> None:
-        """Check that a record is of this trial.
-
-        Args:
-            record: Record as logged.
-            generator: State of the session's generator after the trial was drawn.
+        """Check that a record is of this trial, and the generator's state of after it was drawn.
 
         Raises:
             ValueError: It is of another trial; names the first difference.
@@ -133,12 +148,11 @@ class Record(_Line):
     # Whether a person ended it: its policy has the return 0 and is not run again
     refused: bool = False  # absent in older logs
     generator: dict[str, Any]  # state of the random generator after this trial was drawn
-    bag: str = ""  # its name
+    bag: str  # its name
     # Sum of a person's ratings, see `with_ratings`; None in the log itself, where they are lines
     adjustment: float | None = Field(default=None, allow_inf_nan=False)
-    truth: Data | None = None  # of the simulator; None on hardware; never learnt from
-    # Wall-clock figures; only these differ between two runs of one seed
-    clock: Data = Field(default_factory=dict)
+    truth: Data | None  # of the simulator; None on hardware; never learnt from
+    clock: Data  # wall-clock figures; only these differ between two runs of one seed
 
     @model_validator(mode="after")
     def _is_consistent(self) -> Record:
@@ -176,7 +190,7 @@ class _Event(_Line):
     schema_: str = Field(alias="schema")
     after: int = Field(ge=0)  # number of recorded rollouts when it takes effect; a pause does now
     note: str  # human-readable effect, or reason of a pause
-    clock: Data = Field(default_factory=dict)  # wall-clock figures
+    clock: Data  # wall-clock figures
 
 
 class Rating(_Event):
@@ -198,7 +212,7 @@ class NewDemonstration(_Event):
     )
     id: str  # of the policy
     policy: dict[str, Any]  # fitted to the demonstration, as `policy.to_json` writes it
-    bag: str = ""  # of the demonstration, as given
+    bag: str  # of the demonstration, as given
 
     @model_validator(mode="after")
     def _is_a_policy(self) -> NewDemonstration:

@@ -107,13 +107,7 @@ class SessionSettings(BaseModel):
         task_model: Model | None,
         error_model: ErrorModel | None = None,
     ) -> Learner:
-        """Create a learner of z in R^size, which draws its exploration from `rng`.
-
-        Args:
-            size: Number of parameters.
-            rng: Random generator of the exploration.
-            task_model: Model of the returns for a learner that needs one.
-            error_model: Model of the vector error of the task for a learner that needs one.
+        """Create a learner of z in R^size that explores by `rng`, with the models as it needs them.
 
         Raises:
             ValueError: The learner needs a model and the task has none; names those that work.
