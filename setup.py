@@ -88,16 +88,9 @@ setup(
         "wam_power_ros.learners": [
             f"power = {NAME}.learning.power:Power",
             f"shaped_power = {NAME}.learning.shaped_power:ShapedPower",
-            f"adaptive_power = {NAME}.learning.adaptive_power:AdaptivePower",
-            f"screened = {NAME}.learning.screened_power:ScreenedPower",
-            f"pi2_bb = {NAME}.learning.pi2:Pi2",
             f"cma_es = {NAME}.learning.cma_es:CmaEs",
-            f"reinforce = {NAME}.learning.policy_gradient:Reinforce",
-            f"enac = {NAME}.learning.policy_gradient:Enac",
-            f"random = {NAME}.learning.baselines:RandomSearch",
-            f"corrections_only = {NAME}.learning.baselines:CorrectionsOnly",
+            f"corrections_only = {NAME}.learning.corrections_only:CorrectionsOnly",
             f"model_based = {NAME}.learning.model_based:ModelBased",
-            f"bayesian_optimization = {NAME}.learning.bayesian_optimization:BayesianOptimization",
         ],
     },
 )

@@ -48,7 +48,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from wam_power_ros import durable_files, plain_json
 from wam_power_ros.params.resources import share
 
-PACKAGES = ("wam_power_ros", "hardware_sim", "reproduction.studies")
+PACKAGES = ("wam_power_ros", "hardware_sim", "reproduction.rivals", "reproduction.studies")
 NOT_HASHED = (  # sources that cannot change a result; the studies run without ROS
     "wam_power_ros/bags/editing.py",
     "wam_power_ros/bags/series.py",

@@ -38,14 +38,6 @@ CONTEXT = Reach.context_of(
 )
 
 
-class ReachingArm(AnyArm):
-    """See `AnyArm`; its tool is at the start of the demonstration."""
-
-    def tool_position(self, q: np.ndarray) -> np.ndarray:
-        """See `practice.ArmModel`."""
-        return START
-
-
 def reached(task: Reach, trial: Trial) -> Rollout:
     """Rollout of a trial: a function of its id and policy alone."""
     scenario = task._scenario(trial.policy, START)
@@ -62,7 +54,7 @@ def reached(task: Reach, trial: Trial) -> Rollout:
 
 def practised(policy: Policy, seed: int, context: Mapping[str, Any] = CONTEXT) -> Practice:
     """A finished session of the default preset."""
-    practice = Practice(preset("reach"), context, [policy], seed, ReachingArm())
+    practice = Practice(preset("reach"), context, [policy], seed, AnyArm())
     while (trial := practice.next_trial()) is not None:
         practice.learn(trial, reached(practice.task, trial))
     return practice

@@ -98,7 +98,8 @@ class Plant:
                 total = total + MODEL.gravity(self.q)
             if self.push is not None:
                 total = total + self.push((self.stamp - 10**12) * 1e-9, self.q, self.qd)
-            self.qd = self.qd + 0.001 * MODEL.forward_dynamics(self.q, self.qd, total)
+            qdd = MODEL.resisted_dynamics(self.q, self.qd, total, np.zeros(7), 0.0)
+            self.qd = self.qd + 0.001 * qdd
             self.q = self.q + 0.001 * self.qd
         self.stamp += PERIOD_NS
 

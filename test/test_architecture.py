@@ -95,28 +95,28 @@ ALLOWED["benchmark"] = {*ALLOWED}
 # Lines that a folder may have, docstrings and blanks included. Needing more is a reason to look for
 # what can go; where nothing can, the commit that raises a figure says why.
 BUDGET = {
-    "ground": 1435,  # the modules of wam_power_ros/ itself; what is installed is found in one
-    "learning": 2900,
+    "ground": 1447,  # the modules of wam_power_ros/ itself; a learner is also found by its class
+    "learning": 2535,
     "control": 4970,  # the reaction asks in every state what is believed, knows a mass, and a drift
     "commissioning": 1221,
     "tracking": 620,
-    "tasks": 3885,  # what follows from the errors of any task is written here once
-    "practice": 2073,  # refusals by a person and pauses are in its log
+    "tasks": 3577,  # what follows from the errors of any task is written here once
+    "practice": 2058,  # refusals by a person and pauses are in its log
     "conformance": 1123,
     "bags": 2660,
     "params": 1140,
     "ros": 2810,
     "client": 1450,
-    "nodes": 3298,
+    "nodes": 3292,
     "console": 983,
     "view": 1430,
     "reporting": 990,
-    "in_process": 420,
+    "in_process": 413,
     "cli": 3353,
     "hardware_sim": 3365,
     "launch": 260,
     "examples": 380,
-    "reproduction": 3976,
+    "reproduction": 4584,  # learners that only studies compare with, and their models
     "benchmark": 5369,  # the matrix of the reaction has a plant of its own
 }
 PURE = (

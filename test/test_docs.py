@@ -118,7 +118,7 @@ def test_every_test_that_holds_a_promise_is_there(page: str) -> None:
 def test_every_name_of_a_module_is_there(page: str) -> None:
     named = re.findall(r"`(?:wam_power_ros\.)?([a-z_.]+)\.(\w+)`", (ROOT / page).read_text())
     for module, name in named:
-        package = "" if module.startswith("hardware_sim") else "wam_power_ros."
+        package = "" if module.startswith(("hardware_sim", "reproduction")) else "wam_power_ros."
         if importlib.util.find_spec(f"{package}{module}") is not None:
             assert is_there(f"{package}{module}", name), (module, name)
 

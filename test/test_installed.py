@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import importlib
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -120,11 +121,27 @@ def test_a_name_that_two_packages_declare_is_refused_with_both(
 
 
 def test_a_learner_that_cannot_be_loaded_hinders_no_session_of_another_one(lab: Lab) -> None:
-    lab(learners=("broken = no_such_package:Learner", "pi2_bb = LAB.task:Stack"))
+    lab(learners=("broken = no_such_package:Learner", "cma_es = LAB.task:Stack"))
     preset("reach").check(1)
-    with pytest.raises(ValueError, match=r"a model of .* that work: adaptive") as refused:
+    with pytest.raises(ValueError, match=r"a model of .* that work: power") as refused:
         preset("reach", None, {"name": "model_based"}).check(1)
-    assert not {"broken", "pi2_bb"} & set(str(refused.value).rpartition(": ")[2].split(", "))
+    assert not {"broken", "cma_es"} & set(str(refused.value).rpartition(": ")[2].split(", "))
+
+
+def test_a_learner_may_be_a_class_that_the_program_has_imported_and_none_is_imported_by_name(
+    lab: Lab,
+) -> None:
+    (lab() / "own.py").write_text("from wam_power_ros.learning.power import Power as Mine\n")
+    refused = "is no class of a learner that this program has imported"
+    for name in ("my_lab.own:Mine", "json:JSONDecoder", "json:nothing", "my_lab.own:", ":Power"):
+        with pytest.raises(ValueError, match=f"learner '{name}' is no"):
+            installed.find("learner", name)
+    assert "my_lab.own" not in sys.modules
+    importlib.import_module("my_lab.own")
+    assert installed.find("learner", "my_lab.own:Mine") is Power
+    assert preset("reach", learner={"name": "my_lab.own:Mine"}).learner_settings.sigma == 6
+    with pytest.raises(ValueError, match=refused):
+        preset("reach", learner={"name": "wam_power_ros.learning.power:power_update"})
 
 
 def test_what_cannot_be_imported_is_refused_with_its_package(lab: Lab) -> None:

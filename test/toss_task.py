@@ -61,10 +61,6 @@ class AnyArm:
         why = self._refuse(policy)
         return Fault(FaultKind.TOOL_SPEED, why) if why else None
 
-    def tool_position(self, q: np.ndarray) -> np.ndarray:
-        """See `practice.ArmModel`."""
-        return np.array([0.6, 0.0, 0.5])
-
     def foresee(self, policy: Policy) -> None:
         """See `practice.ArmModel`."""
 

@@ -22,9 +22,21 @@ def names(kind: str) -> list[str]:
 def find(kind: str, name: str) -> Any:  # noqa: ANN401 - a class
     """Class of a "task", "learner" or "scene".
 
+    A learner may also be named by its class, "package.module:Class", if this program has imported
+    the module. Nothing is imported by such a name: a session that was handed on states one, too.
+
     Raises:
-        ValueError: No installed package declares the name, two do, or it cannot be imported.
+        ValueError: No installed package declares the name, two do, or it cannot be imported; or no
+            such class of a learner has been.
     """
+    module, _, attribute = name.partition(":")
+    if attribute and kind == "learner":
+        own = getattr(sys.modules.get(module), attribute, None)
+        if isinstance(own, type) and hasattr(own, "Settings") and hasattr(own, "tell"):
+            return own
+        raise ValueError(
+            f"learner {name!r} is no class of a learner that this program has imported"
+        )
     points = [p for p in entry_points(group=f"wam_power_ros.{kind}s") if p.name == name]
     declared = " and ".join(f"{p.value} of {p.dist.name if p.dist else '?'}" for p in points)
     if not points:

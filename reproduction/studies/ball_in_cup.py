@@ -18,6 +18,7 @@ import numpy as np
 
 from reproduction import jobs as job_cache
 from reproduction.jobs import Job
+from reproduction.rivals.learners import RIVALS
 from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.params import overlay
 from wam_power_ros.practice.practice import Practice
@@ -78,7 +79,9 @@ def session(
     recorded = environment.demonstrate(script, "demonstration-0")
     demonstration = BallInCup.demonstration_of(environment.arm, *recorded)
     policy = BallInCup.policy_of([demonstration], "demonstration-1")
-    settings = preset(TASK, name, {"name": learner} if learner else None, **changes)
+    settings = preset(
+        TASK, name, {"name": RIVALS.get(learner, learner)} if learner else None, **changes
+    )
     practice = Practice(settings, {}, [policy], seed, environment)
     records, failed = [], 0
     for record in environment.practise(practice):

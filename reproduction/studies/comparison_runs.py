@@ -13,17 +13,18 @@ import numpy as np
 
 from hardware_sim.scenes import scene_type
 from hardware_sim.world import World
+from reproduction.rivals.learners import RIVALS, Model, ScreenedPower
+from reproduction.rivals.reach_model import ReachModel
+from reproduction.rivals.toss_model import TossModel
 from reproduction.studies.flip_sessions import NOVICE, teach
 from reproduction.studies.reaching_runs import generator, learn_many, scales, synthetic
 from wam_power_ros import installed
 from wam_power_ros.in_process.environment import Environment
-from wam_power_ros.learning.learner import Learner, Model
+from wam_power_ros.learning.learner import Learner
 from wam_power_ros.learning.parametrization import parametrization_of
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.flip.assessment import assess
 from wam_power_ros.tasks.flip.parametrization import flip_parametrization
-from wam_power_ros.tasks.flip.planned_toss import TossModel
-from wam_power_ros.tasks.reach.obstacle_model import ReachModel
 
 VARIANT = "full"  # on both tasks
 REPEATS = 3  # rollouts of the final mean
@@ -96,7 +97,8 @@ def learner_of(settings: dict[str, Any], size: int, seed: int, model: Model) -> 
         ValueError: The learner or a setting is unknown, or a value is out of range.
     """
     values = dict(settings)
-    found = installed.find("learner", values.pop("kind", "power"))
-    given = model if found.needs_model else None
-    learner: Learner = found(size, found.Settings(**values), generator(seed), given)
+    kind = values.pop("kind", "power")
+    found = installed.find("learner", RIVALS.get(kind, kind))
+    given = [model] if found is ScreenedPower else []
+    learner: Learner = found(size, found.Settings(**values), generator(seed), *given)
     return learner

@@ -20,6 +20,8 @@ import numpy as np
 
 from reproduction import jobs as job_cache
 from reproduction.jobs import Job
+from reproduction.rivals.learners import Model, RandomSearch
+from reproduction.rivals.reach_model import ReachModel
 from reproduction.studies.comparison import TUNED
 from reproduction.studies.comparison_runs import VARIANT, learner_of
 from reproduction.studies.reaching_runs import (
@@ -29,10 +31,8 @@ from reproduction.studies.reaching_runs import (
     scales,
     synthetic,
 )
-from wam_power_ros.learning.baselines import RandomSearch
-from wam_power_ros.learning.learner import Learner, Model
+from wam_power_ros.learning.learner import Learner
 from wam_power_ros.learning.parametrization import parametrization_of
-from wam_power_ros.tasks.reach.obstacle_model import ReachModel
 
 HELD_OUT = range(481, 493)  # seeds not used for tuning
 ROLLOUTS = 50

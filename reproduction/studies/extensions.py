@@ -14,6 +14,7 @@ import numpy as np
 
 from hardware_sim.settings import PITCH_RATE
 from reproduction.jobs import Job, Scale
+from reproduction.rivals.learners import RIVALS, AutoPower
 from reproduction.studies.flip_sessions import NOVICE, stand_in, teach
 from reproduction.studies.reaching_runs import NOISE, POWER, evaluate, generator, synthetic
 from wam_power_ros.learning.parametrization import parametrization_of
@@ -47,8 +48,9 @@ def search(sigma: int | str, seeds: list[int], noise: float, rollouts: int) -> d
     """
     scenario = synthetic()
     parameters = parametrization_of(scenario.policy, "full", NOISE["full"])
-    settings = Power.Settings(sigma=sigma, decay=POWER.decay)
-    learners = [Power(parameters.size, settings, generator(seed)) for seed in seeds]
+    kind, size = (AutoPower, {}) if sigma == AUTO else (Power, {"sigma": sigma})
+    settings = kind.Settings(**size, decay=POWER.decay)
+    learners = [kind(parameters.size, settings, generator(seed)) for seed in seeds]
     noise_rngs = [np.random.default_rng([seed, 1]) for seed in seeds]
     sizes = []
     for _ in range(rollouts):
@@ -146,7 +148,8 @@ def jobs(scale: Scale) -> list[Job]:
         poor = {"seed": seed, "name": "hindsight", "changes": flip, "pitch_rate": POOR, **common}
         studies = {}
         for size in (AUTO, 6) if quick else (AUTO, 6, 20):  # a session takes half a minute
-            changes = {**paper, "learner": {"sigma": size}}
+            learner = {"name": RIVALS["auto_power"]} if size == AUTO else {"sigma": size}
+            changes = {**paper, "learner": learner}
             studies[f"{SIGMA}{size}"] = {**novice, "changes": changes}
         most = 2 if quick else RATINGS_MAX
         studies[PERSON] = {**novice, "changes": paper, "ratings": most}

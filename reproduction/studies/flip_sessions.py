@@ -21,6 +21,7 @@ from hardware_sim.sensors import MocapSettings
 from hardware_sim.settings import PITCH_RATE, WorldSettings
 from hardware_sim.world import World
 from reproduction.jobs import Job, Scale
+from reproduction.rivals import learners  # noqa: F401 - sessions may name one of its classes
 from reproduction.studies.habits import HABITS
 from wam_power_ros import rotations
 from wam_power_ros.in_process.environment import Environment

@@ -23,6 +23,7 @@ import numpy as np
 from hardware_sim.scenes.flip import LEVEL
 from reproduction import jobs as job_cache
 from reproduction.jobs import Job
+from reproduction.rivals.learners import RIVALS
 from reproduction.studies.flip_sessions import NOVICE, session
 from wam_power_ros.tasks.flip.frames import PANCAKE_RADIUS
 
@@ -103,7 +104,7 @@ def jobs(
             for learner in learners:
                 _, name, other = LEARNERS[learner]
                 settings = {"budget": BUDGET, "retests": RETESTS}
-                settings |= {"learner": {"name": other}} if other else {}
+                settings |= {"learner": {"name": RIVALS.get(other, other)}} if other else {}
                 own = {"seed": seed, "name": name, "changes": settings, **arguments(ground)}
                 own |= ELSEWHERE if elsewhere else {}
                 wanted.append(Job(study(ground, learner), f"seed-{seed}", session, own))

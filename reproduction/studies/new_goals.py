@@ -83,10 +83,6 @@ class AnyArm:
     def foresee(self, policy: Policy) -> None:
         """Nothing is foreseen."""
 
-    def tool_position(self, q: np.ndarray) -> np.ndarray:
-        """See `practice.ArmModel`."""
-        return START
-
 
 class Equation:
     """Paths of Eq. 1; see the module."""

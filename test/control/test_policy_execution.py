@@ -9,8 +9,7 @@ from wam_power_ros.control import safety
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.joint_control import TrackingLost
-from wam_power_ros.control.policy_execution import Execution
-from wam_power_ros.control.prepared_policy import prepare
+from wam_power_ros.control.policy_execution import Execution, prepare
 from wam_power_ros.control.state_checks import JointState
 from wam_power_ros.learning.policy import Basis, Policy
 from wam_power_ros.learning.rollout import EndEffectorPath
@@ -40,7 +39,7 @@ START_NS, PERIOD_NS = 10**12, 2_000_000
 
 
 def execution(policy: Policy = POLICY, settings: ControllerSettings = SETTINGS) -> Execution:
-    return Execution(prepare(policy, ARM.n, LIMITS, settings), ARM, settings)
+    return Execution(prepare(policy, LIMITS, settings), ARM, settings)
 
 
 def answer(rollout: Execution, tick: float, q: np.ndarray = HOME) -> np.ndarray | None:

@@ -10,7 +10,7 @@ from rigid_arm import HOME, LIMITS, MODEL, make_policy
 
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.modes import ControllerError, Refusal
-from wam_power_ros.control.prepared_policy import prepare
+from wam_power_ros.control.policy_execution import prepare
 from wam_power_ros.learning.policy import with_id
 
 SETTINGS = ControllerSettings()
@@ -27,7 +27,7 @@ def test_a_policy_that_does_not_fit_is_refused_with_value_and_limit() -> None:
         ({"rotation_damping": 101.0}, "damping 101 .* above the limit 100"),
     ):
         with pytest.raises(ControllerError, match=text) as refused:
-            prepare(replace(POLICY, **wrong), MODEL.n, LIMITS, SETTINGS)
+            prepare(replace(POLICY, **wrong), LIMITS, SETTINGS)
         assert refused.value.refusal is Refusal.REFUSED
 
 
@@ -45,7 +45,7 @@ def test_a_policy_at_the_limits_fits() -> None:
         {"stiffness": np.tile(stiff, (8, 1, 1))},
     ):
         policy = replace(POLICY, **change)
-        assert prepare(policy, MODEL.n, LIMITS, SETTINGS).id == policy.id
+        assert prepare(policy, LIMITS, SETTINGS).id == policy.id
 
 
 @pytest.mark.parametrize("joint", range(7))
@@ -54,21 +54,19 @@ def test_one_joint_beyond_a_limit_or_one_stiff_matrix_is_enough_to_be_refused(jo
         start = HOME.copy()
         start[joint] = limit[joint] + 1e-6 * sign
         with pytest.raises(ControllerError, match="outside the limits"):
-            prepare(replace(POLICY, q_start=start), MODEL.n, LIMITS, SETTINGS)
+            prepare(replace(POLICY, q_start=start), LIMITS, SETTINGS)
     stiffness = POLICY.stiffness.copy()
     stiffness[joint] *= 9.0
     with pytest.raises(ControllerError, match="stiffness 2700"):
-        prepare(replace(POLICY, stiffness=stiffness), MODEL.n, LIMITS, SETTINGS)
+        prepare(replace(POLICY, stiffness=stiffness), LIMITS, SETTINGS)
 
 
 def test_the_digest_of_a_policy_ignores_its_id_and_exists_only_with_hold_to_run() -> None:
     held = SETTINGS.model_copy(update={"hold_to_run": True})
-    first, second = (
-        prepare(policy, MODEL.n, LIMITS, held) for policy in (POLICY, with_id(POLICY, "again"))
-    )
-    other = prepare(replace(POLICY, damping=31.0), MODEL.n, LIMITS, held)
+    first, second = (prepare(policy, LIMITS, held) for policy in (POLICY, with_id(POLICY, "again")))
+    other = prepare(replace(POLICY, damping=31.0), LIMITS, held)
     assert first.content == second.content != other.content
-    assert prepare(POLICY, MODEL.n, LIMITS, SETTINGS).content == ""
+    assert prepare(POLICY, LIMITS, SETTINGS).content == ""
 
 
 @pytest.mark.requirement("S-59")
@@ -78,7 +76,7 @@ def test_a_policy_of_another_arm_is_refused_and_both_are_named() -> None:
     settings = SETTINGS.model_copy(update={"arm": ours})
     why = f"policy trial-0001 belongs to another arm: {theirs}; this arm is {ours}"
     with pytest.raises(ControllerError, match=re.escape(why)):
-        prepare(replace(POLICY, arm=theirs), MODEL.n, LIMITS, settings)
+        prepare(replace(POLICY, arm=theirs), LIMITS, settings)
     for arm in (ours, None):
-        assert prepare(replace(POLICY, arm=arm), MODEL.n, LIMITS, settings).id == POLICY.id
-    assert prepare(replace(POLICY, arm=theirs), MODEL.n, LIMITS, SETTINGS).id == POLICY.id
+        assert prepare(replace(POLICY, arm=arm), LIMITS, settings).id == POLICY.id
+    assert prepare(replace(POLICY, arm=theirs), LIMITS, SETTINGS).id == POLICY.id

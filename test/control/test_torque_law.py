@@ -40,7 +40,7 @@ def test_a_wrench_by_the_jacobian_is_newton_euler_with_a_force_on_the_last_link(
 def test_the_tool_has_the_commanded_acceleration_in_operational_space(arm: Arm) -> None:
     tau, motion, dynamics = torque("operational_space", arm), arm.motion(Q, QD), arm.dynamics(Q, QD)
     jacobian = dynamics.jacobian
-    reached = jacobian @ arm.forward_dynamics(Q, QD, tau) + motion.drift
+    reached = jacobian @ arm.resisted_dynamics(Q, QD, tau, np.zeros(7), 0.0) + motion.drift
     # The damping reduces the translation by at most a tenth, the rotation by a quarter.
     wrench = np.linalg.pinv(jacobian.T) @ (tau - dynamics.bias)
     assert np.allclose(reached + torque_law.DAMPING @ wrench, WANTED, atol=1e-6)

@@ -4,7 +4,7 @@
 import numpy as np
 from hill_task import SIZE, rng
 
-from wam_power_ros.learning.baselines import CorrectionsOnly
+from wam_power_ros.learning.corrections_only import CorrectionsOnly
 
 
 def test_the_last_corrected_rollout_is_tried_next_whatever_its_return() -> None:

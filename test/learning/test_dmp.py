@@ -81,7 +81,9 @@ def test_time_is_clamped_to_the_movement() -> None:
     assert np.array_equal(h[2], h[3])
 
 
-def linear_acceleration(tables: dmp.Tables, k: int, x: np.ndarray, xd: np.ndarray) -> np.ndarray:
+def linear_acceleration(
+    tables: dmp.TabulatedPolicy, k: int, x: np.ndarray, xd: np.ndarray
+) -> np.ndarray:
     return dmp.acceleration(tables, k, x, np.zeros(3), [*xd, 0.0, 0.0, 0.0])[:3]
 
 

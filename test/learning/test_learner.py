@@ -10,8 +10,14 @@ from hill_task import SIZE, TOP, CrudeModel, climb, hill, rng
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wam_power_ros.learning.adaptive_power import AdaptivePower
-from wam_power_ros.learning.baselines import RandomSearch
+from reproduction.rivals.learners import (
+    AdaptivePower,
+    Enac,
+    Pi2,
+    RandomSearch,
+    Reinforce,
+    ScreenedPower,
+)
 from wam_power_ros.learning.cma_es import CmaEs
 from wam_power_ros.learning.learner import (
     Learner,
@@ -21,10 +27,7 @@ from wam_power_ros.learning.learner import (
     generator_state,
     weighted_mean,
 )
-from wam_power_ros.learning.pi2 import Pi2
-from wam_power_ros.learning.policy_gradient import Enac, Reinforce
 from wam_power_ros.learning.power import Power
-from wam_power_ros.learning.screened_power import ScreenedPower
 from wam_power_ros.learning.shaped_power import ShapedPower
 
 CLIMBERS: list[tuple[LearnerClass, dict[str, Any]]] = [
@@ -77,9 +80,12 @@ SETTINGS: list[tuple[LearnerClass, str, Any, tuple[list[Any], list[Any]]]] = [
 ]
 
 
+def model_for(found: LearnerClass) -> list[Any]:
+    return [CrudeModel()] if found is ScreenedPower else []
+
+
 def started(found: LearnerClass, values: dict[str, Any], seed: int) -> Learner:
-    model = CrudeModel() if found.needs_model else None
-    return found(SIZE, found.Settings(**values), rng(seed), model)
+    return found(SIZE, found.Settings(**values), rng(seed), *model_for(found))
 
 
 @pytest.mark.parametrize(("found", "values"), CLIMBERS)
@@ -172,8 +178,7 @@ def test_the_seed_decides_and_tell_draws_nothing(
     found: LearnerClass, values: dict[str, Any]
 ) -> None:
     source = rng(4)
-    model = CrudeModel() if found.needs_model else None
-    first = climb(found(SIZE, found.Settings(**values), source, model), 30)
+    first = climb(found(SIZE, found.Settings(**values), source, *model_for(found)), 30)
     second, other = (climb(started(found, values, seed), 30) for seed in (4, 5))
     np.testing.assert_array_equal(first.mean, second.mean)
     assert not np.array_equal(second.mean, other.mean)
@@ -251,13 +256,14 @@ def test_settings_are_frozen_and_have_no_other_fields(
 def test_a_learner_without_parameters_or_with_an_unused_model_is_refused(
     found: LearnerClass, values: dict[str, Any]
 ) -> None:
-    model = CrudeModel() if found.needs_model else None
+    model, least = model_for(found), found.size_min
     with pytest.raises(ValueError, match="size is 0"):
-        found(0, found.Settings(), rng(0), model)
-    assert found(found.size_min, found.Settings(), rng(0), model).ask().shape == (found.size_min,)
-    assert found.size_min == (2 if found is CmaEs else 1)
-    with pytest.raises(ValueError, match="model"):
-        found(SIZE, found.Settings(), rng(0), None if found.needs_model else CrudeModel())
+        found(0, found.Settings(), rng(0), *model)
+    assert found(least, found.Settings(), rng(0), *model).ask().shape == (least,)
+    assert least == (2 if found is CmaEs else 1)
+    if found is not ScreenedPower:
+        with pytest.raises(ValueError, match="model"):
+            found(SIZE, found.Settings(), rng(0), CrudeModel())
 
 
 def test_rollouts_are_kept_in_order_until_they_are_cleared() -> None:

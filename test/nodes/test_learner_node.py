@@ -52,7 +52,7 @@ def test_a_learner_goes_on_with_no_session_of_another_arm(tmp_path: Path, domain
 @pytest.mark.parametrize(
     ("given", "says"),
     [
-        ({"task": "reach", "learner": "model_based"}, "learners that work: adaptive_power,"),
+        ({"task": "reach", "learner": "model_based"}, "learners that work: cma_es,"),
         ({"trials": 2}, "a budget of 2 rollouts leaves none to practise after 2 reproductions"),
         ({"task": "tap"}, "task 'tap' is not one of ball_in_cup, flip, reach"),
     ],

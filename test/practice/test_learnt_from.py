@@ -16,7 +16,6 @@ from wam_power_ros.learning.learner import MeasuringLearner
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.power import Power
 from wam_power_ros.learning.rollout import Rollout
-from wam_power_ros.practice.improvement import Improvement
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.reporting import terminal
@@ -84,7 +83,7 @@ def test_a_return_of_its_own_is_learnt_from_and_said_or_refused(
     if name == "corrections_only":
         with pytest.raises(ValueError, match="CorrectionsOnly learns from errors, task"):
             monkeypatch.setattr(installed, "task_type", lambda _: kind)
-            preset(kind.name, name).make_learner(4, np.random.default_rng(0), None)
+            preset(kind.name, name).make_learner(4, np.random.default_rng(0))
         return
     told, practised = said(monkeypatch, kind, name)
     assert told == "the return"
@@ -160,18 +159,6 @@ def test_margins_and_models_of_another_return_are_not_used(monkeypatch: pytest.M
 
     assert shown(Flip) < shown(own_return(Flip)) == preset("flip").practice.confirm
     monkeypatch.undo()
-    screened = preset("reach", learner={"name": "screened"})
-    parametrization = Reach(screened.task_settings, CONTEXT).parametrization(demonstrated_policy())
-    arm = type("Arm", (), {"tool_position": lambda self, q: np.zeros(3), "foresee": None})()
-
-    def begun(kind: type[Task]) -> Improvement:
-        task = kind(screened.task_settings, CONTEXT)
-        rng = np.random.default_rng(0)
-        return Improvement(parametrization, screened, task, rng, arm, ())
-
-    assert begun(Reach).learner is not None
-    with pytest.raises(ValueError, match="needs a model of the returns"):
-        begun(own_return(Reach))
 
 
 def test_corrections_alone_without_corrections_are_refused() -> None:

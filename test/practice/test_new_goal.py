@@ -7,7 +7,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from reach_task import CONTEXT, DEMONSTRATION, ReachingArm, practised
+from reach_task import CONTEXT, DEMONSTRATION, practised
+from toss_task import AnyArm
 
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.practice.new_goal import policy_for
@@ -15,7 +16,7 @@ from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.reach.task import Reach
 
-ARM = ReachingArm()
+ARM = AnyArm()
 GOALS = ({"y": 0.35}, {"y": 0.15, "z": 0.58}, {"x": 0.62, "y": 0.2})
 
 
@@ -27,9 +28,7 @@ def origin() -> Practice:
     return practice
 
 
-def predicted(
-    origin: Practice, goal: dict[str, float], arm: ReachingArm = ARM
-) -> tuple[Policy, str]:
+def predicted(origin: Practice, goal: dict[str, float], arm: AnyArm = ARM) -> tuple[Policy, str]:
     return policy_for(origin.task, origin.candidates, origin.records, goal, arm, "carried-over")
 
 
@@ -58,7 +57,7 @@ def test_a_goal_that_the_arm_cannot_reach_is_approached(origin: Practice) -> Non
     def too_far(policy: Policy) -> str:
         return "too far" * bool(policy.attractors[-1, 1] > 0.33)
 
-    policy, why = predicted(origin, {"y": 0.45}, ReachingArm(too_far))
+    policy, why = predicted(origin, {"y": 0.45}, AnyArm(too_far))
     assert 0.25 < policy.attractors[-1, 1] <= 0.33
     assert why.endswith("0.25 of the way") or why.endswith("0.5 of the way")
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from toss_task import ANY_ARM, demonstrated_policy, practice_of, toss
 
+from reproduction.rivals.learners import RIVALS
 from wam_power_ros.learning.learner import Prediction
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session_log import Line
@@ -92,7 +93,7 @@ def test_once_a_person_has_rated_a_rollout_returns_count_and_not_the_measured_er
     assert again.next_trial().z.tolist() == rated.next_trial().z.tolist()
 
 
-@pytest.mark.parametrize("name", ["model_based", "bayesian_optimization"])
+@pytest.mark.parametrize("name", ["model_based", RIVALS["bayesian_optimization"]])
 def test_a_task_without_a_vector_error_is_refused_by_name_before_anything_moves(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

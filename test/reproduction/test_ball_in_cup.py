@@ -3,6 +3,7 @@
 
 from typing import Any
 
+from reproduction.rivals.learners import RIVALS
 from reproduction.studies import ball_in_cup
 from wam_power_ros.practice.settings import preset
 
@@ -15,7 +16,8 @@ def test_rows_differ_only_in_the_learner_and_its_information() -> None:
     for job in found:
         assert {**job.arguments, **blank} == {**found[0].arguments, **blank}
         row = ball_in_cup.ROWS[job.study]
-        settings = preset("ball_in_cup", row.preset, {"name": row.learner} if row.learner else None)
+        other = {"name": RIVALS.get(row.learner, row.learner)} if row.learner else None
+        settings = preset("ball_in_cup", row.preset, other)
         assert settings.practice.model_copy(update={"mean_every": plain.mean_every}) == plain
         assert ("miss" in row.told) == (settings.task_settings.gain > 0.0)
 

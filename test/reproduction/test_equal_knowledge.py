@@ -4,9 +4,9 @@
 import numpy as np
 import pytest
 
+from reproduction.rivals.learners import RandomSearch
 from reproduction.studies import equal_knowledge
 from reproduction.studies.equal_knowledge import InformedLearner, Planner, runs
-from wam_power_ros.learning.baselines import RandomSearch
 
 
 def searching(seed: int = 0) -> RandomSearch:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from reproduction.rivals.learners import RIVALS
 from reproduction.studies import grounds
 from reproduction.studies.flip_sessions import HELD_OUT, stand_in, teach
 from wam_power_ros.practice.settings import preset
@@ -33,7 +34,7 @@ def test_learners_of_a_ground_differ_only_in_the_learner_and_what_it_is_told() -
         assert settings.practice.budget == plain.practice.budget
         assert settings.practice.retests == plain.practice.retests
         assert learner not in searched or settings.practice == plain.practice
-        assert not row.name or settings.learner == row.name == learner
+        assert not row.name or settings.learner == RIVALS.get(learner, learner)
         task = settings.task_settings
         blind = not task.gain
         assert ("rotation" in row.told) == (not blind)

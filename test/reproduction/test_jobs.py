@@ -142,6 +142,7 @@ def test_whatever_the_studies_import_is_hashed() -> None:
     imported = {Path(line) for line in asked.stdout.splitlines() if line.endswith(".py")}
     hashed = {path for _, path in job_cache.hashed_sources()}
     assert {PACKAGE / "learning/power.py", ROOT / "hardware_sim/motors.py"} <= imported
+    assert {ROOT / "reproduction/rivals/learners.py"} <= imported
     assert imported - hashed <= {ROOT / f"reproduction/{name}.py" for name in ("__init__", "jobs")}
 
 

@@ -4,6 +4,8 @@
 import numpy as np
 import pytest
 
+from reproduction.rivals.learners import RandomSearch, ScreenedPower
+from reproduction.rivals.reach_model import ReachModel
 from reproduction.studies.reaching import TUNING
 from reproduction.studies.reaching_runs import (
     NOISE,
@@ -14,13 +16,10 @@ from reproduction.studies.reaching_runs import (
     study,
     synthetic,
 )
-from wam_power_ros.learning.baselines import RandomSearch
 from wam_power_ros.learning.learner import Learner
 from wam_power_ros.learning.parametrization import parametrization_of
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.power import Power
-from wam_power_ros.learning.screened_power import ScreenedPower
-from wam_power_ros.tasks.reach.obstacle_model import ReachModel
 
 SCENARIO = synthetic()
 FULL = parametrization_of(SCENARIO.policy, "full", NOISE["full"])

@@ -20,8 +20,8 @@ import pinocchio as pin
 from wam_power_ros import compiled
 from wam_power_ros.arm_identity import ArmIdentity
 from wam_power_ros.control.corrections import Corrections
-from wam_power_ros.control.inertia import require_physical
-from wam_power_ros.control.urdf_joints import require_usable
+from wam_power_ros.control.urdf_checks import number, require_physical, require_usable
+from wam_power_ros.learning.policy import read_only
 
 JOINTS_MAX = 64  # of a chain: the compiled loops have room for no more
 FRICTION_SPEED = 0.02  # [rad/s] width of the tanh that smooths Coulomb friction at standstill
@@ -181,10 +181,7 @@ class Arm:
         self.n = self.model.nv
         if self.n > JOINTS_MAX:
             raise ValueError(f"{self.n} joints are too many, at most {JOINTS_MAX} are possible")
-        armature = [_armature(tree, name) for name in self.joint_names]
-        self.armature = _checked("armature", armature, self.n)
-        if np.any(self.armature < 0.0):
-            raise ValueError(f"armature {self.armature.tolist()} must not be negative")
+        self.armature = np.array([_armature(tree, name) for name in self.joint_names])
         self.model.armature = self.armature
         self.tool_frame = self._tool = self._frame(tool_frame)
         self._zero = np.zeros(self.n)
@@ -212,7 +209,7 @@ class Arm:
         self._data = self.model.createData()
         self.guarded = tuple(point.name for point in guarded)
         self._guarded = [
-            self._point(self._frame(link), _checked(f"guarded point {name}", offset, 3))
+            self._point(self._frame(link), read_only(f"guarded point {name}", offset, (3,)))
             for name, link, offset in guarded
         ]
         self._moving = [*self._guarded, self._point(self._tool, np.zeros(3))]
@@ -330,10 +327,6 @@ class Arm:
         """Torque for an acceleration, by recursive Newton-Euler [N m]. Shape (n,)."""
         return pin.rnea(self.model, self._data, q, qd, qdd)
 
-    def forward_dynamics(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        """Acceleration under a torque, without friction [rad/s^2]. Shape (n,)."""
-        return pin.aba(self.model, self._data, q, qd, tau)
-
     def resisted_dynamics(
         self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, resistance: np.ndarray, dt: float
     ) -> np.ndarray:
@@ -421,17 +414,10 @@ def _chain(full: pin.Model, joint_names: tuple[str, ...]) -> pin.Model:
 def _armature(tree: ElementTree.Element, joint_name: str) -> float:
     dynamics = tree.find(f"./joint[@name='{joint_name}']/dynamics")
     text = "0" if dynamics is None else dynamics.get("armature", "0")
-    try:
-        return float(text)
-    except ValueError:
-        raise ValueError(f"armature {text!r} of joint {joint_name!r} is not a number") from None
-
-
-def _checked(name: str, values: Sequence[float], count: int) -> np.ndarray:
-    array = np.array(values, dtype=float)
-    if array.shape != (count,) or not np.isfinite(array).all():
-        raise ValueError(f"{name} {array.tolist()} must be {count} finite numbers")
-    return array
+    if not 0.0 <= (armature := number(text)) < math.inf:
+        text = f"armature {text!r} of joint {joint_name!r}"
+        raise ValueError(f"{text} must be a finite number that is not negative")
+    return armature
 
 
 def _digest(numbers: list[str]) -> str:

@@ -31,8 +31,7 @@ from wam_power_ros.control.modes import (
     Refusal,
     check_transition,
 )
-from wam_power_ros.control.policy_execution import Execution
-from wam_power_ros.control.prepared_policy import PreparedPolicy, prepare
+from wam_power_ros.control.policy_execution import Execution, prepare
 from wam_power_ros.control.state_checks import (
     STATE_LOSS_TIMEOUT,
     JointState,
@@ -43,6 +42,7 @@ from wam_power_ros.control.supervision import REST_NS, Supervision
 from wam_power_ros.control.torque_output import TorqueOutput
 from wam_power_ros.control.unexplained_torque import UnexplainedTorque
 from wam_power_ros.faults import Fault, FaultKind
+from wam_power_ros.learning.dmp import TabulatedPolicy
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import EndEffectorPath
 
@@ -100,7 +100,7 @@ class Controller:
         self._output = TorqueOutput(arm, self.limits, compensated, self.counters)
         self._supervision = Supervision(arm, self.limits, settings, self._output.motor_torque)
         self._joints = JointControl(arm, self.limits)
-        self._policy: PreparedPolicy | None = None  # loaded
+        self._policy: TabulatedPolicy | None = None  # loaded
         self._rollout: Execution | None = None  # the last that began
         self._completed: set[str] = set()  # contents of policies that have run to their end
         self.unexplained = UnexplainedTorque(arm)
@@ -117,7 +117,7 @@ class Controller:
             Mode.MOVE_TO_START: self._joint_torque,
             Mode.ROLLOUT: self._rollout_torque,
             Mode.REPLAY: self._joint_torque,
-            Mode.FAULT: self._fault_torque,
+            Mode.FAULT: self._supervision.reaction_torque,
         }
         self._law: Law = self._braking_torque
         self._set(Mode.INACTIVE if latched is None else Mode.FAULT)
@@ -201,10 +201,10 @@ class Controller:
         Raises:
             ControllerError: A rollout is under way, or the policy does not fit the arm.
         """
-        self.load_prepared(prepare(policy, self.arm.n, self.limits, self.settings))
+        self.load_prepared(prepare(policy, self.limits, self.settings))
 
-    def load_prepared(self, policy: PreparedPolicy) -> None:
-        """Load a policy that was prepared for this arm and these settings.
+    def load_prepared(self, policy: TabulatedPolicy) -> None:
+        """Load a policy that `prepare` returned for this arm and these settings.
 
         Raises:
             ControllerError: A rollout is under way.
@@ -412,12 +412,12 @@ class Controller:
             return "no joint state has been received yet"
         return safety.rest_violation(self.arm.motion(last.q, last.qd))
 
-    def _require_policy(self, request: str) -> PreparedPolicy:
+    def _require_policy(self, request: str) -> TabulatedPolicy:
         if self._policy is None:
             raise ControllerError(Refusal.NOTHING, f"{request} refused: no policy is loaded")
         return self._policy
 
-    def _require_ready(self) -> PreparedPolicy:
+    def _require_ready(self) -> TabulatedPolicy:
         """Return the loaded policy; refuse a rollout that cannot begin now."""
         if self.latched is not None:
             text = f"rollout refused: fault ({self.latched.text}); reset first"
@@ -616,9 +616,6 @@ class Controller:
 
     def _braking_torque(self, state: JointState, _: Motion | Speeds | None = None) -> np.ndarray:
         return self._damped_gravity(state, safety.FAULT_DAMPING, self.unexplained.compensation)
-
-    def _fault_torque(self, state: JointState, motion: Motion | Speeds) -> np.ndarray:
-        return self._supervision.reaction_torque(state, motion)
 
     def _teaching_torque(self, state: JointState, motion: Motion | Speeds) -> np.ndarray:
         before, step = self._states.before, 0.0

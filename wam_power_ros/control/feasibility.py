@@ -21,8 +21,7 @@ from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.joint_control import TrackingLost
 from wam_power_ros.control.modes import ControllerError, Mode
-from wam_power_ros.control.policy_execution import Execution
-from wam_power_ros.control.prepared_policy import prepare
+from wam_power_ros.control.policy_execution import Execution, prepare
 from wam_power_ros.control.reaction import TORQUE_DELAY
 from wam_power_ros.control.safety import Limits, LimitSprings, MotionCheck, limits_of
 from wam_power_ros.control.state_checks import JointState, at_rate
@@ -92,7 +91,7 @@ def simulate_policy(
     # The whole movement must be feasible.
     settings = settings.model_copy(update={"limits": tight, "region": None})
     try:
-        prepared = prepare(policy, arm.n, tight, settings)
+        prepared = prepare(policy, tight, settings)
     except ControllerError as error:
         refusal = Fault(FaultKind.COMPUTATION, str(error))
         return Feasibility(refusal, np.zeros(arm.n), 0.0, 0.0, np.empty((0, arm.n)))

@@ -19,7 +19,7 @@ from wam_power_ros.control.arm import Arm, Motion, Speeds
 from wam_power_ros.control.modes import MOVING_MODES, PASSIVE_MODES, WORKSPACE_MODES, Mode
 from wam_power_ros.control.state_checks import JointState, at_rate
 from wam_power_ros.faults import Fault, FaultKind
-from wam_power_ros.learning.policy import PERIOD
+from wam_power_ros.learning.policy import PERIOD, read_only
 
 # Shapes that are not (n,)
 _SHAPES: dict[str, tuple[int, ...]]
@@ -96,13 +96,10 @@ class Limits:
         for name in _names():
             value = getattr(self, name)
             shape = _SHAPES.get(name, (n,))
-            array = np.array(value, dtype=float)
-            if array.shape != shape or not np.isfinite(array).all():
-                raise ValueError(f"limit {name} = {value} must be finite, shape {shape}")
+            array = read_only(f"limit {name}", value, shape)
             if name not in _SIGNED and not np.all(array > 0.0):
                 raise ValueError(f"limit {name} = {value} must be positive")
             if shape:
-                array.setflags(write=False)
                 object.__setattr__(self, name, array)
         for lower, upper in (("q_min", "q_max"), ("workspace_min", "workspace_max")):
             if not np.all(getattr(self, lower) < getattr(self, upper)):

@@ -87,10 +87,6 @@ class Environment:
         """See `practice.ArmModel`."""
         return foresee(self.arm, self.controller.settings, policy)
 
-    def tool_position(self, q: np.ndarray) -> np.ndarray:
-        """Position of the tool at joint angles q [m]. Shape (3,)."""
-        return self.arm.tool_pose(q)[0]
-
     def tick(self) -> None:
         """Run one control period: state to torque, torque to state."""
         world = self.world

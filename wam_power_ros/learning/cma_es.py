@@ -7,7 +7,7 @@ import cmaes
 import numpy as np
 from pydantic import Field
 
-from wam_power_ros.learning.learner import GaussianLearner, LearnerSettings, Model
+from wam_power_ros.learning.learner import GaussianLearner, LearnerSettings
 
 
 class CmaEs(GaussianLearner):
@@ -27,11 +27,7 @@ class CmaEs(GaussianLearner):
     size_min = 2
 
     def __init__(
-        self,
-        size: int,
-        settings: Settings,
-        rng: np.random.Generator,
-        model: Model | None = None,
+        self, size: int, settings: Settings, rng: np.random.Generator, model: None = None
     ) -> None:
         """Start at z = 0; see `LearnerClass`."""
         super().__init__(size, settings, rng, model)

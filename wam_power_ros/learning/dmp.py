@@ -48,29 +48,39 @@ def activations(basis: Basis, t: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class Tables:
-    """Eq. 1 on the control grid; arrays are read-only, T = round(duration / dt) + 1 rows.
+class TabulatedPolicy:
+    """What a rollout needs of a policy: Eq. 1 on the control grid.
+
+    The tables are read-only and have T = round(duration / dt) + 1 rows.
 
     Attributes:
+        id: Id of the policy.
+        duration: Duration of the movement [s].
+        q_start: Joint angles at the start [rad]. Shape (nj,).
+        orientation_reference: R_ref as a unit quaternion xyzw. Shape (4,).
         a: sum_i h_i K_i [1/s^2]. Shape (T, 3, 3).
         b: sum_i h_i K_i mu_i [m/s^2]. Shape (T, 3).
         rotation_b: rotation_stiffness * sum_i h_i r_i [rad/s^2]. Shape (T, 3).
         damping: Damping kappa_V [1/s].
         rotation_stiffness: Stiffness of the orientation [1/s^2].
         rotation_damping: Damping of the orientation [1/s].
-        dt: Control period [s].
+        content: Digest of the policy without its id, where one is needed.
     """
 
+    id: str
+    duration: float
+    q_start: np.ndarray
+    orientation_reference: np.ndarray
     a: np.ndarray
     b: np.ndarray
     rotation_b: np.ndarray
     damping: float
     rotation_stiffness: float
     rotation_damping: float
-    dt: float
+    content: str = ""
 
 
-def tabulate(policy: Policy, dt: float = PERIOD) -> Tables:
+def tabulate(policy: Policy, dt: float = PERIOD) -> TabulatedPolicy:
     """Tabulate Eq. 1 on the control grid 0, dt, ... duration.
 
     Args:
@@ -91,19 +101,22 @@ def tabulate(policy: Policy, dt: float = PERIOD) -> Tables:
     rotation_b = policy.rotation_stiffness * (h @ policy.rotation_attractors)
     for array in (a, b, rotation_b):
         array.setflags(write=False)
-    return Tables(
+    return TabulatedPolicy(
+        id=policy.id,
+        duration=basis.duration,
+        q_start=policy.q_start,
+        orientation_reference=policy.orientation_reference,
         a=a,
         b=b,
         rotation_b=rotation_b,
         damping=policy.damping,
         rotation_stiffness=policy.rotation_stiffness,
         rotation_damping=policy.rotation_damping,
-        dt=dt,
     )
 
 
 def acceleration(
-    tables: Tables,
+    policy: TabulatedPolicy,
     k: int,
     position: np.ndarray,
     rotation: Sequence[float],
@@ -112,7 +125,7 @@ def acceleration(
     """Reference acceleration of the tool at tick k: Eq. 1, and the same law for the rotation.
 
     Args:
-        tables: Tables of the policy.
+        policy: Policy to execute.
         k: Tick since the start, >= 0; beyond the last row, the last row is used.
         position: Position x of the tool [m]. Shape (3,).
         rotation: Rotation vector r of R = exp(r) R_ref, in the base frame [rad]; three numbers.
@@ -121,16 +134,16 @@ def acceleration(
     Returns:
         Linear [m/s^2] and angular [rad/s^2] acceleration. Shape (6,).
     """
-    if k >= len(tables.b):
+    if k >= len(policy.b):
         k = -1
     # Plain floats: one NumPy operation on three numbers takes longer than all of these.
-    x, y, z = tables.b[k].tolist()
-    ax, ay, az = tables.a[k].dot(position).tolist()
-    u, v, w = tables.rotation_b[k].tolist()
+    x, y, z = policy.b[k].tolist()
+    ax, ay, az = policy.a[k].dot(position).tolist()
+    u, v, w = policy.rotation_b[k].tolist()
     ru, rv, rw = rotation
     xd, yd, zd, ud, vd, wd = twist
-    damping, stiffness = tables.damping, tables.rotation_stiffness
-    rotation_damping = tables.rotation_damping
+    damping, stiffness = policy.damping, policy.rotation_stiffness
+    rotation_damping = policy.rotation_damping
     return np.array(
         (
             x - ax - damping * xd,

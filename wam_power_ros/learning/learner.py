@@ -10,7 +10,6 @@ generator and of the rollouts: to restore it, tell a new learner the same rollou
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from bisect import insort
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -98,38 +97,24 @@ class ErrorModel(Protocol):
         """Function of z (size,) alone, None where the error is unknown; None for slopes only."""
 
 
-class Model(Protocol):
-    """A predictor of returns, usable before the first rollout, that may learn from every rollout.
-
-    Both methods depend only on the rollouts learnt from and their order: no generator, no clock.
-    """
-
-    def predict(self, z: np.ndarray) -> np.ndarray:
-        """Predict the returns of candidates z (B, size). Shape (B,)."""
-
-    def learn(self, z: np.ndarray, ret: float) -> None:
-        """Learn from a rollout at z (size,) with return `ret`."""
-
-
 class LearnerClass(Protocol):
     """Class of a learner, registered in the entry-point group `wam_power_ros.learners`.
 
     Attributes:
         Settings: Model of the settings, with a default for every field.
-        needs_model: Whether the constructor needs a `Model`; if not, it accepts none.
-        needs_error_model: Whether it needs an `ErrorModel` in its place; False if left out.
+        needs_error_model: Whether the constructor needs an `ErrorModel`; if not, it accepts none.
+            False if left out.
         needs_corrections: True if it learns from the task's corrections alone; may be left out.
     """
 
     Settings: Any
-    needs_model: bool
 
     def __call__(
         self,
         size: int,
         settings: Any,  # noqa: ANN401 - the class's own `Settings`
         rng: np.random.Generator,
-        model: Any = None,  # noqa: ANN401 - a `Model` or an `ErrorModel`
+        model: ErrorModel | None = None,
     ) -> Learner:
         """Construct a learner.
 
@@ -137,7 +122,7 @@ class LearnerClass(Protocol):
             size: Number of parameters.
             settings: Instance of `Settings`.
             rng: Source of the exploration noise; used by `ask` only.
-            model: Predictor of returns or of errors, given if and only if it is needed.
+            model: Predictor of errors, given if and only if it is needed.
 
         Raises:
             ValueError: If `size` is too small, or a model is missing or unused.
@@ -175,28 +160,23 @@ class LearnerSettings(BaseModel):
 
 
 class Rollouts:
-    """Coordinates and returns of past rollouts, oldest first."""
+    """Past rollouts, oldest first.
+
+    Attributes:
+        z: Coordinates, read-only. Shape (m, size).
+        returns: Returns, read-only. Shape (m,).
+    """
+
+    z: np.ndarray
+    returns: np.ndarray
 
     def __init__(self, size: int) -> None:
         """Start without rollouts; z has `size` elements."""
         self._size = size
-        self._z: np.ndarray
-        self._returns: np.ndarray
-        self._best_first: list[int]
         self.clear()
 
     def __len__(self) -> int:
-        return len(self._best_first)
-
-    @property
-    def z(self) -> np.ndarray:
-        """Coordinates, read-only. Shape (m, size)."""
-        return _read_only(self._z[: len(self)])
-
-    @property
-    def returns(self) -> np.ndarray:
-        """Returns, read-only. Shape (m,)."""
-        return _read_only(self._returns[: len(self)])
+        return len(self.returns)
 
     def elite(self, sigma: int) -> tuple[np.ndarray, np.ndarray]:
         """The `sigma` rollouts that `best_first` puts first, oldest first.
@@ -204,8 +184,8 @@ class Rollouts:
         Returns:
             Coordinates and returns. Shapes (k, size) and (k,), k at most `sigma`.
         """
-        indices = sorted(self._best_first[:sigma])
-        return self._z[indices], self._returns[indices]
+        indices = np.sort(best_first(self.returns)[:sigma])
+        return self.z[indices], self.returns[indices]
 
     def add(self, z: np.ndarray, ret: float) -> None:
         """Append a copy of a rollout.
@@ -218,17 +198,13 @@ class Rollouts:
             raise ValueError(f"z must be finite and of shape ({self._size},), got {z.shape}: {z}")
         if not (np.isfinite(ret) and ret >= 0.0):
             raise ValueError(f"a return must be finite and >= 0, got {ret}")
-        new = len(self)
-        if new == len(self._returns):  # doubled, so that a rollout costs the same at any number
-            self._z = np.concatenate([self._z, np.empty_like(self._z)])
-            self._returns = np.concatenate([self._returns, np.empty_like(self._returns)])
-        self._z[new], self._returns[new] = z, ret
-        insort(self._best_first, new, key=lambda index: (-self._returns[index], -index))
+        self.z = _read_only(np.vstack([self.z, z]))
+        self.returns = _read_only(np.append(self.returns, ret))
 
     def clear(self) -> None:
         """Discard all rollouts to start the next batch; arrays given out keep their values."""
-        self._z, self._returns = np.empty((8, self._size)), np.empty(8)
-        self._best_first = []
+        self.z = _read_only(np.empty((0, self._size)))
+        self.returns = _read_only(np.empty(0))
 
 
 class GaussianLearner(ABC):
@@ -243,7 +219,6 @@ class GaussianLearner(ABC):
     """
 
     Settings: type[LearnerSettings] = LearnerSettings
-    needs_model = False
     needs_error_model = False
     size_min = 1
     settings: LearnerSettings
@@ -253,19 +228,18 @@ class GaussianLearner(ABC):
         size: int,
         settings: LearnerSettings,
         rng: np.random.Generator,
-        model: Any = None,  # noqa: ANN401 - a `Model` or an `ErrorModel`
+        model: ErrorModel | None = None,
     ) -> None:
         """Start at z = 0; see `LearnerClass`."""
         name = type(self).__name__
         if size < self.size_min:
             raise ValueError(f"size is {size}, {name} needs at least {self.size_min}")
-        needed = self.needs_model or self.needs_error_model
-        if (model is not None) != needed:
-            raise ValueError(f"{name} {'needs a' if needed else 'uses no'} model")
+        if (model is not None) != self.needs_error_model:
+            raise ValueError(f"{name} {'needs a' if self.needs_error_model else 'uses no'} model")
         self.size = size
         self.settings = settings
         self._rng = rng
-        self._model = model
+        self._model: Any = model  # an `ErrorModel` where it is needed
         self._rollouts = Rollouts(size)
         self._mean = np.zeros(size)
         self._noise: float | np.ndarray = 1.0  # standard deviation of the exploration
@@ -314,12 +288,7 @@ def generator_state(rng: np.random.Generator) -> dict[str, Any]:
     Raises:
         ValueError: If the bit generator is not PCG64.
     """
-    state = rng.bit_generator.state
+    state = dict(rng.bit_generator.state)
     if state["bit_generator"] != "PCG64":
         raise ValueError(f"bit generator {state['bit_generator']!r} must be 'PCG64'")
-    return {
-        "bit_generator": "PCG64",
-        "state": {key: int(value) for key, value in state["state"].items()},
-        "has_uint32": int(state["has_uint32"]),
-        "uinteger": int(state["uinteger"]),
-    }
+    return state

@@ -71,7 +71,7 @@ def read_only(
     if bad.any():
         at = tuple(int(i) for i in np.argwhere(bad)[0])
         rule = "finite" if limit == np.inf else f"finite and at most {limit} in magnitude"
-        raise ValueError(f"{name}{list(at)} = {array[at]} must be {rule}")
+        raise ValueError(f"{name}{list(at) or ''} = {array[at]} must be {rule}")
     array.setflags(write=False)
     return array
 

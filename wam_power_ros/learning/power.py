@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
@@ -16,9 +16,7 @@ from wam_power_ros.learning.learner import (
 )
 
 Weights = Literal["return", "sharpened"]
-SIGMAS = (2, 3, 4, 6, 8, 12, 16, 24)  # elite sizes that `choose_sigma` chooses from
 SIGMA_DEFAULT = 6  # elite size of the paper
-ROLLOUTS_MIN = 8  # smallest number of rollouts with which `choose_sigma` chooses
 
 
 def power_update(
@@ -73,60 +71,6 @@ def power_update(
     return theta + weighted_mean(offsets, weight)
 
 
-def choose_sigma(rollouts: np.ndarray, returns: np.ndarray) -> int:
-    """Choose the elite size with the largest expected gain, by leave-one-out. Not in the paper.
-
-    For each size s, and each rollout k left out in turn, m is the return-weighted mean of the s
-    best of the others and c the unweighted mean of the others:
-
-        d_k = m - c,    p_k = (theta_k - c) . d_k / |d_k|,
-        gain(s) = mean_k |d_k| cov_k(p, R) / var_k(p),
-
-    the length of the step from the centre of the rollouts to the mean of the elite, times the slope
-    of the return along that step at the rollouts left out. A small elite makes a large step, which
-    is uphill without noise in the returns. If its returns are high by chance, the rollouts left out
-    show a small slope, and a larger elite, which averages the noise, is chosen.
-
-    Args:
-        rollouts: Parameters of the past rollouts, oldest first. Shape (m, n).
-        returns: Returns of the past rollouts, >= 0. Shape (m,).
-
-    Returns:
-        The size in `SIGMAS` with the largest gain, the smaller one of equals; SIGMA_DEFAULT with
-        fewer than ROLLOUTS_MIN rollouts or if no gain is positive.
-    """
-    count = len(returns)
-    if count < ROLLOUTS_MIN:
-        return SIGMA_DEFAULT
-    order = best_first(returns)
-    rollouts, returns = rollouts[order], returns[order]
-    sums = np.cumsum(returns[:, np.newaxis] * rollouts, axis=0)  # sums over the best 1, 2, ...
-    weights = np.cumsum(returns)
-    centre = (rollouts.sum(axis=0) - rollouts) / (count - 1)  # (m, n), mean of all but k
-    best, chosen = 0.0, SIGMA_DEFAULT
-    for size in SIGMAS:
-        if size >= count - 1:
-            break
-        inside = np.arange(count) < size  # if k is in the elite, the next best replaces it
-        total = np.where(inside, weights[size] - returns, weights[size - 1])
-        if not (total > 0.0).all():
-            continue
-        own = returns[:, np.newaxis] * rollouts
-        step = np.where(inside[:, np.newaxis], sums[size] - own, sums[size - 1])
-        step = step / total[:, np.newaxis] - centre  # d_k, (m, n)
-        length = np.sqrt((step**2).sum(axis=1))
-        if not (length > 0.0).all():
-            continue
-        along = ((rollouts - centre) * step).sum(axis=1) / length  # p_k
-        spread = along - along.mean()
-        if not (variance := float((spread**2).mean())) > 0.0:
-            continue
-        gain = float(length.mean()) * float((spread * (returns - returns.mean())).mean()) / variance
-        if gain > best:
-            best, chosen = gain, size
-    return chosen
-
-
 def _weights(returns: np.ndarray, kind: Weights, sharpness: float) -> np.ndarray:
     """Weights of an elite, scaled to a largest weight of 1. Shape (k,)."""
     best = returns.max()
@@ -147,15 +91,14 @@ class Power(GaussianLearner):
         """Settings of PoWER.
 
         Attributes:
-            sigma: Size of the elite, the best past rollouts whose weighted mean is taken; "auto":
-                chosen by `choose_sigma` after every rollout.
+            sigma: Size of the elite, the best past rollouts whose weighted mean is taken.
             weights: Weights of the elite: "return", the returns (the paper), or "sharpened",
                 exp((R - R_max) / (sharpness (R_max - R_min))), with R_min and R_max of the elite.
             sharpness: Width of the sharpened weights, in units of R_max - R_min.
             decay: Factor on the exploration noise after each rollout; 1: constant (the paper).
         """
 
-        sigma: Annotated[int, Field(ge=1)] | Literal["auto"] = SIGMA_DEFAULT
+        sigma: int = Field(default=SIGMA_DEFAULT, ge=1)
         weights: Weights = "return"
         sharpness: float = Field(default=0.3, gt=0.0, allow_inf_nan=False)
         decay: float = Field(default=1.0, gt=0.0, le=1.0)
@@ -165,9 +108,7 @@ class Power(GaussianLearner):
     @property
     def sigma(self) -> int:
         """Size of the elite of the present rollouts."""
-        if self.settings.sigma != "auto":
-            return self.settings.sigma
-        return choose_sigma(self._rollouts.z, self._rollouts.returns)
+        return self.settings.sigma
 
     def _update(self) -> None:
         self._noise = self.settings.decay ** len(self._rollouts)

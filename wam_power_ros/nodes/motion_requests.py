@@ -12,7 +12,7 @@ from std_srvs.srv import Trigger
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.joint_references import Sampled
 from wam_power_ros.control.modes import ControllerError, Mode
-from wam_power_ros.control.prepared_policy import PreparedPolicy
+from wam_power_ros.learning.dmp import TabulatedPolicy
 from wam_power_ros.learning.rollout import EndEffectorPath
 from wam_power_ros.ros.answers import NOT_ACTIVE, Answer, Code
 from wam_power_ros.ros.requests import RolloutEnd
@@ -73,7 +73,7 @@ class MotionRequests:
         self,
         id: str,
         do: str,
-        about: PreparedPolicy | Sampled,
+        about: TabulatedPolicy | Sampled,
         sent_ns: int,
         known_stop: str | None = None,
     ) -> None:

@@ -22,9 +22,8 @@ import numpy as np
 from wam_power_ros.arm_identity import ArmIdentity
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.joint_references import Sampled
-from wam_power_ros.control.prepared_policy import PreparedPolicy
 from wam_power_ros.control.safety import Limits
-from wam_power_ros.learning.dmp import Tables
+from wam_power_ros.learning.dmp import TabulatedPolicy
 from wam_power_ros.learning.rollout import EndEffectorPath
 from wam_power_ros.regions import Region
 from wam_power_ros.ros.answers import Answer
@@ -59,7 +58,7 @@ class Preparation:
     def __init__(
         self,
         domain: int,
-        on_request: Callable[[str, str, PreparedPolicy | Sampled, int, str | None], None],
+        on_request: Callable[[str, str, TabulatedPolicy | Sampled, int, str | None], None],
         on_refusal: Callable[[str, str], None],
         on_lost: Callable[[str, str], None],
     ) -> None:
@@ -188,8 +187,7 @@ class Preparation:
         elif values["configuration"] != self._configuration:
             self._on_lost(values["id"], "the controller was configured anew")
         elif what == "policy":
-            tables = Tables(**{name: arrays.pop(name) for name in TABLES}, **values["tables"])
-            policy = PreparedPolicy(**values["policy"], **arrays, tables=tables)
+            policy = TabulatedPolicy(**values["policy"], **arrays)
             self._on_request(values["id"], values["do"], policy, *values["sent"])
         else:
             movement = Sampled(**arrays, **values["movement"])
@@ -228,9 +226,6 @@ class Preparation:
         if self._channel is not None:
             self._channel.close()
         self._channel = None
-
-
-TABLES = ("a", "b", "rotation_b")  # arrays of `dmp.Tables`
 
 
 def settings_values(settings: ControllerSettings) -> dict[str, Any]:

@@ -25,7 +25,7 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
-from wam_power_ros.control import prepared_policy, replay_trajectory
+from wam_power_ros.control import policy_execution, replay_trajectory
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.modes import ControllerError
 from wam_power_ros.control.safety import Limits
@@ -35,7 +35,6 @@ from wam_power_ros.nodes.preparation import (
     MOVEMENT,
     NAME,
     REQUEST,
-    TABLES,
     channel_of_process,
     settings_of,
 )
@@ -189,23 +188,12 @@ class PreparationWorker(Node):
             raise ValueError(f"{POLICY_REQUESTS} of a policy can be requested, not {given}")
         settings, limits = self._arm()
         policy = policies.from_json(asked.about["policy"])
-        prepared = prepared_policy.prepare(policy, len(limits.q_min), limits, settings)
-        tables = vars(prepared.tables)
-        values = {
-            "policy": {
-                "id": policy.id,
-                "duration": prepared.duration,
-                "content": prepared.content,
-            },
-            "tables": {name: value for name, value in tables.items() if name not in TABLES},
-        }
-        arrays = {name: tables[name] for name in TABLES} | {
-            "q_start": prepared.q_start,
-            "orientation_reference": prepared.orientation_reference,
-        }
+        prepared = vars(policy_execution.prepare(policy, limits, settings))
+        arrays = {name: each for name, each in prepared.items() if isinstance(each, np.ndarray)}
+        rest = {name: each for name, each in prepared.items() if name not in arrays}
         self._asked = asked.id, asked.about["policy"]
         sent = sent_ns, asked.about.get("stop")
-        values |= {"what": "policy", "id": asked.id, "do": asked.do, "sent": sent}
+        values = {"what": "policy", "id": asked.id, "do": asked.do, "sent": sent, "policy": rest}
         self._hand_over(REQUEST, values, arrays)
 
     def _movement(self, data: bytes, sent_ns: int) -> None:

@@ -5,8 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-import numpy as np
-
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.feasibility import foresee, simulate_policy, speed_margin
 from wam_power_ros.faults import Fault
@@ -64,7 +62,3 @@ class SimulatedArm:
     def foresee(self, policy: Policy) -> Foreseen | None:
         """See `practice.ArmModel`."""
         return foresee(self._controller.arm, self._controller.settings, policy)
-
-    def tool_position(self, q: np.ndarray) -> np.ndarray:
-        """Position of the tool at joint angles q [m]. Shape (3,)."""
-        return self.kinematics.tool_pose(q)[0]

@@ -43,9 +43,6 @@ class ArmModel(Protocol):
             overruns: Number of rollouts in which the arm exceeded a limit that its model kept.
         """
 
-    def tool_position(self, q: np.ndarray) -> np.ndarray:
-        """Position of the tool at joint angles q [m]. Shape (3,)."""
-
     def foresee(self, policy: Policy) -> Foreseen | None:
         """Simulated execution of a policy; None if it ends in a fault.
 
@@ -159,14 +156,8 @@ class Improvement:
 
     def learn_again(self) -> None:
         """Start a new learner and feed it all rollouts of the demonstration, in their order."""
-        parametrization, task = self.parametrization, self._task
-        start = self._arm.tool_position(parametrization.policy0.q_start)
-        self.learner = self._settings.make_learner(
-            parametrization.size,
-            self._rng,
-            task.model(parametrization, start) if task.declares("model") else None,
-            self._error_model,
-        )
+        size, model = self.parametrization.size, self._error_model
+        self.learner = self._settings.make_learner(size, self._rng, model)
         for record in self._records:
             if record.demonstration == self.demonstration:
                 self._tell(record)

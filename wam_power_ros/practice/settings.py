@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, ValidationErr
 
 from wam_power_ros import installed
 from wam_power_ros.learning.demonstration import Demonstration
-from wam_power_ros.learning.learner import ErrorModel, Learner, Model, check_errors
+from wam_power_ros.learning.learner import ErrorModel, Learner, check_errors
 from wam_power_ros.learning.model_based import ModelBased
 from wam_power_ros.learning.policy import PERIOD
 from wam_power_ros.tasks.task import Task
@@ -93,48 +93,42 @@ class SessionSettings(BaseModel):
         try:
             task = self.make_task(kind.context_of([made_up], None))
             parametrization = task.parametrization(kind.policy_of([made_up], "made-up"))
-            model = task.model(parametrization, made_up.position[0])
             errors = task.error_model(parametrization, lambda policy: None)
         except Exception:  # of any task, at what is none of its movements: demonstrations will tell
             return
         rng = np.random.Generator(np.random.PCG64(0))
-        self.make_learner(parametrization.size, rng, model, errors)
+        self.make_learner(parametrization.size, rng, errors)
 
     def make_learner(
         self,
         size: int,
         rng: np.random.Generator,
-        task_model: Model | None,
-        error_model: ErrorModel | None = None,
+        model: ErrorModel | None = None,
     ) -> Learner:
-        """Create a learner of z in R^size that explores by `rng`, with the models as it needs them.
+        """Create a learner of z in R^size that explores by `rng`, with a model if it needs one.
 
         Raises:
             ValueError: The learner needs a model and the task has none; names those that work.
         """
-        given: dict[str, tuple[str, Model | ErrorModel | None]] = {
-            "needs_model": ("the returns", task_model),
-            "needs_error_model": ("the vector error", error_model),
-        }
         errors = installed.task_type(self.task).learnt_errors()
 
-        def models(name: str) -> list[Model | ErrorModel | None]:
+        def given(name: str) -> list[ErrorModel]:
             kind = installed.find("learner", name)
-            needed = [given[need] for need in given if getattr(kind, need, False)]
-            if missing := [what for what, model in needed if model is None]:
-                text = f"learner {name!r} needs a model of {missing[0]}, which task {self.task!r}"
-                raise ValueError(f"{text} with these settings does not have")
+            needed = getattr(kind, "needs_error_model", False)
+            if needed and model is None:
+                text = f"learner {name!r} needs a model of the vector error, which task"
+                raise ValueError(f"{text} {self.task!r} with these settings does not have")
             check_errors(kind, self.task, errors)
-            return [model for _, model in needed]
+            return [model] if needed and model is not None else []
 
         kind = installed.find("learner", self.learner)
         try:
-            chosen = models(self.learner)
+            chosen = given(self.learner)
         except ValueError as error:
             working = []
             for name in installed.names("learner"):
                 with suppress(ValueError):  # one of another package that cannot be loaded is none
-                    models(name)
+                    given(name)
                     working.append(name)
             raise ValueError(f"{error}; learners that work: {', '.join(working)}") from None
         learner: Learner = kind(size, self.learner_settings, rng, *chosen)

@@ -21,7 +21,7 @@ from pydantic import BaseModel
 from wam_power_ros.faults import Fault
 from wam_power_ros.learning.demonstration import Demonstration, ToolPose, from_joint_samples
 from wam_power_ros.learning.dmp import FitSettings, fit
-from wam_power_ros.learning.learner import ErrorModel, Model
+from wam_power_ros.learning.learner import ErrorModel
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Foreseen, Rollout
@@ -354,15 +354,6 @@ class Task(ABC):
         """
         limited = [error.scatter for error in self.errors if error.limit < math.inf]
         return limited if all(limited) else ()
-
-    def model(self, parametrization: Parametrization, start: np.ndarray) -> Model | None:
-        """Model of the returns for learners that screen candidates; None if the task has none.
-
-        Args:
-            parametrization: Map from coordinates to policies.
-            start: Position of the tool at the start of the policy [m]. Shape (3,).
-        """
-        return None
 
     def measure(self, observation: Mapping[str, Any]) -> Mapping[str, float] | None:
         """Values of `errors` by name, in their units, from what was observed in a rollout.

@@ -1,17 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Flip task: readiness, stopping rule and the outcome in tables."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from conftest import lift
 
 from wam_power_ros import rotations
 from wam_power_ros.practice.settings import preset
-from wam_power_ros.tasks.flip.planned_toss import plan_tosses, planned_terms
 from wam_power_ros.tasks.flip.settings import TRUE_TURN, FlipSettings
 from wam_power_ros.tasks.flip.task import Flip
 from wam_power_ros.tasks.task import Pose
@@ -109,36 +106,6 @@ def test_margins_are_unknown_where_nothing_was_seen_or_the_flip_does_not_matter(
     before = {**SEEN, "angle": np.pi, "landing_error": [0.0] * 3}
     assert FLIP.margins(judged(before)) == ()  # of a session before climbs were seen
     assert Flip(preset("flip", "paper").task_settings, {}).margins(judged(flight)) == ()
-
-
-@pytest.mark.parametrize("name", ["hindsight", "paper"])
-def test_the_model_predicts_the_return_that_is_learnt_from(name: str) -> None:
-    settings = preset("flip", name).task_settings
-    task, start = Flip(settings, {}), np.array([0.6, 0.0, 0.5])
-    parametrization = task.parametrization(lift("lift"))
-    z = np.zeros((1, parametrization.size))
-    weights = settings.pancake_weights if name == "paper" else settings.landing_weights
-    terms = planned_terms(plan_tosses(parametrization, z, start), weights)
-    predicted = task.model(parametrization, start).predict(z)
-    np.testing.assert_allclose(predicted, terms.sum(axis=1), rtol=1e-9)
-
-
-def test_the_model_predicts_tosses_above_the_height_of_the_settings() -> None:
-    settings = preset("flip", "paper").task_settings
-    higher = settings.model_copy(update={"delta_h": 0.5})
-    start = np.array([0.6, 0.0, 0.5])
-    lifted = np.outer([0.0, 0.0, 0.0, 0.6, 0.6, -0.2, 0.0, 0.0], [0.0, 0.0, 1.0])
-    policy = replace(
-        lift("lift"), attractors=start + lifted, rotation_attractors=0.5 * lifted[:, [0, 2, 1]]
-    )
-    parametrization = Flip(settings, {}).parametrization(policy)
-    z = np.zeros((1, parametrization.size))
-    for task in (Flip(settings, {}), Flip(higher, {})):
-        tosses = plan_tosses(parametrization, z, start, task.settings.delta_h)
-        terms = planned_terms(tosses, settings.pancake_weights)
-        predicted = task.model(parametrization, start).predict(z)
-        np.testing.assert_allclose(predicted, terms.sum(axis=1), rtol=1e-9)
-    assert not np.allclose(predicted, Flip(settings, {}).model(parametrization, start).predict(z))
 
 
 @pytest.mark.parametrize(

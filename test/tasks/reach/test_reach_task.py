@@ -119,17 +119,6 @@ def test_a_fault_counts_by_its_kind(kind: FaultKind, ret: float | None) -> None:
     assert task().assess(POLICY, Rollout(around(), None, Fault(kind, "why"))).ret == ret
 
 
-def test_the_model_knows_the_free_path_and_learns_where_it_was_stopped() -> None:
-    reach = task()
-    parametrization = reach.parametrization(POLICY)
-    model = reach.model(parametrization, np.array([0.7, -0.25, 0.6]))
-    z = np.zeros((1, parametrization.size))
-    free = float(model.predict(z)[0])
-    assert free > 0.8  # the model has not learnt the obstacle
-    model.learn(z[0], 0.35)
-    assert float(model.predict(z)[0]) < free
-
-
 def test_a_table_names_the_distance_and_the_contact() -> None:
     seen = {"touched": True, "goal_distance": 0.234, "clearance": -0.01}
     row = SimpleNamespace(kind="retest", fault="", why="", observation=seen)
@@ -161,7 +150,7 @@ def test_the_default_learns_to_pass_an_obstacle_at_which_nearly_all_rollouts_beg
         parameters = practised.parametrization(policy)
         scenario = practised._scenario(policy, demonstration.position[0])
         size, budget = parameters.size, settings.practice.budget
-        learners = [settings.make_learner(size, generator(seed), None) for seed in range(40)]
+        learners = [settings.make_learner(size, generator(seed)) for seed in range(40)]
         runs = learn_many(learners, parameters, scenario, budget)
         stuck[name] = np.mean([run.stuck for run in runs])
     assert stuck["reach"] < 0.05 < stuck["full"]  # of PoWER as in the paper

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from wam_power_ros.learning.learner import Model
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Foreseen, Rollout
@@ -19,7 +18,6 @@ from wam_power_ros.tasks.flip.flight import FLIP_ANGLES, observe_flight
 from wam_power_ros.tasks.flip.frames import REST_HEIGHT_MAX
 from wam_power_ros.tasks.flip.pan_toss import PANCAKE, predict_toss
 from wam_power_ros.tasks.flip.parametrization import flip_parametrization
-from wam_power_ros.tasks.flip.planned_toss import TossModel
 from wam_power_ros.tasks.flip.returns import pancake_return
 from wam_power_ros.tasks.flip.settings import FLIP_FIT, PRESETS, FlipSettings
 from wam_power_ros.tasks.flip.toss_errors import (
@@ -116,12 +114,6 @@ class Flip(Task):
         least, most = math.pi - ERRORS[0].limit, math.pi + ERRORS[0].limit
         within = 0.0 < low <= least + 1e-9 and most <= high + 1e-9
         return super().margins(record) if within else ()
-
-    def model(self, parametrization: Parametrization, start: np.ndarray) -> Model | None:
-        """Return of the planned toss, corrected by the returns of rollouts; see `Task`."""
-        settings = self.settings
-        weights = settings.pancake_weights if settings.ret == "eq5" else settings.landing_weights
-        return TossModel(parametrization, start, weights, settings.delta_h)
 
     def measure(self, observation: Mapping[str, Any]) -> Mapping[str, float] | None:
         """Errors of rotation, landing and catch; see `Task`."""

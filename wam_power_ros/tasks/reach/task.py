@@ -9,12 +9,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from wam_power_ros.learning.demonstration import Demonstration
-from wam_power_ros.learning.learner import Model
 from wam_power_ros.learning.parametrization import Parametrization, parametrization_of
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.regions import Region, region_of
-from wam_power_ros.tasks.reach.obstacle_model import ReachModel
 from wam_power_ros.tasks.reach.returns import reaching_terms
 from wam_power_ros.tasks.reach.scenario import Scenario, resampled
 from wam_power_ros.tasks.reach.settings import PRESETS, REACH_FIT, ReachSettings
@@ -135,10 +133,6 @@ class Reach(Task):
             return ()
         reached = self.settings.goal_tolerance - seen["goal_distance"]
         return (reached,) if self.region is None else (reached, seen["clearance"])
-
-    def model(self, parametrization: Parametrization, start: np.ndarray) -> Model | None:
-        """Path of Eq. 1, with contacts inferred from earlier rollouts; see `Task`."""
-        return ReachModel(parametrization, self._scenario(parametrization.policy0, start))
 
     def outcome(self, record: LoggedRollout) -> str:
         """Distance from the goal and contact with the obstacle; see `Task`."""

@@ -3,9 +3,9 @@
 
 import numpy as np
 
+from reproduction.rivals.reach_model import ReachModel
 from reproduction.studies.reaching_runs import NOISE, synthetic
 from wam_power_ros.learning.parametrization import parametrization_of
-from wam_power_ros.tasks.reach.obstacle_model import ReachModel
 
 SCENARIO = synthetic()
 FULL = parametrization_of(SCENARIO.policy, "full", NOISE["full"])

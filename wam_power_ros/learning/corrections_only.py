@@ -1,22 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Baselines of all learners: random search, and the task's hindsight corrections alone."""
+"""The task's corrections alone, as a baseline of the learners."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from wam_power_ros.learning.learner import GaussianLearner
-
-
-class RandomSearch(GaussianLearner):
-    """The best of independent samples about z = 0."""
-
-    def ask(self) -> np.ndarray:
-        """Draw the next coordinates about z = 0. Shape (size,)."""
-        return self._rng.standard_normal(self.size)
-
-    def _update(self) -> None:
-        self._mean = self._rollouts.z[int(np.argmax(self._rollouts.returns))]
 
 
 class CorrectionsOnly(GaussianLearner):

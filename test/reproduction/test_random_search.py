@@ -4,7 +4,7 @@
 import numpy as np
 from hill_task import SIZE, hill, rng
 
-from wam_power_ros.learning.baselines import RandomSearch
+from reproduction.rivals.learners import RandomSearch
 
 
 def test_random_search_keeps_the_best_rollout() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hill_task import rng
 
-from wam_power_ros.learning.policy_gradient import Enac, Reinforce
+from reproduction.rivals.learners import Enac, Reinforce
 
 SLOPE = np.array([3.0, -1.0, 0.5])
 

@@ -4,7 +4,7 @@
 import numpy as np
 from hill_task import SIZE, TOP, climb, rng
 
-from wam_power_ros.learning.pi2 import Pi2
+from reproduction.rivals.learners import Pi2
 
 
 def test_the_mean_moves_once_a_population_and_the_noise_decays_with_it() -> None:

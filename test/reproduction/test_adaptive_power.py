@@ -4,7 +4,7 @@
 import numpy as np
 from hill_task import SIZE, rng
 
-from wam_power_ros.learning.adaptive_power import AdaptivePower
+from reproduction.rivals.learners import AdaptivePower
 
 
 def variance(settings: AdaptivePower.Settings, rollouts: list[np.ndarray]) -> np.ndarray:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from hill_task import rng
 
-from wam_power_ros.learning.bayesian_optimization import BayesianOptimization
+from reproduction.rivals.learners import BayesianOptimization
 
 SIZE = 6
 TOP = np.array([3.0, -2.0, 0.0, 0.0, 0.0, 0.0])

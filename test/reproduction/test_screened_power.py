@@ -4,8 +4,8 @@
 import numpy as np
 from hill_task import SIZE, CrudeModel, climb, hill, rng
 
+from reproduction.rivals.learners import ScreenedPower
 from wam_power_ros.learning.power import Power
-from wam_power_ros.learning.screened_power import ScreenedPower
 
 Settings = ScreenedPower.Settings
 

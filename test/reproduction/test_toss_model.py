@@ -10,19 +10,13 @@ from toss_task import demonstrated_policy
 
 from hardware_sim.scenes import scene_type
 from hardware_sim.world import World
+from reproduction.rivals.toss_model import Tosses, TossModel, plan_tosses, planned_terms
 from reproduction.studies.flip_sessions import teach
 from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.flip.assessment import assess
 from wam_power_ros.tasks.flip.parametrization import FlipNoise, flip_parametrization
-from wam_power_ros.tasks.flip.planned_toss import (
-    CATCH_RADIUS,
-    Tosses,
-    TossModel,
-    plan_tosses,
-    planned_terms,
-)
-from wam_power_ros.tasks.flip.returns import LandingWeights, PancakeWeights, landing_return
+from wam_power_ros.tasks.flip.returns import PancakeWeights, pancake_return
 
 NOISE = FlipNoise(stiffness=0.1, attractor=0.01, rotation=0.05, flick=0.03, catch_shift=0.02)
 
@@ -98,24 +92,20 @@ def test_what_rises_more_than_delta_h_is_tossed_and_every_number_is_finite() -> 
 
 
 def test_a_planned_toss_is_worth_what_one_seen_like_it_is() -> None:
-    angle, apex = np.array([2.0, 4.0, 0.0, 7.0]), np.array([0.3, 0.9, 0.05, 0.4])
-    miss = np.array([[0.03, 0.04], [-0.1, 0.0], [0.0, 0.0], [0.0, 0.2]])
-    planned = Tosses(angle > 0.0, angle, apex, miss)
-    terms = planned_terms(planned, LandingWeights())
-    for k in range(len(angle)):
+    angle, apex = np.array([2.0, 4.0, 7.0]), np.array([0.3, 0.9, 0.4])
+    miss = np.array([[0.03, 0.04], [-0.1, 0.0], [0.0, 0.2]])
+    terms = planned_terms(Tosses(angle > 0.0, angle, apex, miss), PancakeWeights())
+    for k, turned in enumerate(angle):
         seen = SimpleNamespace(
-            tossed=angle[k] > 0.0,
+            tossed=True,
             seen=True,
-            angle=angle[k],
+            normal_start=np.array([0.0, 0.0, 1.0]),
+            normal=np.array([np.sin(turned), 0.0, np.cos(turned)]),
+            position=np.append(miss[k], 0.0),
+            pan_position=np.zeros(3),
             apex=apex[k],
-            landing_error=[*miss[k], 0.1],
-            resting=True,
         )
-        # The plan has no catch, only its likelihood, which is high near the centre of the pan.
-        likely = np.exp(-((np.linalg.norm(miss[k]) / CATCH_RADIUS) ** 2))
-        expected = landing_return(seen, LandingWeights()).terms
-        expected["caught"] *= likely
-        np.testing.assert_allclose(terms[k], list(expected.values()), rtol=1e-12)
+        np.testing.assert_allclose(terms[k], list(pancake_return(seen).terms.values()), rtol=1e-12)
 
 
 def test_a_model_learns_what_the_plan_misses() -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Prediction of the toss of a policy before any rollout: Eq. 1, then free flight.
+"""Prediction of the return (Eq. 5) of a policy's toss before any rollout: Eq. 1, then free flight.
 
 The pan follows Eq. 1 exactly. The pancake lies at its centre and is released when the acceleration
 of the pan along its normal falls below that of gravity. It then has the velocity of the pan and a
@@ -18,11 +18,10 @@ from wam_power_ros.learning.dmp import activations
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.tasks.flip.ballistic_fit import GRAVITY
 from wam_power_ros.tasks.flip.flight import DELTA_H
-from wam_power_ros.tasks.flip.returns import LandingWeights, PancakeWeights
+from wam_power_ros.tasks.flip.returns import PancakeWeights
 
 PERIOD = 0.005  # sampling period of the movement [s]; 0.002 s does not predict better
 TAIL = 1.0  # time after the movement that is predicted too, at the tempo of the demonstration [s]
-CATCH_RADIUS = 0.1  # landing error at which a catch is unlikely [m]
 SPIN_SHARE = (
     0.6  # fraction of the pan's angular velocity at release, from tosses of tuning seeds [1]
 )
@@ -46,16 +45,13 @@ class Tosses:
     landing_error: np.ndarray
 
 
-def plan_tosses(
-    parameters: Parametrization, z: np.ndarray, start: np.ndarray, delta_h: float = DELTA_H
-) -> Tosses:
+def plan_tosses(parameters: Parametrization, z: np.ndarray, start: np.ndarray) -> Tosses:
     """Predict the tosses of many policies.
 
     Args:
         parameters: Parametrization of the policies.
         z: Coordinates. Shape (B, size).
         start: Position of the pan's centre at the start, base frame [m]. Shape (3,).
-        delta_h: Height above the pan at which the flight ends [m].
     """
     position, velocity, rotation, omega = _movement(parameters, z, start)
     tempo = parameters.tempo(z)  # (B,); the movement is at the tempo of the demonstration
@@ -73,7 +69,7 @@ def plan_tosses(
     start_of_flight = position[release, :, policies].T  # (3, B)
     flying = start_of_flight + velocity[release, :, policies].T * t[:, None]  # (T, 3, B)
     flying[:, 2] -= 0.5 * GRAVITY * t**2
-    above = (flying[:, 2] - position[:, 2] > delta_h) & (t > 0.0)
+    above = (flying[:, 2] - position[:, 2] > DELTA_H) & (t > 0.0)
     tossed = released & above.any(axis=0)
     # The last sample above it: a pan that follows the pancake upwards crosses more than once.
     down = np.where(tossed, steps - 1 - above[::-1].argmax(axis=0), steps - 1)  # (B,)
@@ -91,56 +87,29 @@ def plan_tosses(
     )
 
 
-def planned_terms(tosses: Tosses, weights: PancakeWeights | LandingWeights) -> np.ndarray:
-    """Terms of the return of planned tosses.
-
-    Args:
-        tosses: Planned tosses of B policies.
-        weights: Weights of Eq. 5 (terms orientation, position, altitude), or of `landing_return`
-            (terms rotation, altitude, landing, caught).
-
-    Returns:
-        Terms. Shape (B, 3) or (B, 4).
-    """
+def planned_terms(tosses: Tosses, weights: PancakeWeights) -> np.ndarray:
+    """Terms orientation, position and altitude of Eq. 5 of B planned tosses. Shape (B, 3)."""
     miss = np.linalg.norm(tosses.landing_error, axis=1)
-    apex = np.maximum(tosses.apex, 0.0)
-    if isinstance(weights, PancakeWeights):
-        folded = np.arccos(np.cos(tosses.angle)) / np.pi
-        return np.stack(
-            [
-                weights.orientation * folded,
-                weights.position * np.exp(-miss),
-                weights.altitude * apex,
-            ],
-            axis=1,
-        )
-    turned = np.maximum(0.0, 1.0 - np.abs(tosses.angle - np.pi) / np.pi)
-    turned = np.where(tosses.tossed, turned, 0.0)
-    height = np.minimum(apex, weights.altitude_cap) / weights.altitude_cap
+    folded = np.arccos(np.cos(tosses.angle)) / np.pi
     return np.stack(
         [
-            weights.rotation * turned,
-            weights.altitude * height,
-            weights.landing * turned**2 * np.exp(-miss / weights.landing_scale),
-            weights.caught * turned**2 * np.exp(-((miss / CATCH_RADIUS) ** 2)),
+            weights.orientation * folded,
+            weights.position * np.exp(-miss),
+            weights.altitude * np.maximum(tosses.apex, 0.0),
         ],
         axis=1,
     )
 
 
 class TossModel:
-    """A `learner.Model`: the return of the planned toss, corrected by the returns of rollouts.
+    """A `learners.Model`: the return of the planned toss, corrected by the returns of rollouts.
 
     The return is modelled as sum_j (1 + w_j) term_j + w_0, with the terms of the planned toss and a
     zero-mean normal prior of w: a ridge regression, solved again after every rollout.
     """
 
     def __init__(
-        self,
-        parameters: Parametrization,
-        start: np.ndarray,
-        weights: PancakeWeights | LandingWeights,
-        delta_h: float = DELTA_H,
+        self, parameters: Parametrization, start: np.ndarray, weights: PancakeWeights
     ) -> None:
         """Start without rollouts.
 
@@ -148,10 +117,9 @@ class TossModel:
             parameters: Parametrization of the policies.
             start: Position of the pan's centre at the start, base frame [m]. Shape (3,).
             weights: Weights of the return.
-            delta_h: Height above the pan at which the flight ends [m].
         """
         self._parameters, self._start = parameters, np.asarray(start, dtype=float)
-        self._weights, self._delta_h = weights, delta_h
+        self._weights = weights
         self._terms: list[np.ndarray] = []
         self._residuals: list[float] = []
         self._w: np.ndarray | None = None  # weights of the features, None before the first rollout
@@ -171,7 +139,7 @@ class TossModel:
         self._w = np.linalg.solve(x.T @ x + RIDGE * np.eye(x.shape[1]), x.T @ y)
 
     def _planned(self, z: np.ndarray) -> np.ndarray:
-        tosses = plan_tosses(self._parameters, z, self._start, self._delta_h)
+        tosses = plan_tosses(self._parameters, z, self._start)
         return planned_terms(tosses, self._weights)
 
     @staticmethod
