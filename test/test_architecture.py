@@ -101,7 +101,7 @@ BUDGET = {
     "commissioning": 1221,
     "tracking": 620,
     "tasks": 3577,  # what follows from the errors of any task is written here once
-    "practice": 2458,  # refusals by a person and pauses are in its log
+    "practice": 2058,  # refusals by a person and pauses are in its log
     "conformance": 1123,
     "bags": 2660,
     "params": 1140,

@@ -70,9 +70,9 @@ def test_a_sample_is_feasible_or_what_ran_and_its_count_restores_it(
         return "no" * verdicts.setdefault(place(policy), bool(rng.random() < share))
 
     once, twice = learner(seed), learner(seed)
-    z, count = sample(once, RAN, feasible(infeasible))
+    z, count = sample(once, lambda: RAN, feasible(infeasible))
     assert np.array_equal(z, RAN) or not infeasible(PARAMETERS.policy(z, "tried")[0])
     assert (share < 1.0) or count == REJECTIONS_MAX + HALVINGS_MAX
-    again, _ = sample(twice, RAN, never, count)
+    again, _ = sample(twice, lambda: RAN, never, count)
     assert np.array_equal(again, z)
     assert np.array_equal(once.ask(), twice.ask())  # both have drawn as often

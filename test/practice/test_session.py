@@ -23,9 +23,8 @@ from toss_task import ANY_ARM, demonstrated_policy, practice_in, practice_of, to
 
 from wam_power_ros import durable_files
 from wam_power_ros.learning.policy import Policy, from_json, to_json
-from wam_power_ros.practice.log_file import ACKNOWLEDGED
 from wam_power_ros.practice.practice import Practice
-from wam_power_ros.practice.session import Session, SessionHeader, read
+from wam_power_ros.practice.session import ACKNOWLEDGED, Session, SessionHeader, read
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.flip.assessment import Assessment
 

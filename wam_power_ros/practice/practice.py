@@ -11,6 +11,7 @@ for bit. No ROS, no files, no clock.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import takewhile
 from typing import Any, TypeVar
 
 import numpy as np
@@ -21,20 +22,10 @@ from wam_power_ros.learning.learner import Learner, generator_state
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy, check_id, to_json
 from wam_power_ros.learning.rollout import Rollout
-from wam_power_ros.practice.best_policy import Best, choose_best, choose_demonstration
+from wam_power_ros.practice import session_log
+from wam_power_ros.practice.best_policy import Best, choose_best, choose_demonstration, overruns
 from wam_power_ros.practice.improvement import ArmModel, Improvement, feasibility
-from wam_power_ros.practice.past import Past
-from wam_power_ros.practice.session_log import (
-    Kind,
-    Line,
-    NewDemonstration,
-    Pause,
-    Rating,
-    Record,
-    Trial,
-    out_of_order,
-    plain,
-)
+from wam_power_ros.practice.session_log import Line, NewDemonstration, Pause, Rating, Record, Trial
 from wam_power_ros.practice.settings import PracticeSettings, SessionSettings
 from wam_power_ros.tasks.task import Assessment, Task
 
@@ -72,37 +63,33 @@ class Practice:
     """A session from its first reproduction to its last re-test.
 
     Call `next_trial`, execute the trial, call `learn` with its rollout, write the record to disk,
-    and repeat until `next_trial` returns None.
+    and repeat until `next_trial` returns None. The lines that `learn`, `refuse`, `rate`,
+    `add_demonstration` and `pause` return are to be appended to the log before any other; their
+    `clock` is wall-clock figures, logged only, but for `took` [s], which counts towards `minutes`.
+
+    The rules, whose reasons docs/method.md gives:
 
     * Each candidate is reproduced once; `choose_demonstration` chooses one; its reproduction is the
-      learner's first rollout, at z = 0.
-    * A rollout without a return is no evidence about its policy: nothing is learnt from it and the
-      same z is executed again, up to `attempts` times, then dropped. So a transient failure does
-      not change the course of learning.
+      learner's first rollout, at z = 0. If it succeeded, the mean is run next.
+    * A rollout without a return is not learnt from; the same z is executed again, up to `attempts`
+      times, then dropped. So a transient failure does not change the course of learning.
     * A rollout ended by a motion limit is learnt from with return 0: the policy caused it. So is
       one that a fault ended, if the next attempt ends by a torque which is not explained: a contact
       may be chance, but a policy may also want more than motors give at their speed.
     * A rollout that a person ended is learnt from with return 0 and pauses the session. Its policy
       is never run again; a re-test that a person ended has failed and is the last one.
     * An infeasible policy is not executed, see `improvement.sample`.
-    * If the chosen reproduction succeeded, the mean is run next.
     * A mean that succeeds is run again, unchanged, until it fails or `StoppingRule` is satisfied;
-      all these runs are learnt from. Returns are noisy and lucky rollouts stay in the elite for
-      ever; running the mean again separates luck from skill.
+      all these runs are learnt from.
     * The session stops when a mean is confirmed or the budget is used. Its answer is the confirmed
       mean or else the last one; the answer is re-tested and does not change any more.
-    * A person may add to the return of any usable rollout (`rate`) while learning: the learner is
-      rebuilt from all rollouts, with `Record.rated_return`. A punished rollout is no success.
-    * A person may add a demonstration (`add_demonstration`), which is reproduced next. If its
-      return exceeds the mean of the last five rollouts, learning restarts from it with the rest
-      of the budget; otherwise learning continues unchanged. The two are not mixed: a weighted mean
-      of different demonstrations smooths out the peaks of acceleration that make a toss
-      ([Kormushev2010], Sec. IV).
+    * After a rating (`rate`) the learner is rebuilt from all rollouts, with `Record.rated_return`.
+      A punished rollout is no success.
+    * A demonstration that is added (`add_demonstration`) is reproduced next. If its return exceeds
+      the mean of the last five rollouts, learning restarts from it with the rest of the budget.
     * Ratings and demonstrations take effect on the next trial, not on the one being executed.
 
     Attributes:
-        settings: Settings of the session.
-        task: Task that is practised.
         choice: Current demonstration and the reason for its choice, empty before the choice.
         used: Number of rollouts used of the budget.
         seconds: Time that they and all others took [s].
@@ -119,16 +106,16 @@ class Practice:
         arm: ArmModel,
         log: Sequence[Line] = (),
     ) -> None:
-        """Begin a session, or resume it after the last line of `log`.
+        """Begin a session, or resume it after the last line of `log`, oldest first.
 
         Args:
             settings: Settings of the session.
             context: Data of the demonstrations that the task needs, see `Task.context_of`.
-            candidates: Policies fitted to the demonstrations, with distinct ids.
+            candidates: Policies fitted to the demonstrations. They are not simulated: the caller
+                checks `reproduction_of` each.
             seed: Seed of the exploration, >= 0.
-            arm: Model of the arm. These candidates are not simulated: the caller checks
-                `reproduction_of` each.
-            log: Lines of the log, oldest first.
+            arm: Model of the arm.
+            log: Lines of the log.
 
         Raises:
             ValueError: `check_candidates` refuses the candidates, the learner needs a model that
@@ -138,10 +125,8 @@ class Practice:
         check_candidates(candidates, settings.practice)
         self.settings = settings
         self.task = settings.make_task(context)
-        self.choice = ""
-        self.used = 0
-        self.seconds = 0.0
-        self.stopped = self.paused = ""
+        self.choice = self.stopped = self.paused = ""
+        self.used, self.seconds = 0, 0.0
         self._arm = arm
         self._rng = np.random.Generator(np.random.PCG64(seed))
         self._candidates = list(candidates)
@@ -149,13 +134,14 @@ class Practice:
         self._improvement: Improvement | None = None
         self._reproductions: list[int] = []  # rollout number for each candidate
         self._retried: Record | None = None  # whose z is executed again
-        self._answer: np.ndarray | None = None
+        self._answer: np.ndarray | None = None  # re-tested once learning has stopped
         self._retested = 0
-        self._past = Past()
+        self._records: list[Record] = []
+        self._refused: set[tuple[str, tuple[float, ...]]] = set()  # as `Record.executed`
         self._log: list[Line] = []
         self._waiting: list[Rating | NewDemonstration] = []  # take effect after the pending trial
         self._pending: Trial | None = None
-        self._improvement_of(candidates[0].id, 0)  # a learner without its model is refused now
+        self._improvement_of(candidates[0].id)  # a learner without its model is refused now
         for line in log:
             self.apply(line)
 
@@ -168,10 +154,6 @@ class Practice:
     def records(self) -> tuple[Record, ...]:
         """All rollouts so far, oldest first, with the ratings that have taken effect."""
         return tuple(self._records)
-
-    @property
-    def _records(self) -> list[Record]:
-        return self._past.records
 
     @property
     def candidates(self) -> tuple[Policy, ...]:
@@ -192,53 +174,36 @@ class Practice:
     @property
     def unusable_in_a_row(self) -> int:
         """Number of latest rollouts without a return."""
-        usable = (
-            count for count, last in enumerate(reversed(self._records)) if last.ret is not None
-        )
-        return next(usable, len(self._records))
+        return len([*takewhile(lambda record: record.ret is None, reversed(self._records))])
 
     @property
     def finished(self) -> bool:
         """Whether no rollout is left to execute."""
-        return (
-            self._pending is None
-            and self._retried is None
-            and bool(self.stopped)
-            and (self._answer is None or self._retested >= self.settings.practice.retests)
-        )
+        retested = self._answer is None or self._retested >= self.settings.practice.retests
+        return bool(self.stopped) and retested and self._pending is None and self._retried is None
 
     @property
     def confirmed(self) -> int:
         """Number of successes in a row that confirmed the answer; 0 while nothing has."""
         found = self._improvement
-        return 0 if found is None or not found.confirmed else found.streak
+        return 0 if found is None or not found.rule.complete else found.rule.count
 
     @property
     def best(self) -> Best | None:
         """Best policy so far, see `choose_best`."""
-        return choose_best(
-            self._past,
-            self._parametrizations,
-            None if self._improvement is None else self._improvement.demonstration,
-            self._answer,
-            self.stopped,
-            self.settings.practice.return_noise,
-        )
+        name = None if self._improvement is None else self._improvement.demonstration
+        noise = self.settings.practice.return_noise
+        known, answer = self._parametrizations, self._answer
+        return choose_best(self._records, known, name, answer, self.stopped, noise)
 
     def next_trial(self) -> Trial | None:
         """Trial to execute now, the same until it is recorded; None when finished."""
         return self._next_trial(None)
 
     def learn(self, trial: Trial, rollout: Rollout, **logged: Any) -> Record:  # noqa: ANN401
-        """Assess the executed trial and learn from it.
+        """Assess the rollout of the trial that `next_trial` returned, and learn from it.
 
-        Args:
-            trial: Trial that `next_trial` returned.
-            rollout: Its rollout.
-            **logged: `bag`, `truth` and `clock`, see `learn_assessed`.
-
-        Returns:
-            The record, to be appended to the log before the next trial.
+        What is `logged` is the name of its `bag`, the `truth` of a simulator and its `clock`.
 
         Raises:
             ValueError: This is not the trial that is due, or a path is of another rollout.
@@ -259,20 +224,12 @@ class Practice:
         *,
         fault: str = "",
         refused: bool = False,
-        bag: str = "",
-        truth: Mapping[str, Any] | None = None,
-        clock: Mapping[str, Any] | None = None,
+        **logged: Any,  # noqa: ANN401 - checked by the record
     ) -> Record:
         """Learn from a rollout that the caller has assessed; otherwise like `learn`.
 
-        Args:
-            trial: Trial that `next_trial` returned.
-            assessment: Assessment of its rollout.
-            fault: Text of the fault or the person's stop that ended it, empty without.
-            refused: Whether a person ended it.
-            bag: Name of the rollout's bag.
-            truth: Ground truth of the simulator, logged only.
-            clock: Wall-clock figures, logged only; `took` counts towards `minutes` of the settings.
+        A `fault` is the text of the fault or the person's stop that ended it, empty without; it is
+        `refused` if a person did.
 
         Raises:
             ValueError: This is not the trial that is due, or the return is negative or not finite.
@@ -281,42 +238,32 @@ class Practice:
         if due is None or trial.id != due.id:
             expected = None if due is None else due.id
             raise ValueError(f"rollout {trial.id!r} is not the one that is due ({expected})")
-        learnt = assessment.ret is not None and due.kind != "retest"
-        why = assessment.why
-        if due.kind == "retest" and not why:
-            why = "a re-test is not learnt from"
+        retest = due.kind == "retest"
+        learnt = assessment.ret is not None and not retest
         return self.apply(
             Record(
                 **due.logged(),
                 learnt=learnt,
                 learnt_as=self._in_hindsight(due, assessment).tolist() if learnt else None,
-                ret=None if assessment.ret is None else float(assessment.ret),
-                terms=plain(assessment.terms),
+                ret=assessment.ret,
+                terms=assessment.terms,
                 success=bool(assessment.success),
-                why=why,
+                why=assessment.why or retest * "a re-test is not learnt from",
                 note="",
-                observation=plain(assessment.observation),
+                observation=assessment.observation,
                 fault=fault,
                 refused=refused,
                 generator=generator_state(self._rng),
-                bag=bag,
-                truth=plain(truth),
-                clock=plain(clock or {}),
+                **{"bag": "", "truth": None, "clock": {}, **logged},
             )
         )
 
     def rate(
         self, amount: float, number: int | None = None, clock: Mapping[str, Any] | None = None
     ) -> Rating:
-        """Add a person's rating to the return of a rollout.
+        """Add a person's rating to the return of a rollout, the last finished one without a number.
 
-        Args:
-            amount: Amount added to the return; several ratings of a rollout add up.
-            number: Number of the rollout, the last finished one when omitted.
-            clock: Wall-clock figures, logged only.
-
-        Returns:
-            The line, to be appended to the log before any other.
+        Several ratings of a rollout add up.
 
         Raises:
             ValueError: The amount is out of range, the rollout does not exist or has no return, or
@@ -330,36 +277,21 @@ class Practice:
         number = len(self._records) if number is None else number
         if not 1 <= number <= len(self._records):
             raise ValueError(f"rollout {number} is not one of the {len(self._records)} on record")
-        record = self._records[number - 1]
-        for waiting in self._waiting:
-            if isinstance(waiting, Rating) and waiting.rollout == number:
-                record = record.with_rating(waiting.amount)
+        record = session_log.with_ratings([*self._records, *self._waiting])[number - 1]
         before, later = record.rated_return, record.with_rating(amount).rated_return
         if before is None:
             raise ValueError(f"{record.id} has no return and is not learnt from: {record.why}")
         done = "rewarded" if amount > 0.0 else "punished"
+        note = f"{record.id} {done}: return {before:.3f} -> {later:.3f}"
+        after = self._effective
         return self.apply(
-            Rating(
-                after=self._effective,
-                rollout=number,
-                amount=float(amount),
-                note=f"{record.id} {done}: return {before:.3f} -> {later:.3f}",
-                clock=plain(clock or {}),
-            )
+            Rating(after=after, rollout=number, amount=amount, note=note, clock=clock or {})
         )
 
     def add_demonstration(
         self, policy: Policy, bag: str = "", clock: Mapping[str, Any] | None = None
     ) -> NewDemonstration:
-        """Add a further demonstration: its policy is reproduced next.
-
-        Args:
-            policy: Policy fitted to the demonstration, with an id not in use.
-            bag: Bag of the demonstration, logged only.
-            clock: Wall-clock figures, logged only.
-
-        Returns:
-            The line, to be appended to the log before any other.
+        """Add a further demonstration: the policy fitted to it is reproduced next.
 
         Raises:
             ValueError: The id is in use, the policy does not have the learnt parameters, it is
@@ -371,23 +303,18 @@ class Practice:
             raise ValueError(f"there is a demonstration {policy.id!r} already")
         if fault := self._arm.infeasible(reproduction_of(policy, self.task)):
             raise ValueError(f"{policy.id} is infeasible: {fault.text}")
-        after = self._effective
+        after, fitted = self._effective, plain_json.parse(to_json(policy), policy.id)
+        note = f"{policy.id} is reproduced after rollout {after}{bag and f': {bag}'}"
         return self.apply(
             NewDemonstration(
-                after=after,
-                id=policy.id,
-                policy=plain_json.parse(to_json(policy), policy.id),
-                bag=bag,
-                note=f"{policy.id} is reproduced after rollout {after}"
-                + (f": {bag}" if bag else ""),
-                clock=plain(clock or {}),
+                after=after, id=policy.id, policy=fitted, bag=bag, note=note, clock=clock or {}
             )
         )
 
     def pause(self, paused: bool, note: str, clock: Mapping[str, Any] | None = None) -> Pause:
         """Pause the session for a reason, or let it go on; returns the line to be logged."""
-        after, figures = len(self._records), plain(clock or {})
-        return self.apply(Pause(after=after, paused=paused, note=note, clock=figures))
+        after = len(self._records)
+        return self.apply(Pause(after=after, paused=paused, note=note, clock=clock or {}))
 
     def refuse(self, trial: Trial, why: str, **logged: Any) -> Record:  # noqa: ANN401
         """Learn from a trial that a person has ended, see `learn_assessed`."""
@@ -395,20 +322,17 @@ class Practice:
         return self.learn_assessed(trial, refused, fault=why, refused=True, **logged)
 
     def apply(self, line: L) -> L:
-        """Process a log line, new or replayed.
+        """Process a log line, new or replayed; returns it as it is to be logged.
 
         The figures of a replayed record are used as logged, so a session resumes exactly even on a
         processor that would round the last digit differently.
-
-        Returns:
-            The line to be logged.
 
         Raises:
             ValueError: The line is not the next one of this session.
         """
         if isinstance(line, Record):
             return self._apply_record(line)
-        if why := out_of_order(line, len(self._records)):
+        if why := session_log.out_of_order(line, len(self._records)):
             raise ValueError(why)
         self._log.append(line)
         if isinstance(line, Pause):
@@ -425,7 +349,9 @@ class Practice:
             raise ValueError(f"record {record.number} ({record.id}) comes after the session's end")
         trial.check(record, generator_state(self._rng))
         self._pending = None
-        self._past.add(record)
+        self._records.append(record)
+        if record.refused:
+            self._refused.add(record.executed)
         note = self._advance(record)
         record = record if record.note else record.model_copy(update={"note": note})
         self._records[-1] = record
@@ -443,77 +369,50 @@ class Practice:
             self._parametrizations[policy.id] = self.task.parametrization(policy)
             self._candidates.append(policy)
             return
-        self._past = self._past.rated(event.rollout, event.amount)
-        record = self._records[event.rollout - 1]
+        record = self._records[event.rollout - 1].with_rating(event.amount)
+        self._records[event.rollout - 1] = record
         if self._improvement is not None:
-            self._improvement.learn_again(self._records)
+            self._improvement.learn_again()
             if not record.succeeded:
-                self._improvement.forget_success(record)
+                self._improvement.rule.forget(record)
 
     # The next trial
 
     def _next_trial(self, rejections: int | None) -> Trial | None:
         """The next trial; `rejections` is given in a replay, see `improvement.sample`."""
         if self._pending is None and not self.finished:
-            trial = self._draw(rejections)
-            if self._past.refused(trial.demonstration, trial.z.tolist()):
+            trial = self._draw(len(self._records) + 1, rejections)
+            if (trial.demonstration, tuple(trial.z.tolist())) in self._refused:
                 self.stopped = NONE_LEFT
                 self._retested = self.settings.practice.retests
                 return None
             self._pending = trial
         return self._pending
 
-    def _draw(self, rejections: int | None) -> Trial:
+    def _draw(self, number: int, rejections: int | None) -> Trial:
         if (last := self._retried) is not None:
-            z, attempt = np.array(last.z), last.attempt + 1
-            purpose = f"attempt {attempt}: {last.why}"
-            return self._trial(last.kind, last.demonstration, z, 0, purpose, attempt)
+            purpose, attempt = f"attempt {last.attempt + 1}: {last.why}", last.attempt + 1
+            own, z = self._parametrizations[last.demonstration], np.array(last.z)
+            return Trial.of(number, own, last.kind, z, purpose, attempt=attempt)
         if len(self._reproductions) < len(self._candidates):
             name = self._candidates[len(self._reproductions)].id
-            zero = np.zeros(self._parametrizations[name].size)
-            return self._trial("reproduction", name, zero, 0, f"reproduces {name}")
+            own = self._parametrizations[name]
+            return Trial.of(number, own, "reproduction", np.zeros(own.size), f"reproduces {name}")
         improvement = self._improvement
         if improvement is None:
             raise ValueError("the session has ended: no demonstration was chosen")
         if self._answer is None:
-            kind, z, count, purpose = improvement.draw(self._past, rejections)
-            return self._trial(kind, improvement.demonstration, z, count, purpose)
-        self._answer, count = improvement.shrunk(self._answer, self._past, rejections)
+            return improvement.draw(number, rejections)
+        self._answer, count = improvement.shrunk(self._answer, rejections)
         purpose = f"re-test {self._retested + 1} of {self.settings.practice.retests}"
-        return self._trial("retest", improvement.demonstration, self._answer, count, purpose)
-
-    def _trial(
-        self,
-        kind: Kind,
-        demonstration: str,
-        z: np.ndarray,
-        rejections: int,
-        purpose: str,
-        attempt: int = 1,
-    ) -> Trial:
-        number = len(self._records) + 1
-        parametrization = self._parametrizations[demonstration]
-        policy, z = parametrization.policy(z, f"trial-{number:04d}")
-        theta = parametrization.theta(z)
-        z.setflags(write=False)
-        theta.setflags(write=False)
-        return Trial(
-            number=number,
-            id=policy.id,
-            kind=kind,
-            demonstration=demonstration,
-            attempt=attempt,
-            rejections=rejections,
-            z=z,
-            theta=theta,
-            policy=policy,
-            purpose=purpose,
-        )
+        own = improvement.parametrization
+        return Trial.of(number, own, "retest", self._answer, purpose, count)
 
     def _in_hindsight(self, trial: Trial, assessment: Assessment) -> np.ndarray:
         """Coordinates at which a rollout is learnt from: corrected as far as it stays feasible."""
         parametrization = self._parametrizations[trial.demonstration]
-        is_feasible = feasibility(parametrization, self._arm, self._past.overruns, "corrected")
+        exceeded = overruns(self._records)
+        is_feasible = feasibility(parametrization, self._arm, exceeded, "corrected")
         z = trial.z
         parts = self.task.hindsight(assessment, parametrization)
         if not parts or is_feasible(z + sum(parts)):
@@ -548,20 +447,29 @@ class Practice:
             self._retested = settings.retests if record.refused else self._retested + 1
             return paused if record.ret is not None else "dropped"
         self.used += record.ret is not None
+        note = ""
         if record.kind == "reproduction":
             note = self._advance_reproduction(record)
-        else:
-            note = self._advance_practice(record)
-        if self._improvement is not None and not self.stopped:
-            answer = self._improvement.answer
-            limit, minutes = 3 * settings.budget, settings.minutes
-            if self.used >= settings.budget:
-                self._stop(answer, f"budget of {settings.budget} rollouts used")
-            elif 0 < minutes <= self.seconds / 60.0:
-                self._stop(answer, f"budget of {minutes} min used")
-            elif len(self._records) >= limit:
-                self._stop(answer, f"{limit} rollouts, of which only {self.used} were usable")
+        elif self._improvement is not None:
+            note = self._improvement.add(record)
+        if (improvement := self._improvement) is not None and not self.stopped:
+            self.stopped = self._end_of(improvement)
+            if self.stopped:
+                self._answer = improvement.parametrization.clip(improvement.answer)
         return "; ".join(part for part in (note, self.stopped, paused) if part)
+
+    def _end_of(self, improvement: Improvement) -> str:
+        """Reason why learning ends after the newest record, empty if it goes on."""
+        budget, minutes = self.settings.practice.budget, self.settings.practice.minutes
+        if improvement.rule.complete:
+            return f"the mean policy is confirmed: {improvement.rule.complete}"
+        if self.used >= budget:
+            return f"budget of {budget} rollouts used"
+        if 0 < minutes <= self.seconds / 60.0:
+            return f"budget of {minutes} min used"
+        if len(self._records) >= 3 * budget:
+            return f"{3 * budget} rollouts, of which only {self.used} were usable"
+        return ""
 
     def _advance_reproduction(self, record: Record) -> str:
         self._reproductions.append(record.number)
@@ -569,21 +477,16 @@ class Practice:
             return self._compare(record, self._improvement)
         if len(self._reproductions) < len(self._candidates):
             return ""
-        reproductions = [self._records[number - 1] for number in self._reproductions]
-        try:
-            index, why = choose_demonstration(reproductions)
-        except ValueError as error:
-            self.stopped = str(error)
+        chosen, why = choose_demonstration([self._records[n - 1] for n in self._reproductions])
+        if chosen is None:
+            self.stopped = why
             return ""
-        return self._learn_from(reproductions[index], why)
+        return self._learn_from(chosen, why)
 
     def _compare(self, record: Record, present: Improvement) -> str:
         """Switch to a demonstration that was added later if its reproduction is better."""
-        recent = [
-            float(other.rated_return)
-            for other in self._records
-            if other.demonstration == present.demonstration and other.rated_return is not None
-        ][-COMPARED_ROLLOUTS:]
+        own = [r.rated_return for r in self._records if r.demonstration == present.demonstration]
+        recent = [ret for ret in own if ret is not None][-COMPARED_ROLLOUTS:]
         level = float(np.mean(recent))
         if record.ret is None or record.fault:
             return f"goes on with {present.demonstration}: {record.why}"
@@ -597,29 +500,8 @@ class Practice:
         demonstration = reproduction.demonstration
         self.choice = f"learns from {demonstration}: {why}"
         self._improvement = self._improvement_of(demonstration, practised)
-        return "; ".join(filter(None, (self.choice, self._improvement.begin(reproduction))))
+        return "; ".join(filter(None, (self.choice, self._improvement.rule.add(reproduction))))
 
-    def _improvement_of(self, demonstration: str, practised: int) -> Improvement:
-        return Improvement(
-            self._parametrizations[demonstration],
-            self.settings,
-            self.task,
-            self._rng,
-            self._arm,
-            self._records,
-            practised,
-        )
-
-    def _advance_practice(self, record: Record) -> str:
-        """Process a record of an exploration or of the mean."""
-        if self._improvement is None:
-            raise ValueError(f"record {record.number}: {record.kind} before the choice")
-        note = self._improvement.add(record)
-        if why := self._improvement.confirmed:
-            self._stop(np.array(record.z), f"the mean policy is confirmed: {why}")
-        return note
-
-    def _stop(self, answer: np.ndarray, why: str) -> None:
-        if self._improvement is not None:
-            self._answer = self._improvement.parametrization.clip(answer)
-        self.stopped = why
+    def _improvement_of(self, demonstration: str, practised: int = 0) -> Improvement:
+        of, settings, task = self._parametrizations[demonstration], self.settings, self.task
+        return Improvement(of, settings, task, self._rng, self._arm, self._records, practised)

@@ -19,6 +19,7 @@ After a kill at any moment, `Session.open(folder).practice(arm)` resumes bit for
 from __future__ import annotations
 
 import fcntl
+import hashlib
 import json
 import logging
 import os
@@ -31,20 +32,38 @@ from pathlib import Path
 from typing import Any, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from wam_power_ros import durable_files, plain_json, plain_yaml
 from wam_power_ros.arm_identity import ArmIdentity, refusal
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.practice.improvement import ArmModel
-from wam_power_ros.practice.log_file import LogFile, read_lines
 from wam_power_ros.practice.practice import Practice, check_candidates
-from wam_power_ros.practice.session_log import Line, NewDemonstration, Record, with_ratings
-from wam_power_ros.practice.settings import SessionSettings, in_one_line
+from wam_power_ros.practice.session_log import (
+    Line,
+    NewDemonstration,
+    Record,
+    out_of_order,
+    parse_line,
+    with_ratings,
+)
+from wam_power_ros.practice.settings import SessionSettings, validated
 from wam_power_ros.tasks.task import Task
 
+HEADER, LOG, ACKNOWLEDGED = "session.yaml", "rollouts.jsonl", "acknowledged.json"
+RESTORE = "Restore it from a backup; nothing was changed."
+_LINE_MAX = 1_000_000  # length of a line of the log, far above any real one [byte]
 PACKAGES = ("numpy", "scipy", "pydantic", "pin", "mujoco", "rosbags", "ros-jazzy-rclpy")
+
+_log = logging.getLogger(__name__)
+
+
+def _read_policy(path: Path) -> Policy:
+    try:
+        return policies.from_json(path.read_text(encoding="utf-8"))
+    except ValueError as error:  # also of bytes that are no text
+        raise ValueError(f"{path} is not a policy: {error}") from None
 
 
 def read_policy(path: Path, arm: ArmIdentity) -> Policy:
@@ -54,41 +73,28 @@ def read_policy(path: Path, arm: ArmIdentity) -> Policy:
         ValueError: The file is not a policy, or one of another arm.
         OSError: It cannot be read.
     """
-    try:
-        policy = policies.from_json(path.read_text(encoding="utf-8"))
-    except ValueError as error:  # also of bytes that are no text
-        raise ValueError(f"{path} is not a policy: {error}") from None
+    policy = _read_policy(path)
     if why := refusal(policy.arm, arm):
         raise ValueError(f"{path}: policy {policy.id} {why}")
     return policy
 
 
 class SessionHeader(BaseModel):
-    """Contents of session.yaml.
-
-    Attributes:
-        schema_: Version of this layout ("schema" in YAML).
-        seed: Seed of the exploration, and of the simulator in simulation.
-        settings: Settings of practice, task and learner.
-        candidates: Ids of the candidate policies, in their order.
-        demonstrations: Bags that the candidates were fitted to, as given.
-        versions: Versions of the software at the beginning, see `versions`.
-        resumed: Versions at each resumption that changed them, oldest first.
-        clock: Wall-clock figures; empty.
-    """
+    """Contents of session.yaml."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
 
     schema_: Literal["wam_power_ros/session/2"] = Field(
         default="wam_power_ros/session/2", alias="schema"
     )
-    seed: int = Field(ge=0)
+    seed: int = Field(ge=0)  # of the exploration, and of the simulator in simulation
     settings: SessionSettings
-    candidates: list[str] = Field(min_length=1)
-    demonstrations: list[str]
-    versions: dict[str, str]
+    candidates: list[str] = Field(min_length=1)  # ids of the candidate policies, in their order
+    demonstrations: list[str]  # bags that the candidates were fitted to, as given
+    versions: dict[str, str]  # of the software at the beginning, see `versions`
+    # Versions at each resumption that changed them, oldest first
     resumed: list[dict[str, str]] = Field(default_factory=list)
-    clock: dict[str, Any]
+    clock: dict[str, Any]  # wall-clock figures; empty
 
     @field_validator("candidates")
     @classmethod
@@ -96,6 +102,16 @@ class SessionHeader(BaseModel):
         for id in candidates:
             policies.check_id(id)  # ids are file names
         return candidates
+
+
+class _Acknowledged(BaseModel):
+    """Contents of acknowledged.json: number of rollouts, size [byte] and SHA-256 of the log."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    rollouts: int = Field(ge=0)
+    bytes: int = Field(ge=0)
+    sha256: str = Field(pattern="^[0-9a-f]{64}$")
 
 
 def versions() -> dict[str, str]:
@@ -116,31 +132,76 @@ def _read_head(folder: Path) -> tuple[SessionHeader, tuple[Policy, ...], dict[st
         ValueError: There is no session, or a file is malformed; names the file.
     """
     durable_files.check_name(folder)
-    path = folder / "session.yaml"
+    path = folder / HEADER
     if not path.is_file():
-        raise ValueError(f"{folder} holds no session: there is no session.yaml")
-    try:
-        header = SessionHeader.model_validate(plain_yaml.read(path))
-    except ValidationError as error:
-        raise ValueError(f"{path}: {in_one_line(error)}") from None
+        raise ValueError(f"{folder} holds no session: there is no {HEADER}")
+    header = validated(SessionHeader, plain_yaml.read(path), f"{path}: ")
     candidates = []
     for id in header.candidates:
         path = folder / "candidates" / f"{id}.json"
         durable_files.check_regular(path)
-        try:
-            candidate = policies.from_json(path.read_text(encoding="utf-8"))
-        except ValueError as error:
-            raise ValueError(f"{path}: {error}") from None
-        if candidate.id != id:
-            raise ValueError(f"{path}: holds policy {candidate.id!r}, expected {id!r}")
-        candidates.append(candidate)
+        candidates.append(_read_policy(path))
+        if candidates[-1].id != id:
+            raise ValueError(f"{path}: holds policy {candidates[-1].id!r}, expected {id!r}")
     return header, tuple(candidates), plain_json.read(folder / "task.json")
 
 
 def _write_header(folder: Path, header: SessionHeader) -> None:
     """Replace session.yaml atomically."""
     text = yaml.safe_dump(header.model_dump(mode="json", by_alias=True), sort_keys=False)
-    durable_files.replace(folder / "session.yaml", text)
+    durable_files.replace(folder / HEADER, text)
+
+
+def _read_log(folder: Path) -> tuple[list[Line], bytes, _Acknowledged | None]:
+    """Complete lines of a log, their bytes, and what was acknowledged last.
+
+    Nothing is acknowledged of a session without a line, or of an earlier version.
+
+    Raises:
+        ValueError: The log is malformed, or has lost acknowledged lines.
+    """
+    path, noted, acknowledged = folder / LOG, folder / ACKNOWLEDGED, None
+    if noted.is_symlink() or noted.exists():  # before the log: a learner may be writing
+        acknowledged = validated(_Acknowledged, plain_json.read(noted), f"{noted}: ")
+    data = b""
+    if path.is_symlink() or path.exists():
+        durable_files.check_regular(path)
+        data = path.read_bytes()
+    # A line without its line feed was never acknowledged, whatever it contains.
+    size = data.rfind(b"\n") + 1
+    log: list[Line] = []
+    count = 0
+    for number, text in enumerate(data[:size].split(b"\n")[:-1], start=1):
+        try:
+            line = parse_line(text.decode())
+            if why := out_of_order(line, count):
+                raise ValueError(why)
+        except ValueError as error:
+            raise ValueError(f"{path}, line {number}: {error}") from None
+        count += isinstance(line, Record)
+        log.append(line)
+    if acknowledged is not None:
+        found = ""
+        if len(data) < acknowledged.bytes:
+            found = f"has {len(data)} bytes" if path.exists() else "is missing"
+        elif hashlib.sha256(data[: acknowledged.bytes]).hexdigest() != acknowledged.sha256:
+            found = "has other contents"
+        if found:
+            raise ValueError(
+                f"{path} {found}: {acknowledged.rollouts} rollouts in {acknowledged.bytes} bytes "
+                f"were acknowledged, and some of them are lost. {RESTORE} To continue with the "
+                f"rest, delete {noted}"
+            )
+    if len(data) - size > _LINE_MAX:
+        raise ValueError(
+            f"{path}: {len(data) - size} bytes after line {len(log)} are not a log line"
+        )
+    if not count and acknowledged is None and (folder / "policy.json").exists():
+        raise ValueError(
+            f"{path} has no rollout, but {folder / 'policy.json'} was learnt from some: they are "
+            f"lost. {RESTORE} To begin again with the same demonstrations, delete policy.json"
+        )
+    return log, data[:size], acknowledged
 
 
 class Session:
@@ -149,8 +210,6 @@ class Session:
     Close a locked one, or use it as a context manager.
 
     Attributes:
-        folder: Folder of the session.
-        header: Contents of session.yaml.
         context: Contents of task.json.
         candidates: Policies that the session began with.
         log: Lines of the log, oldest first.
@@ -160,17 +219,21 @@ class Session:
         """Use `begin`, `open` or `read`; `lock` is the locked descriptor of the folder."""
         self.folder = folder
         self.header, self.candidates, self.context = _read_head(folder)
-        self._lock = lock
+        self.log, data, acknowledged = _read_log(folder)
+        self._count = sum(isinstance(line, Record) for line in self.log)
+        self._size, self._digest = len(data), hashlib.sha256(data)  # of the log
         self._saved = ""  # text of the policy saved last
-        self._file = None if lock is None else LogFile(folder)
-        self.log = read_lines(folder)[0] if self._file is None else self._file.lines
-        if self._file is not None:
+        self._lock, self._file = lock, None
+        if lock is not None:
+            self._file = self._open_log()
+            if self.log and acknowledged != self._state():
+                self._acknowledge()  # killed before it could, or a session of an earlier version
             self._compare_versions()
 
     @staticmethod
     def exists(folder: Path | str) -> bool:
         """Whether a folder holds a session, to be opened instead of begun."""
-        return (Path(folder) / "session.yaml").is_file()
+        return (Path(folder) / HEADER).is_file()
 
     @classmethod
     def begin(
@@ -186,7 +249,7 @@ class Session:
         """Begin a session in a new folder, or in one whose creation was interrupted.
 
         Args:
-            folder: Folder of the session; created with its parents.
+            folder: Created with its parents.
             settings: Settings of the session.
             seed: Seed of the exploration.
             candidates: Policies fitted to the demonstrations.
@@ -194,15 +257,16 @@ class Session:
             demonstrations: Bags that the candidates were fitted to.
 
         Raises:
-            ValueError: The folder holds a session already, or another process has locked it.
-            ValueError: `check_candidates` refuses the candidates.
+            ValueError: The folder holds a session already, another process has locked it, or
+                `check_candidates` refuses the candidates.
         """
         check_candidates(candidates, settings.practice)
         folder = Path(folder)
         new = [folder, *(parent for parent in folder.parents if not parent.exists())]
-        folder.mkdir(parents=True, exist_ok=True)
+        for name in ("candidates", "bags"):
+            (folder / name).mkdir(parents=True, exist_ok=True)
         with _locked(folder) as lock:
-            if cls.exists(folder) or (folder / "rollouts.jsonl").exists():
+            if cls.exists(folder) or (folder / LOG).exists():
                 raise ValueError(f"{folder} holds a session already; open it, or name another")
             header = SessionHeader(
                 seed=seed,
@@ -212,8 +276,6 @@ class Session:
                 versions=versions(),
                 clock={},
             )
-            (folder / "candidates").mkdir(exist_ok=True)
-            (folder / "bags").mkdir(exist_ok=True)
             for policy in candidates:
                 path = folder / "candidates" / f"{policy.id}.json"
                 durable_files.replace(path, policies.to_json(policy))
@@ -234,11 +296,9 @@ class Session:
             ValueError: There is no session, another process has locked it, a file is malformed,
                 or the log has lost acknowledged lines; names the file and line.
         """
-        folder = Path(folder)
-        if not cls.exists(folder):
-            raise ValueError(f"{folder} holds no session: there is no session.yaml")
-        with _locked(folder) as lock:
-            return cls(folder, lock)
+        _read_head(Path(folder))  # what is no session gets no lock
+        with _locked(Path(folder)) as lock:
+            return cls(Path(folder), lock)
 
     @property
     def records(self) -> tuple[Record, ...]:
@@ -253,21 +313,14 @@ class Session:
 
     @cached_property
     def task(self) -> Task:
-        """Task of the session.
-
-        Raises:
-            ValueError: Its context is malformed.
-        """
+        """Task of the session; a ValueError names the folder if its context is malformed."""
         try:
             return self.header.settings.make_task(self.context)
         except (ValueError, KeyError) as error:
             raise ValueError(f"{self.folder}: {error}") from error
 
     def practice(self, arm: ArmModel) -> Practice:
-        """The practice as it was after the last line on disk.
-
-        Args:
-            arm: Model of the arm for the rest of the session.
+        """The practice as it was after the last line on disk, with a model of the arm from now on.
 
         Raises:
             ValueError: The log does not follow from this session's settings and seed.
@@ -279,14 +332,38 @@ class Session:
             raise ValueError(f"{self.folder / 'rollouts.jsonl'}: {error}") from error
 
     def append(self, entry: Line) -> None:
-        """Append a line to the log; see `LogFile.append`.
+        """Append a line to the log; when this returns, it is on the disk.
 
         Raises:
-            ValueError: The session is not locked for writing, or as `LogFile.append`.
+            ValueError: The session is not locked for writing, or the line is not the next one of
+                the log, or too long.
+            OSError: The disk refused the line; the log is unchanged as far as the disk allows.
         """
         if self._file is None:
             raise ValueError(f"session {self.folder} is closed")
-        self._file.append(entry)
+        if why := out_of_order(entry, self._count):
+            raise ValueError(f"{self.folder}: {why}")
+        line = (entry.to_json() + "\n").encode()
+        if len(line) > _LINE_MAX:
+            raise ValueError(f"{self.folder}: log line of {len(line)} bytes, limit {_LINE_MAX}")
+        try:
+            parse_line(line.decode())
+        except ValueError as error:  # such as a ground truth nested too deeply
+            raise ValueError(f"{self.folder}: line would not be readable: {error}") from None
+        try:
+            with durable_files.naming(self.folder / LOG):
+                left = memoryview(line)
+                while left:
+                    left = left[os.write(self._file, left) :]
+                os.fsync(self._file)
+        except OSError:
+            os.ftruncate(self._file, self._size)
+            raise
+        self._size += len(line)
+        self._digest.update(line)
+        self.log.append(entry)
+        self._count += isinstance(entry, Record)
+        self._acknowledge()
 
     def save_policy(self, policy: Policy) -> None:
         """Replace policy.json atomically, if it is another than the one saved last."""
@@ -297,7 +374,7 @@ class Session:
     def close(self) -> None:
         """Unlock the folder; may be called twice."""
         if self._file is not None and self._lock is not None:
-            self._file.close()
+            os.close(self._file)
             os.close(self._lock)
             self._file = self._lock = None
 
@@ -306,6 +383,36 @@ class Session:
 
     def __exit__(self, *error: object) -> None:
         self.close()
+
+    def _open_log(self) -> int:
+        """Open the log for appending; cut off an incomplete last line, left by a crash."""
+        path = self.folder / LOG
+        file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
+        if incomplete := os.fstat(file).st_size - self._size:
+            _log.warning(
+                "%s: cut off %d bytes after line %d: a line was being written when the session "
+                "ended and was never acknowledged; if it is a rollout, it is executed again",
+                path,
+                incomplete,
+                len(self.log),
+            )
+            os.ftruncate(file, self._size)
+        os.fsync(file)
+        durable_files.sync(self.folder)
+        return file
+
+    def _state(self) -> _Acknowledged:
+        digest = self._digest.hexdigest()
+        return _Acknowledged(rollouts=self._count, bytes=self._size, sha256=digest)
+
+    def _acknowledge(self) -> None:
+        """Write size and digest of the log, so that a loss is detected; the log is on disk."""
+        path = self.folder / ACKNOWLEDGED
+        try:
+            with durable_files.naming(path):
+                durable_files.replace(path, self._state().model_dump_json() + "\n")
+        except OSError as error:
+            _log.warning("could not be written: %s", durable_files.explained(error))
 
     def _compare_versions(self) -> None:
         """Warn of versions that differ from those at the beginning, and record them."""
@@ -316,7 +423,7 @@ class Session:
             if begun.get(name) != now.get(name)
         ]
         if changed:
-            logging.getLogger(__name__).warning(
+            _log.warning(
                 "%s was begun with other versions: %s. Its next policies may differ from those "
                 "with the old versions",
                 self.folder,
@@ -330,11 +437,7 @@ class Session:
 
 @contextmanager
 def _locked(folder: Path) -> Iterator[int]:
-    """Lock a folder, until the descriptor is closed, the process ends or the block fails.
-
-    Raises:
-        ValueError: Another process has locked it.
-    """
+    """Lock a folder, until the descriptor is closed, the process ends or the block fails."""
     file = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     try:
         try:

@@ -13,14 +13,15 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from wam_power_ros import plain_json
+from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy, from_json
-from wam_power_ros.practice.settings import in_one_line
+from wam_power_ros.practice.settings import validated
 
 Kind = Literal["reproduction", "explore", "mean", "retest"]
 KIND_NAMES: Mapping[str, str] = {  # for a person
@@ -33,32 +34,38 @@ KIND_NAMES: Mapping[str, str] = {  # for a person
 
 @dataclass(frozen=True)
 class Trial:
-    """A rollout to be executed.
+    """A rollout to be executed."""
 
-    Attributes:
-        number: Position in the session, from 1.
-        id: Name of the rollout and of its policy, "trial-0007".
-        kind: "reproduction" of a demonstration, "explore", "mean" or "retest" (not learnt from).
-        demonstration: Id of the candidate that the coordinates refer to.
-        attempt: 1, or more after rollouts of the same z without a return.
-        rejections: Number of infeasible samples before this one, plus the number of halvings after
-            20 of them; for a mean or an answer the number of halvings, see `improvement.sample`.
-        z: Coordinates. Shape (size,).
-        theta: Learnt parameters in physical units. Shape (size,).
-        policy: Policy to execute, at the coordinates z.
-        purpose: Human-readable purpose of the trial.
-    """
-
-    number: int
-    id: str
-    kind: Kind
-    demonstration: str
-    attempt: int
+    number: int  # position in the session, from 1
+    id: str  # name of the rollout and of its policy, "trial-0007"
+    kind: Kind  # a re-test is not learnt from
+    demonstration: str  # id of the candidate that the coordinates refer to
+    attempt: int  # 1, or more after rollouts of the same z without a return
+    # Infeasible samples before this one, plus halvings after 20 of them; for a mean or an answer
+    # the number of halvings, see `improvement.sample`
     rejections: int
-    z: np.ndarray
-    theta: np.ndarray
-    policy: Policy
-    purpose: str
+    z: np.ndarray  # coordinates, shape (size,)
+    theta: np.ndarray  # learnt parameters in physical units, shape (size,)
+    policy: Policy  # to be executed, at the coordinates z
+    purpose: str  # human-readable
+
+    @classmethod
+    def of(
+        cls,
+        number: int,
+        parametrization: Parametrization,
+        kind: Kind,
+        z: np.ndarray,
+        purpose: str,
+        rejections: int = 0,
+        attempt: int = 1,
+    ) -> Trial:
+        """Trial of the policy at coordinates z (size,) of a demonstration."""
+        policy, z = parametrization.policy(z, f"trial-{number:04d}")
+        theta, name = parametrization.theta(z), parametrization.policy0.id
+        z.setflags(write=False)
+        theta.setflags(write=False)
+        return cls(number, policy.id, kind, name, attempt, rejections, z, theta, policy, purpose)
 
     def logged(self) -> dict[str, Any]:
         """Fields that its record holds."""
@@ -66,31 +73,46 @@ class Trial:
         return fields | {"z": self.z.tolist(), "theta": self.theta.tolist()}
 
     def check(self, record: Record, generator: dict[str, Any]) -> None:
-        """Check that a record is of this trial.
-
-        Args:
-            record: Record as logged.
-            generator: State of the session's generator after the trial was drawn.
+        """Check that a record is of this trial, and the generator's state of after it was drawn.
 
         Raises:
             ValueError: It is of another trial; names the first difference.
         """
-        for name in ("number", "id", "kind", "demonstration", "attempt"):
-            wanted, got = getattr(self, name), getattr(record, name)
-            if wanted != got:
-                raise ValueError(
-                    f"record {self.number}: {name} is {got!r}, expected {wanted!r} in this "
-                    "session: other settings, seed or candidates?"
-                )
-        same_z = len(record.z) == len(self.z) and np.allclose(record.z, self.z, rtol=0, atol=1e-6)
-        if not same_z or record.generator != generator:
+        differ = [
+            f"{name} is {getattr(record, name)!r}, expected {getattr(self, name)!r} in this session"
+            for name in ("number", "id", "kind", "demonstration", "attempt")
+            if getattr(record, name) != getattr(self, name)
+        ]
+        if len(record.z) != len(self.z) or not np.allclose(record.z, self.z, rtol=0, atol=1e-6):
+            differ.append("z is not this session's")
+        if record.generator != generator:
+            differ.append("the generator is not this session's")
+        if differ:
             raise ValueError(
-                f"record {record.number}: {'the generator' if same_z else 'z'} is not this "
-                "session's: other settings, seed or candidates?"
+                f"record {self.number}: {differ[0]}: other settings, seed or candidates?"
             )
 
 
+def plain(value: Any) -> Any:  # noqa: ANN401 - JSON is any of its types
+    """Convert a value to data for JSON; numbers that are not finite become None."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+Terms = Annotated[Mapping[str, float | None], BeforeValidator(plain)]
+Data = Annotated[Mapping[str, Any], BeforeValidator(plain)]
+
+
 class _Line(BaseModel):
+    """A line of the log, with the version of its layout ("schema" in JSON)."""
+
     model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
 
     def to_json(self) -> str:
@@ -99,30 +121,7 @@ class _Line(BaseModel):
 
 
 class Record(_Line):
-    """One executed rollout, a line of the session's log.
-
-    Attributes:
-        schema_: Version of this layout ("schema" in JSON).
-        number, id, kind, demonstration, attempt, rejections: See `Trial`.
-        z, theta: Executed parameters, as scaled coordinates and in physical units.
-        learnt: Whether the rollout is learnt from.
-        learnt_as: Coordinates at which it is learnt from, including the hindsight correction; None
-            when not learnt from.
-        ret, terms: Return and its terms; `ret` is None when the rollout is no evidence about its
-            policy.
-        success: Whether it met the task's criterion of success.
-        why: Reason why it was not learnt from, or a remark.
-        note: Human-readable decision of the practice after this rollout.
-        observation: Observation of the task, as data for JSON; None when there is none.
-        fault: Text of the fault or of the person's stop that ended it, empty when neither did.
-        refused: Whether a person ended it: its policy has the return 0 and is not run again.
-        generator: State of the random generator after this trial was drawn.
-        bag: Name of its bag.
-        adjustment: Sum of a person's ratings, see `with_ratings`; None in the log itself, where
-            ratings are separate lines.
-        truth: Ground truth of the simulator; None on hardware. Never learnt from.
-        clock: Wall-clock figures; only these differ between two runs of one seed.
-    """
+    """One executed rollout, a line of the session's log; for what has no comment see `Trial`."""
 
     schema_: Literal["wam_power_ros/rollout/2"] = Field(
         default="wam_power_ros/rollout/2", alias="schema"
@@ -133,23 +132,27 @@ class Record(_Line):
     demonstration: str
     attempt: int = Field(ge=1)
     rejections: int = Field(default=0, ge=0)
-    z: list[float]
+    z: list[float]  # as executed
     theta: list[float]
-    learnt: bool
+    learnt: bool  # whether it is learnt from
+    # Coordinates at which it is learnt from, including the hindsight correction; None: it is not
     learnt_as: list[float] | None
+    # Return; None when the rollout is no evidence about its policy
     ret: float | None = Field(ge=0.0, allow_inf_nan=False)
-    terms: dict[str, float | None]
-    success: bool
-    why: str
-    note: str
-    observation: dict[str, Any] | None
-    fault: str
+    terms: Terms  # of the return
+    success: bool  # whether it met the task's criterion of success
+    why: str  # reason why it was not learnt from, or a remark
+    note: str  # human-readable decision of the practice after this rollout
+    observation: Data | None  # of the task; None when there is none
+    fault: str  # or the person's stop that ended it, empty when neither did
+    # Whether a person ended it: its policy has the return 0 and is not run again
     refused: bool = False  # absent in older logs
-    generator: dict[str, Any]
-    bag: str
+    generator: dict[str, Any]  # state of the random generator after this trial was drawn
+    bag: str  # its name
+    # Sum of a person's ratings, see `with_ratings`; None in the log itself, where they are lines
     adjustment: float | None = Field(default=None, allow_inf_nan=False)
-    truth: dict[str, Any] | None
-    clock: dict[str, Any]
+    truth: Data | None  # of the simulator; None on hardware; never learnt from
+    clock: Data  # wall-clock figures; only these differ between two runs of one seed
 
     @model_validator(mode="after")
     def _is_consistent(self) -> Record:
@@ -160,6 +163,11 @@ class Record(_Line):
         if not np.isfinite([*self.z, *self.theta, *(self.learnt_as or [])]).all():
             raise ValueError("z, theta and learnt_as must be finite")
         return self
+
+    @property
+    def executed(self) -> tuple[str, tuple[float, ...]]:
+        """Demonstration and coordinates, which together are a policy."""
+        return self.demonstration, tuple(self.z)
 
     @property
     def rated_return(self) -> float | None:
@@ -176,17 +184,17 @@ class Record(_Line):
         return self.model_copy(update={"adjustment": (self.adjustment or 0.0) + amount})
 
 
-class Rating(_Line):
-    """A person's reward or punishment for a rollout.
+class _Event(_Line):
+    """What a person does, or a pause."""
 
-    Attributes:
-        schema_: Version of this layout ("schema" in JSON).
-        after: Number of recorded rollouts when it takes effect.
-        rollout: Number of the rated rollout.
-        amount: Amount added to the return.
-        note: Human-readable effect.
-        clock: Wall-clock figures.
-    """
+    schema_: str = Field(alias="schema")
+    after: int = Field(ge=0)  # number of recorded rollouts when it takes effect; a pause does now
+    note: str  # human-readable effect, or reason of a pause
+    clock: Data  # wall-clock figures
+
+
+class Rating(_Event):
+    """A person's reward or punishment: the amount is added to the return of a rollout."""
 
     schema_: Literal["wam_power_ros/rating/1"] = Field(
         default="wam_power_ros/rating/1", alias="schema"
@@ -194,32 +202,17 @@ class Rating(_Line):
     after: int = Field(ge=1)
     rollout: int = Field(ge=1)
     amount: float = Field(allow_inf_nan=False)
-    note: str
-    clock: dict[str, Any]
 
 
-class NewDemonstration(_Line):
-    """A demonstration added while learning.
-
-    Attributes:
-        schema_: Version of this layout ("schema" in JSON).
-        after: Number of recorded rollouts when it takes effect.
-        id: Id of the policy.
-        policy: Policy fitted to the demonstration, as `policy.to_json` writes it.
-        bag: Bag of the demonstration, as given.
-        note: Human-readable effect.
-        clock: Wall-clock figures.
-    """
+class NewDemonstration(_Event):
+    """A demonstration added while learning."""
 
     schema_: Literal["wam_power_ros/demonstration/1"] = Field(
         default="wam_power_ros/demonstration/1", alias="schema"
     )
-    after: int = Field(ge=0)
-    id: str
-    policy: dict[str, Any]
-    bag: str
-    note: str
-    clock: dict[str, Any]
+    id: str  # of the policy
+    policy: dict[str, Any]  # fitted to the demonstration, as `policy.to_json` writes it
+    bag: str  # of the demonstration, as given
 
     @model_validator(mode="after")
     def _is_a_policy(self) -> NewDemonstration:
@@ -232,29 +225,18 @@ class NewDemonstration(_Line):
         return from_json(json.dumps(self.policy))
 
 
-class Pause(_Line):
-    """A pause of the session, or the end of one; takes effect at once.
-
-    Attributes:
-        schema_: Version of this layout ("schema" in JSON).
-        after: Number of recorded rollouts.
-        paused: Whether nothing moves from now on.
-        note: Human-readable reason.
-        clock: Wall-clock figures.
-    """
+class Pause(_Event):
+    """A pause of the session, while which nothing moves, or the end of one."""
 
     schema_: Literal["wam_power_ros/pause/1"] = Field(
         default="wam_power_ros/pause/1", alias="schema"
     )
-    after: int = Field(ge=0)
     paused: bool
-    note: str
-    clock: dict[str, Any]
 
 
 Event = Rating | NewDemonstration | Pause
 Line = Record | Event
-_KINDS: dict[Any, type[Record] | type[Rating] | type[NewDemonstration] | type[Pause]] = {
+_KINDS: dict[Any, type[Line]] = {
     kind.model_fields["schema_"].default: kind for kind in (Record, Rating, NewDemonstration, Pause)
 }
 
@@ -267,10 +249,7 @@ def parse_line(text: str) -> Line:
     """
     data = plain_json.parse(text, "the line")
     schema = data.get("schema") if isinstance(data, dict) else None
-    try:
-        return _KINDS.get(schema if isinstance(schema, str) else None, Record).model_validate(data)
-    except ValidationError as error:
-        raise ValueError(in_one_line(error)) from None
+    return validated(_KINDS.get(schema if isinstance(schema, str) else None, Record), data)
 
 
 def out_of_order(line: Line, count: int) -> str:
@@ -309,18 +288,3 @@ def columns(records: Sequence[Record]) -> dict[str, list[Any]]:
         rows.append(row | {"bag": record.bag})
     names = dict.fromkeys([*head, *(name for row in rows for name in row)])
     return {name: [row.get(name) for row in rows] for name in names}
-
-
-def plain(value: Any) -> Any:  # noqa: ANN401 - JSON is any of its types
-    """Convert a value to data for JSON; numbers that are not finite become None."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray):
-        return plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    if isinstance(value, np.generic):
-        return plain(value.item())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

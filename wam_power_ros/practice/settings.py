@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from contextlib import suppress
+from typing import Any, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, ValidationError, model_validator
@@ -16,34 +17,29 @@ from wam_power_ros.learning.model_based import ModelBased
 from wam_power_ros.learning.policy import PERIOD
 from wam_power_ros.tasks.task import Task
 
+M = TypeVar("M", bound=BaseModel)
 SHOWN_MAX = 80  # characters of an invalid value in an error message
 
 
 class PracticeSettings(BaseModel):
-    """Settings of the course of a session, for any task.
-
-    Attributes:
-        budget: Number of usable rollouts, including reproductions and excluding re-tests.
-        minutes: Time of all rollouts, with what is done and waited for between them, after which
-            learning ends [min]; 0: no limit. With a limit, the course depends on the clock.
-        mean_every: Every n-th trial of the practice runs the mean; 0 runs it only to confirm a
-            success.
-        confirm: Number of successes of one mean in a row that stop the session; 0 disables the
-            rule. They show a success rate, see `stopping_rule.rate_shown`; fewer stop it if their
-            margins show the same.
-        retests: Number of runs of the final answer, which are not learnt from.
-        attempts: Number of times a policy is executed while its rollouts have no return.
-        return_noise: Standard deviation of the return of one policy, for `Practice.best`.
-    """
+    """Settings of the course of a session, for any task."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
+    # Number of usable rollouts, including reproductions and excluding re-tests
     budget: int = Field(ge=1, le=100_000)  # a year of practice
+    # Time of all rollouts, with what is done and waited for between them, after which learning ends
+    # [min]; 0: no limit. With a limit, the course depends on the clock.
     minutes: int = Field(default=0, ge=0, le=1_000_000)
+    # Every n-th trial of the practice runs the mean; 0 runs it only to confirm a success
     mean_every: int = Field(ge=0, le=100_000)
+    # Number of successes of one mean in a row that stop the session; 0 disables the rule. They show
+    # a success rate, see `stopping_rule.rate_shown`; fewer do if their margins show the same.
     confirm: int = Field(ge=0, le=1000)
-    retests: int = Field(ge=0, le=100_000)
+    retests: int = Field(ge=0, le=100_000)  # runs of the final answer, which are not learnt from
+    # Number of times a policy is executed while its rollouts have no return
     attempts: int = Field(default=3, ge=1, le=100)
+    # Standard deviation of the return of one policy, for `Practice.best`
     return_noise: float = Field(default=0.1, ge=0.0, le=10.0, allow_inf_nan=False)
 
     def check_budget(self, reproductions: int) -> None:
@@ -56,22 +52,14 @@ class PracticeSettings(BaseModel):
 
 
 class SessionSettings(BaseModel):
-    """All settings of a session, as `session.yaml` holds them.
-
-    Attributes:
-        task: Name of the task.
-        task_settings: Settings of the task, of its class `Settings`.
-        learner: Name of the learner.
-        learner_settings: Settings of the learner, of its class `Settings`.
-        practice: Settings of the course of the session.
-    """
+    """All settings of a session, as `session.yaml` holds them; task and learner by their names."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     task: str
-    task_settings: SerializeAsAny[BaseModel]
+    task_settings: SerializeAsAny[BaseModel]  # of its class `Settings`
     learner: str
-    learner_settings: SerializeAsAny[BaseModel]
+    learner_settings: SerializeAsAny[BaseModel]  # of its class `Settings`
     practice: PracticeSettings
 
     @model_validator(mode="before")
@@ -81,17 +69,12 @@ class SessionSettings(BaseModel):
         if not isinstance(values, Mapping) or not {"task", "learner"} <= values.keys():
             return values
         found = dict(values)
-        for key, models in (
-            ("task", installed.task_type(str(values["task"])).Settings),
-            ("learner", installed.find("learner", str(values["learner"])).Settings),
-        ):
-            own = found.get(f"{key}_settings", {})
-            try:
-                found[f"{key}_settings"] = models.model_validate(
-                    own.model_dump() if isinstance(own, BaseModel) else own
-                )
-            except ValidationError as error:
-                raise ValueError(in_one_line(error, f"{key}_settings.")) from None
+        task = installed.task_type(str(values["task"]))
+        learner = installed.find("learner", str(values["learner"]))
+        for key, kind in (("task_settings", task), ("learner_settings", learner)):
+            own = found.get(key, {})
+            own = own.model_dump() if isinstance(own, BaseModel) else own
+            found[key] = validated(kind.Settings, own, prefix=f"{key}.")
         return found
 
     def make_task(self, context: Mapping[str, Any]) -> Task:
@@ -122,12 +105,7 @@ class SessionSettings(BaseModel):
         rng: np.random.Generator,
         model: ErrorModel | None = None,
     ) -> Learner:
-        """Create a learner.
-
-        Args:
-            size: Number of parameters.
-            rng: Random generator of the exploration.
-            model: Model of the vector error of the task for a learner that needs one.
+        """Create a learner of z in R^size that explores by `rng`, with a model if it needs one.
 
         Raises:
             ValueError: The learner needs a model and the task has none; names those that work.
@@ -143,19 +121,16 @@ class SessionSettings(BaseModel):
             check_errors(kind, self.task, errors)
             return [model] if needed and model is not None else []
 
-        def works(name: str) -> bool:
-            try:
-                given(name)
-            except ValueError:  # one of another package that cannot be loaded is none, too
-                return False
-            return True
-
         kind = installed.find("learner", self.learner)
         try:
             chosen = given(self.learner)
         except ValueError as error:
-            working = ", ".join(filter(works, installed.names("learner")))
-            raise ValueError(f"{error}; learners that work: {working}") from None
+            working = []
+            for name in installed.names("learner"):
+                with suppress(ValueError):  # one of another package that cannot be loaded is none
+                    given(name)
+                    working.append(name)
+            raise ValueError(f"{error}; learners that work: {', '.join(working)}") from None
         learner: Learner = kind(size, self.learner_settings, rng, *chosen)
         return learner
 
@@ -196,19 +171,9 @@ def preset(
             value = {**values[key], **value}
         values[key] = value
     course = {key: values.pop(key) for key in PracticeSettings.model_fields if key in values}
-    learner_name = learning.pop("name")
-    try:
-        return SessionSettings.model_validate(
-            {
-                "task": task,
-                "task_settings": values,
-                "learner": learner_name,
-                "learner_settings": learning,
-                "practice": course,
-            }
-        )
-    except ValidationError as error:
-        raise ValueError(f"invalid settings of task {task!r}: {in_one_line(error)}") from None
+    parts = {"task": task, "task_settings": values, "practice": course}
+    parts |= {"learner": learning.pop("name"), "learner_settings": learning}
+    return validated(SessionSettings, parts, f"invalid settings of task {task!r}: ")
 
 
 def _made_up_movement() -> Demonstration:
@@ -222,19 +187,21 @@ def _made_up_movement() -> Demonstration:
     return Demonstration(t, q, position, velocity, acceleration, upright, PERIOD)
 
 
-def in_one_line(error: ValidationError, prefix: str = "") -> str:
-    """Key, value and rule of every fault of a validation error, in one line.
+def validated(model: type[M], data: object, where: str = "", prefix: str = "") -> M:
+    """Data as a model.
 
-    Args:
-        error: Error of a model.
-        prefix: Prefix of every key.
+    Raises:
+        ValueError: They are refused; `where`, then with a prefix key, value and rule of each fault.
     """
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        faults = error.errors()
     lines = []
-    for fault in error.errors():
+    for fault in faults:
         rule = fault["msg"].removeprefix("Value error, ")
-        key = ".".join(map(str, fault["loc"]))
-        shown = repr(fault["input"])
+        key, shown = ".".join(map(str, fault["loc"])), repr(fault["input"])
         shown = shown if len(shown) <= SHOWN_MAX else f"{shown[:SHOWN_MAX]}..."
         value = "" if isinstance(fault["input"], Mapping) else f" = {shown}"
         lines.append(f"{prefix}{key}{value}: {rule}" if key else rule)
-    return "; ".join(lines)
+    raise ValueError(where + "; ".join(lines))
