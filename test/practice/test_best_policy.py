@@ -121,10 +121,11 @@ def test_the_best_without_a_fault_is_of_no_policy_that_a_fault_has_ended(
 
 
 def test_what_a_person_ended_is_no_overrun_and_not_run_again() -> None:
-    refused = record(2, ret=0.0, fault="stopped by a person", refused=True)
-    records = [record(1, ret=0.4), refused]
-    assert overruns(records) == 0 and ended_by_fault(records, "one") == [refused.z]
-    assert best_without_fault(records, "one") is None
+    for kind in ("mean", "retest"):
+        refused = record(2, kind=kind, ret=0.0, fault="stopped by a person", refused=True)
+        records = [record(1, ret=0.4), refused]
+        assert overruns(records) == 0 and ended_by_fault(records, "one") == [refused.z]
+        assert best_without_fault(records, "one") is None
 
 
 def test_ratings_count_for_the_best_without_a_fault() -> None:
