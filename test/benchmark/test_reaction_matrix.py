@@ -70,6 +70,21 @@ def test_a_zero_that_drifts_in_a_hold_is_found_and_not_followed_after_the_fault(
     assert outcome.way < 0.03
 
 
+@pytest.mark.requirement("S-132")
+@pytest.mark.parametrize("mode", ["move", "replay", "guided"])
+def test_an_arm_that_follows_a_drift_unseen_is_held_by_what_its_torque_shows(mode: str) -> None:
+    outcome = run(Cell("soft drift +0.3", 1, mode, "model"))
+    assert outcome.fault
+    assert outcome.peak < outcome.nominal + 0.4  # 12 m/s where its torque was kept as it was
+
+
+@pytest.mark.requirement("S-133")
+def test_an_arm_from_which_a_tool_is_taken_in_a_fault_is_caught() -> None:
+    outcome = run(Cell("-0.55 kg", -1, "fault", "model"))
+    assert outcome.peak < 0.9
+    assert outcome.way < 0.08
+
+
 @pytest.mark.requirement("S-133")
 @pytest.mark.parametrize("mode", ["hold", "untouched", "sweep"])
 def test_a_weight_that_is_put_on_the_tool_is_caught(mode: str) -> None:

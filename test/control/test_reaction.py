@@ -198,5 +198,40 @@ def test_an_arm_that_was_followed_in_its_fall_counts_as_having_rested() -> None:
     reaction = Reaction(MODEL, MODEL.gravity)
     reaction.begin(0.2)
     assert not reaction.rested
-    reaction.follow(HOME)
+    reaction.follow(HOME, np.zeros(MODEL.n))
     assert reaction.rested
+
+
+def held(course: np.ndarray, torque: np.ndarray) -> Reaction:
+    """Reaction after states that report rest, under torques (k, n) [N m] beyond g(course)."""
+    reaction = Reaction(MODEL, MODEL.gravity)
+    for k, (q, beyond) in enumerate(zip(course, torque, strict=True)):
+        reaction.record(state(k, HOME), MODEL.gravity(q) + beyond, [0.0] * 7)
+    return reaction
+
+
+@pytest.mark.requirement("S-132")
+@pytest.mark.parametrize("speed", [0.2, -0.3])
+@pytest.mark.parametrize("joint", [1, 3])
+def test_a_torque_that_changes_as_gravity_shows_which_joint_follows_a_drift(
+    joint: int, speed: float
+) -> None:
+    t = 0.002 * np.arange(150)
+    at = np.eye(7)[joint]
+    course = HOME + np.outer(speed * t, at)
+    drag = MODEL.friction[joint] * np.sign(speed) * at
+    found = held(course, np.tile(drag, (150, 1))).followed()
+    assert found is not None
+    assert found[0] == joint
+    due = MODEL.gravity(course[-1])[joint]
+    assert abs(found[1] - due) < 0.4 * MODEL.friction[joint]
+
+
+@pytest.mark.requirement("S-132")
+def test_a_torque_that_settles_steps_or_presses_shows_no_drift() -> None:
+    t = 0.002 * np.arange(150)
+    rest, push = np.tile(HOME, (150, 1)), MODEL.jacobian(HOME)[2]
+    for course in (np.exp(-t / 0.05), t > 0.28, 0.0 * t):
+        assert held(rest, np.outer(5.0 * course, np.eye(7)[1])).followed() is None
+    assert held(rest, np.outer(60.0 * t, push)).followed() is None
+    assert held(rest[:50], np.zeros((50, 7))).followed() is None

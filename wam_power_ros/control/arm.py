@@ -305,6 +305,10 @@ class Arm:
         """g(q) [N m]. Shape (n,)."""
         return pin.computeGeneralizedGravity(self.model, self._data, q)
 
+    def gravity_slope(self, q: np.ndarray) -> np.ndarray:
+        """Change of g(q) with q [N m/rad]. Shape (n, n)."""
+        return pin.computeGeneralizedGravityDerivatives(self.model, self._data, q)
+
     def driver_gravity(self, q: np.ndarray) -> np.ndarray:
         """g(q) of a driver that adds it: of the URDF, without corrections [N m]. Shape (n,)."""
         if self._uncorrected is None:

@@ -44,7 +44,12 @@ STILL = 0.002  # [rad] change of the reported positions within STILL_TIME, below
 STILL_SPEED = 0.05  # [rad/s] above which a brake that gives all it may must slow the arm
 STILL_TIME = 0.15  # [s]
 CALM_TIME = 0.05  # [s] the same of an arm that was held when the fault was found
-FALL_SPEED = 0.15  # [rad/s] growth of a reported speed after which a held arm is taken to fall
+SLIP_MIN, SLIP_MAX = 0.03, 1.0  # [rad/s] speed of a joint that follows the drift of its zero
+SLIP_CHANGE = 0.1  # of friction: change of a torque that shows such a speed
+SLIP_EXCESS = 1.25  # of its friction, which also stops the joint before gravity has grown
+SLIP_UNSTEADY = 0.2  # of this change, by which that of its first half may differ from a half
+SLIP_SHARE, SLIP_FRICTION = 0.005, 0.25  # of a torque limit, of friction: by which others differ
+FALL_SPEED = 0.4  # [rad/s] growth of a reported speed after which a held arm is taken to fall
 
 MotorTorque = Callable[[np.ndarray], np.ndarray]  # posture (n,) [rad] -> motor torque (n,) [N m]
 
@@ -218,6 +223,34 @@ class Reaction:
         if self.was_held and self._slow and known and not self._alone:
             self._model, self._alone = self._before(BEFORE + self._seconds) or self._model, True
 
+    def followed(self) -> tuple[int, float] | None:
+        """Joint that follows the drift of its zero, and torque that would rest it [N m], or None.
+
+        It reports rest, and the torque that keeps it there changes steadily, as gravity does when
+        one joint moves; friction may hide a change from the others.
+        """
+        arm, rows = self._arm, list(self.past)
+        at = np.array([each.q for each in rows]).reshape(len(rows), arm.n)
+        moved = np.flatnonzero((np.abs(at - at[-1:]) > 3.0 * STILL).any(axis=1))
+        rows = rows[moved[-1] + 1 if len(moved) else 0 :]
+        if len(rows) < round(STILL_TIME / self._period):
+            return None
+        third = len(rows) // 3
+        taus = np.array([each.tau for each in rows[-3 * third :]]).reshape(3, third, arm.n)
+        first, middle, last = taus.mean(axis=1)
+        change, seconds = last - first, sum(each.dt for each in rows[-2 * third :])
+        steady = np.abs(middle - first - 0.5 * change) < SLIP_UNSTEADY * np.abs(change)
+        slope = arm.gravity_slope(rows[-1].q)
+        allowed = SLIP_SHARE * arm.tau_max + SLIP_FRICTION * arm.friction
+        for joint in np.flatnonzero(steady & (np.abs(change) > SLIP_CHANGE * arm.friction)):
+            way = change[joint] / (slope[joint, joint] or math.inf)
+            due = slope[:, joint] * way
+            left = change - np.clip(change, np.minimum(due, 0.0), np.maximum(due, 0.0))
+            if SLIP_MIN < abs(way) / seconds < SLIP_MAX and (np.abs(left) <= allowed).all():
+                friction = math.copysign(SLIP_EXCESS * arm.friction[joint], way)
+                return int(joint), float(last[joint] + 0.25 * change[joint] - friction)
+        return None
+
     def assume_speeds(self, qd: np.ndarray) -> None:
         """Brake an arm that moves at speeds (n,) [rad/s] which its states do not report."""
         if self._model is not None:
@@ -279,10 +312,15 @@ class Reaction:
         self._external = zero = np.zeros(self._arm.n)
         return ModelState(self._arm, q, zero, zero, [], self._period)
 
-    def follow(self, q: np.ndarray) -> None:
-        """Carry an arm that truly falls where it is reported (n,) [rad]."""
+    def follow(self, q: np.ndarray, beyond: np.ndarray) -> None:
+        """Carry an arm that truly falls where it is reported, by a torque beyond g(q).
+
+        Args:
+            q: Where it is reported [rad]. Shape (n,).
+            beyond: Torque that would carry it, as its fall shows [N m]. Shape (n,).
+        """
         model = self._model = self._model or self._at_posture(q)
-        self._kept = self._resting - self._arm.gravity(q)  # the torque does not step
+        self._kept = beyond
         self._frozen = self._anchor = None
         model.q, model.qd, self._held, self._believed = q, self.reported(), None, True
 
@@ -390,10 +428,13 @@ class Reaction:
         change = tau - self._anchor
         if not known and (np.abs(change) <= self.known).all():
             return
-        # Where it was enough to move the arm: without half of the friction of this motion.
         drag, friction = share if known else change, self._arm.friction
+        # Where it was enough to move the arm: without half of the friction of this motion.
         moved = np.abs(drag) > friction
         self._frozen = tau - np.where(moved, np.copysign(0.5 * friction, drag), 0.0)
+        if (found := self.followed()) is not None:
+            joint, torque = found
+            self._frozen[joint] = torque
 
     def _advance(
         self,

@@ -34,6 +34,7 @@ BELIEF_STATES = 50  # consecutive states that agree until states are believed ag
 FALL_STATES = 75  # consecutive states of an arm that falls until they are believed again: 0.15 s
 FIRST_STATES = 500  # states after the activation in which gravity may turn out to be wrong: 1 s
 GRAVITY_SHARE = 0.15  # of g(q), which a low-passed residual must have then
+FALL_SHARE = 0.5  # of the change of momentum of an arm that falls, which may be unexplained
 AGREEMENT = 0.005  # [rad] in that time, between the motion reported and that of the model
 
 
@@ -93,7 +94,10 @@ class Supervision:
         self._agreed = 0  # consecutive states that agree with the model
         self._agreed_from: np.ndarray | None = None  # reported minus predicted at their first [rad]
         self._weight: np.ndarray | None = None  # unexplained torque that is a weight's [N m]
-        self._speeds: tuple[np.ndarray, np.ndarray]  # slowest, fastest in these [rad/s]
+        self._rest_states = round(BEFORE / settings.period)
+        self._at_rest = np.zeros(arm.n)  # residual when it last reported rest [N m]
+        # Speeds [rad/s] and residual [N m] at the first of these, and what it has changed [N m s].
+        self._fall: tuple[np.ndarray, np.ndarray, np.ndarray]
         self._explained = 0  # consecutive states whose motion the torques explain
         bound = settings.contact_share * arm.tau_max
         contact = Bound(bound, bound, INERTIAL_SHARE)
@@ -142,6 +146,8 @@ class Supervision:
             self.reaction.carried = beyond
         elif not held:  # what held it there; elsewhere the share of friction in it is not known
             self.reaction.carried = unexplained.before(self.reaction.posture)
+        past = list(self.reaction.past)[-self._rest_states :]
+        self._at_rest = np.array(past[0].external) if past and not guided else 0.0 * self._usual
         if kind is FaultKind.DRIFT:
             self.reaction.assume_speeds(-unexplained.drift)
         if kind.of_states:
@@ -156,6 +162,12 @@ class Supervision:
         past = self.reaction.past
         at = past[max(0, len(past) - self._belief_states)].q if past else self.reaction.posture
         held, half = unexplained.before(at), 0.5 * self._arm.friction
+        if not unexplained.drift.any() and (found := self.reaction.followed()) is not None:
+            joint, torque = found
+            before = past[-min(self._rest_states, len(past))].external[joint]
+            if kind is FaultKind.DRIFT or abs(before) > self._arm.friction[joint]:
+                beyond = torque - self._arm.gravity(past[-1].q)
+                return np.where(np.arange(self._arm.n) == joint, beyond, held)
         if kind is FaultKind.DRIFT or not np.abs(self._moved_to - at).max() < NEAR:
             return held
         amid = 0.5 * (np.fmin(self._least, held) + np.fmax(self._most, held))
@@ -205,7 +217,12 @@ class Supervision:
         if mode is not Mode.FAULT:
             return fault
         braking = self.believed and not self._doubted and not self.reaction.rested
-        self._weight = self._payload.torque(self.reaction.past) if braking else None
+        lifts = self.believed and self.reaction.frozen
+        if lifts and np.abs(self.reaction.reported()).max() < SLIDING:
+            self._payload.begin()
+            lifts = False
+        weighs = braking or lifts
+        self._weight = self._payload.torque(self.reaction.past) if weighs else None
         left = np.abs(residual - self._usual)
         self._explains = self._weight is not None or bool((left <= self._explainable).all())
         self._possible = self._weight is not None or bool((left <= self._unexplainable).all())
@@ -264,8 +281,9 @@ class Supervision:
         if self._lasting or (self.believed and not self.reaction.frozen):
             self._explained = -self._fall_states
             return tau
-        if self._falls():
-            self.reaction.follow(state.q)
+        if self._falls(state):
+            beyond = self._plausibility.residual if self._weight is None else self._weight
+            self.reaction.follow(state.q, -np.array(beyond))
             self.believed, self._explained = True, 0
         elif not self.believed:
             agrees = self._agrees(state.q - self.reaction.posture)
@@ -276,23 +294,37 @@ class Supervision:
                 self.believed = agrees and rests and self._explains
         return tau
 
-    def _falls(self) -> bool:
-        """Whether states have long reported an arm that falls, as the torques explain.
+    def _falls(self, state: JointState) -> bool:
+        """Whether states have long reported an arm that falls, ever faster as the torques explain.
 
-        A zero that drifts at a constant speed is explained nearly as well, and so is an answer to
-        the brake, which is added to whatever is false.
+        A zero that drifts at a constant speed is explained as well, and so is an answer to the
+        brake, which is added to whatever is false: neither goes on changing its speed.
         """
-        if not (self._explains and self.reaction.settled):
+        speeds, residual = self.reaction.reported(), np.array(self._plausibility.residual)
+        if np.abs(speeds).max() < SLIDING:
+            self._at_rest = residual
+        near = self._explains or (np.abs(residual - self._at_rest) <= self._explainable).all()
+        if not (self.reaction.settled and near):
             self._explained = min(self._explained, 0)
             return False
-        speeds = np.abs(self.reaction.reported())
+        if self._weight is not None:  # not one that only an acceleration makes so heavy
+            least = np.maximum(self._arm.friction, FALL_SHARE * np.abs(self._weight))
+            borne = np.abs(residual) > least
+            return self.reaction.frozen and bool(borne.sum() > 1)
         if self._explained <= 0:
-            self._speeds = speeds, speeds
-        slowest, fastest = self._speeds
-        self._speeds = np.minimum(slowest, speeds), np.maximum(fastest, speeds)
+            self._fall = speeds, residual, np.zeros(self._arm.n)
+        begun, usual, impulse = self._fall
+        self._fall = begun, usual, impulse + state.span * (residual - usual)
         self._explained += 1
-        changed = np.maximum(speeds - slowest, fastest - speeds)[int(speeds.argmax())]
-        return self._explained > self._fall_states and bool(changed > FALL_SPEED)
+        if self._explained <= self._fall_states:
+            return False
+        changed = speeds - begun
+        joint = int(np.abs(changed).argmax())
+        momentum = self._arm.mass_matrix(state.q).dot(changed)[joint]
+        if abs(impulse[joint]) > FALL_SHARE * abs(momentum):
+            self._explained = 0
+            return False
+        return bool(np.abs(speeds).max() > np.abs(begun).max() + FALL_SPEED)
 
     def _agrees(self, difference: np.ndarray) -> bool:
         """Whether reported minus predicted position (n,) [rad] has long stayed the same."""
