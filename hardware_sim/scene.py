@@ -19,16 +19,14 @@ AIR_DENSITY = 1.2  # [kg/m^3]
 _FIXED, _BODY = 1, 2  # collision bits: only bodies collide, with tool and ground
 
 
-def build(
-    urdf: str, scene: Scene, settings: WorldSettings, hidden: HiddenArm | None = None
-) -> mujoco.MjModel:
+def build(urdf: str, scene: Scene, settings: WorldSettings, hidden: HiddenArm) -> mujoco.MjModel:
     """Compile the model of an arm in a scene.
 
     Args:
         urdf: Text of the arm's URDF.
         scene: Scene that adds its bodies, and shapes of the tool that touch them.
         settings: Settings of the world.
-        hidden: How the arm differs from its URDF; None if it does not.
+        hidden: How the arm differs from its URDF.
 
     Returns:
         A model whose first degrees of freedom are the arm's joints, followed by those of the scene,
@@ -39,8 +37,7 @@ def build(
     """
     friction = settings.friction
     spec = arm(urdf, settings.model_joint_names)
-    if hidden is not None:
-        hidden.change(spec, settings.model_joint_names, settings.tool_frame)
+    hidden.change(spec, settings.model_joint_names, settings.tool_frame)
     option = spec.option
     option.timestep = TIMESTEP
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -50,7 +47,6 @@ def build(
         spec.body(point.link).add_site(name=point.name, pos=list(point.offset), group=4)
     tool = spec.body(settings.tool_frame)
     tool.add_site(name=TOOL_SITE, group=4)
-    tool.mass += settings.payload
     scene.build(spec, tool)
     _add_surroundings(spec, friction)
     model = spec.compile()

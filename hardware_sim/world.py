@@ -19,12 +19,12 @@ import numpy as np
 from hardware_sim import scene
 from hardware_sim.demonstrator import Demonstrator
 from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth, rotation_of
-from hardware_sim.hidden_arm import HiddenArm, hidden_arm
+from hardware_sim.hidden_arm import HiddenArm, drawn
 from hardware_sim.motors import DirectDrives, Motors
 from hardware_sim.scenes import Scene, scene_type
 from hardware_sim.sensors import Encoders, Mocap, MocapFrame, MocapSettings, quantize_geared
-from hardware_sim.settings import OptitrackSimParams, WamSimParams, WorldSettings
-from hardware_sim.wam import WATCHDOG_TIMEOUT
+from hardware_sim.settings import ArmSimParams, OptitrackSimParams, WorldSettings
+from hardware_sim.wam import WATCHDOG_DAMPING, WATCHDOG_TIMEOUT
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.joint_references import MinJerk
 from wam_power_ros.params.resources import robot_description
@@ -57,7 +57,7 @@ class World:
     Attributes:
         settings: Settings of the world.
         scene: Scene around the arm.
-        hidden: How the arm differs from its model; None if it does not.
+        hidden: How the arm differs from its model.
         time_ns: Time of the simulation [ns].
         frozen: True while only clock and cameras go on; physics, encoders and commands wait for
             `release`.
@@ -84,18 +84,16 @@ class World:
         mocap: MocapSettings | None = None,
         hidden: HiddenArm | None = None,
     ) -> None:
-        self._nominal_settings = settings = settings or WorldSettings()
+        self._nominal = settings = settings or WorldSettings()
         mocap = mocap or MocapSettings()
-        self._make_scene = make_scene
+        self._make_scene, self._given = make_scene, hidden
         self.seed = seed
         self.urdf = robot_description(settings.urdf)
         names, tool, guarded = settings.model_joint_names, settings.tool_frame, settings.guarded
         self._arm = Arm(self.urdf, names, tool, guarded=guarded)  # driver's model
         self.n = self._arm.n
-        self._period_ns, self._substeps = (
-            settings.period_ns,
-            round(settings.period / scene.TIMESTEP),
-        )
+        self._period_ns = settings.period_ns
+        self._substeps = round(settings.period / scene.TIMESTEP)
         self._watchdog_ticks = settings.ticks(WATCHDOG_TIMEOUT)
         self._trace_ticks = settings.ticks(1.0 / TRACE_RATE)  # between poses of the trace
         self.motors: Motors | DirectDrives = Motors(settings.bus_voltage)
@@ -107,18 +105,14 @@ class World:
         self._mocap = Mocap(layout, mocap)
         self._velocity = np.zeros(6)
         self._carrying: tuple[MinJerk, int] | None = None  # path and its beginning [ns]
-        drawn = hidden_arm(seed, self.n) if settings.unknown == "lab" else None
-        self.hidden = hidden or drawn
-        self._zeros = np.zeros(self.n) if self.hidden is None else self.hidden.zeros
-        self._build(settings.drawn(seed) if settings.unknown else settings)
-
+        self._build()
         self.time_ns = self._period_ns
         self.trace: list[np.ndarray] | None = None
         self.reset("start", self.scene.home if settings.home is None else np.array(settings.home))
         self.release()
 
     @classmethod
-    def of(cls, params: WamSimParams, cameras: OptitrackSimParams | None) -> World:
+    def of(cls, params: ArmSimParams, cameras: OptitrackSimParams | None) -> World:
         """World of the stand-ins' parameters; `cameras` may be None in a scene without a body.
 
         Raises:
@@ -132,16 +126,18 @@ class World:
             )
         return cls(make_scene, params, params.seed, cameras)
 
-    def _build(self, settings: WorldSettings) -> None:
-        """Compile scene and physics for these settings."""
-        self.settings = settings
+    def _build(self, rollout_id: str = "") -> None:
+        """Draw what is unknown, in a rollout or in all; compile scene and physics."""
+        settings, hidden = drawn(self._nominal, self.seed, rollout_id)
+        self.settings, self.hidden = settings, self._given or hidden
+        self._drags = self.hidden.drags
         self.scene = self._make_scene(settings)
         n = self.n
         self.model = model = scene.build(self.urdf, self.scene, settings, self.hidden)
         self.data = data = mujoco.MjData(model)
         self._tool = model.body(settings.tool_frame).id
         self._friction = settings.friction_share * model.dof_frictionloss[:n]
-        self._watchdog_damping = (settings.watchdog_damping * model.dof_M0[:n]).tolist()
+        self._watchdog_damping = (WATCHDOG_DAMPING * model.dof_M0[:n]).tolist()
         # views into MuJoCo's arrays
         self._q, self._qd, self._applied = data.qpos[:n], data.qvel[:n], data.qfrc_applied[:n]
         self._scene_qd = data.qvel[n:]
@@ -180,11 +176,11 @@ class World:
         if q_start.shape != (n,) or not np.all((low <= q_start) & (q_start <= high)):
             raise ValueError(f"q_start {q_start.tolist()} must be {n} angles within their limits")
         self.frozen = True
-        return self._resetting(rollout_id, q_start - self._zeros)
+        return self._resetting(rollout_id, q_start - self.hidden.zeros)
 
     def _resetting(self, rollout_id: str, q_start: np.ndarray) -> Iterator[None]:
-        if self._nominal_settings.unknown == "rollout":
-            self._build(self._nominal_settings.drawn(self.seed, rollout_id))
+        if self._nominal.unknown == "rollout":
+            self._build(rollout_id)
         key = [self.seed, zlib.crc32(rollout_id.encode()), 1]
         self._mocap_rng = np.random.default_rng(key)
         settings, model, data, n = self.settings, self.model, self.data, self.n
@@ -203,7 +199,7 @@ class World:
         model.opt.wind[:] = wind
         mujoco.mj_forward(model, data)
 
-        self._encoders.reset((q_start + self._zeros).tolist())
+        self._encoders.reset((q_start + self.hidden.zeros).tolist())
         self._mocap.forget()
         self._command = [0.0] * n if settings.driver_compensates_gravity else gravity.tolist()
         self._effort: list[float] = gravity.tolist()
@@ -225,9 +221,7 @@ class World:
         offset = noise * settings.body_offset_sd * rng.standard_normal(2)
         wind = noise * settings.wind_sd * rng.standard_normal(3)
         scale = 1.0 + noise * settings.torque_scale_sd * rng.standard_normal(n)
-        scale *= settings.torque_constants or 1.0
-        if self.hidden is not None:
-            scale *= self.hidden.motors
+        scale *= self.hidden.motors
         friction = 1.0 + noise * settings.friction_sd * rng.standard_normal(n)
         self._torque_scale: list[float] = scale.tolist()
         self.model.dof_frictionloss[:n] = self._friction * np.maximum(friction, 0.0)
@@ -250,7 +244,7 @@ class World:
         The encoders see a movement of minimum jerk, as of a real arm; `carried` says when it ends.
         """
         self.frozen = True
-        self._carrying = MinJerk(self._q.copy(), q - self._zeros, CARRY_SPEED), self.time_ns
+        self._carrying = MinJerk(self._q.copy(), q - self.hidden.zeros, CARRY_SPEED), self.time_ns
 
     @property
     def carried(self) -> bool:
@@ -264,7 +258,7 @@ class World:
         path, begun_ns = self._carrying
         t = (self.time_ns - begun_ns) * 1e-9
         self._q[:] = path.at(t)[0]
-        self._encoders.read((self._q + self._zeros).tolist())
+        self._encoders.read((self._q + self.hidden.zeros).tolist())
         if t >= path.duration + CARRY_REST:
             self._carrying = None
 
@@ -355,12 +349,12 @@ class World:
             else:
                 self._command, self._ticks_since_command = command, 0
             saturated = self._advance()
-            q = self._q if self.hidden is None else self._q + self._zeros
-            self._encoders.read(q.tolist())
+            self._encoders.read((self._q + self.hidden.zeros).tolist())
             self._record(saturated)
         if (self._body.size or self._mounted) and self._mocap.due(self.time_ns):
-            pose = self._body_pose()
-            self._mocap.expose(self.time_ns, *self._seen(*pose))
+            position, rotation = self._body_pose()
+            turn, offset = self.hidden.cameras
+            self._mocap.expose(self.time_ns, turn @ position + offset, turn @ rotation)
 
     def _advance(self) -> bool:
         """Step motors and physics by one tick; returns whether a motor was at its limit."""
@@ -373,7 +367,7 @@ class World:
             given = self.motors.limit(self._effort, qd)
             saturated = given is not self._effort
             self._applied[:] = [a * b for a, b in zip(given, self._torque_scale, strict=True)]
-        if self.hidden is not None:
+        if self._drags:
             self._applied[:] -= self.hidden.drag(self._qd, self.model.dof_frictionloss[: self.n])
         if self._demonstrator is None:
             mujoco.mj_step(self.model, self.data, self._substeps)
@@ -389,13 +383,6 @@ class World:
         position, rotation = self._mounted
         mujoco.mj_kinematics(self.model, self.data)  # a step leaves the tool where it began
         return self._tool_position + self._tool_rotation @ position, self._tool_rotation @ rotation
-
-    def _seen(self, position: np.ndarray, rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Pose of a body in the cameras' frame, taken for that of the base."""
-        if self.hidden is None:
-            return position, rotation
-        turn, offset = self.hidden.cameras
-        return turn @ position + offset, turn @ rotation
 
     def _commanded_torque(self) -> list[float]:
         """Joint torques (n,) that the driver commands to the motors [N m]."""
@@ -450,8 +437,8 @@ class World:
 
     def truth(self) -> Truth:
         """Ground truth since the release: id, outcome by the scene, `RolloutLog.arm_truth`."""
-        tool = self._arm.tool_pose(self._q) if self.hidden is None else self.tool_pose
-        now = Snapshot(self._body, *tool)
+        mujoco.mj_kinematics(self.model, self.data)  # a step leaves the tool where it began
+        now = Snapshot(self._body, *self.tool_pose)
         truth, peaks = self.scene.truth(self._log, now), self._log.arm_truth(self.motors)
         return {"id": self.rollout_id, **truth, **peaks}
 

@@ -21,7 +21,7 @@ from std_msgs.msg import Float64MultiArray, String
 from hardware_sim.barrett_services import BarrettServices, PositionControl
 from hardware_sim.scene_services import SceneServices
 from hardware_sim.sensors import MocapFrame
-from hardware_sim.settings import WamSimParams
+from hardware_sim.settings import ArmSimParams
 from hardware_sim.wam import FOLDED
 from hardware_sim.world import World
 from wam_power_ros.control.arm import Arm
@@ -41,7 +41,7 @@ def _sent(values: np.ndarray, how: str) -> Sequence[float] | np.ndarray:
     return values if how == "filled" else np.full(len(values), np.nan) if how == "nan" else ()
 
 
-class WamSim(Node):
+class ArmSim(Node):
     """Driver of the simulated arm.
 
     Attributes:
@@ -55,7 +55,7 @@ class WamSim(Node):
 
     def __init__(self) -> None:
         super().__init__("wam_sim", automatically_declare_parameters_from_overrides=True)
-        self.params = params = WamSimParams.of(self)
+        self.params = params = ArmSimParams.of(self)
         self.on_torque: Callable[[joint_messages.TorqueReading], None] = lambda reading: None
         self.counters: Counter[str] = Counter()
         self.lockstep = params.pace == "lockstep"
