@@ -141,7 +141,7 @@ class World:
         # views into MuJoCo's arrays
         self._q, self._qd, self._applied = data.qpos[:n], data.qvel[:n], data.qfrc_applied[:n]
         self._scene_qd = data.qvel[n:]
-        self._mounted = getattr(self.scene, "mounted", None)
+        self._mounted = self.scene.mounted
         columns = _free_joint(model, "" if self._mounted else self.scene.body)
         self._body, self._body_twist = data.qpos[columns[0]], data.qvel[columns[1]]
         self._tool_position = data.xpos[self._tool]
