@@ -6,13 +6,13 @@ It is logged and displayed only; no part of the system learns from it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 
 from hardware_sim.motors import DirectDrives, Motors
+from hardware_sim.settings import WorldSettings
 
 TOOL_SITE = "tool origin"  # site of the model at the origin of the tool
 LOG_TIME = 10.0  # [s] from the release on that is logged
@@ -45,12 +45,10 @@ class RolloutLog:
         full: Largest number of rows.
 
     Args:
-        model: Model with a site at every point and at the tool.
+        model: Model with a site at every guarded point and at the tool.
         data: Simulated state to log.
-        points: Names of the guarded points.
-        n: Number of the arm's joints.
+        settings: Settings of the world.
         body: Columns of the tracked body in qpos, and in qvel; empty without one.
-        period: Time between two ticks [s].
     """
 
     start: Snapshot
@@ -59,18 +57,17 @@ class RolloutLog:
         self,
         model: mujoco.MjModel,
         data: mujoco.MjData,
-        points: Sequence[str],
-        n: int,
+        settings: WorldSettings,
         body: tuple[slice, slice],
-        period: float,
     ) -> None:
-        self.period, self.full = period, round(LOG_TIME / period)
-        self._data, self._n = data, n
-        self._points = [model.site(name).id for name in (*points, TOOL_SITE)]
+        self.period, self.full = settings.period, settings.ticks(LOG_TIME)
+        self._data, self._n = data, len(settings.model_joint_names)
+        names = [*(point.name for point in settings.guarded), TOOL_SITE]
+        self._points = [model.site(name).id for name in names]
         self._body = body
         self._qpos = np.empty((self.full, model.nq))
         self._qvel = np.empty((self.full, model.nv))
-        self._tau = np.empty((self.full, n))
+        self._tau = np.empty((self.full, self._n))
         self._sites = np.empty((self.full, *data.site_xpos.shape))
         self.rows = 0
         self._saturated = 0

@@ -7,7 +7,7 @@ truth of a rollout is published when it ends.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Iterator
 from itertools import repeat
 
 import numpy as np
@@ -26,9 +26,7 @@ from wam_power_ros.ros.requests import Request, Server
 ROLLOUT = "rollout "  # begins the label of a rollout, before its id
 WAIT_TIME = 0.1  # [s] from a reset to its answer, and from a request to a refusal
 START_TOLERANCE = 0.05  # [rad] between the arm and q_start for a reset
-
-
-Activity = Generator[None, None, Answer]
+Steps = Iterator[Answer | None]  # what a request does, a step a tick: None until it is answered
 
 
 class SceneServices:
@@ -61,7 +59,7 @@ class SceneServices:
         self._lockstep, self._overridden = lockstep, overridden
         self._demonstrations = 0  # completed
         self._wait_ticks = world.settings.ticks(WAIT_TIME)
-        self._under_way: dict[str, Activity] = {}  # by request
+        self._under_way: dict[str, Steps] = {}  # by request
         self._resetting = False  # in slices
         self._prepared = ""  # id of the rollout that the world was reset for
         body = world.scene.body
@@ -100,14 +98,11 @@ class SceneServices:
 
     def update(self) -> None:
         """Advance the requests under way; called every tick."""
-        for do, activity in [*self._under_way.items()]:
-            try:
-                next(activity)
-            except StopIteration as end:
+        for do, steps in [*self._under_way.items()]:
+            done = Answer(Code.DONE, values={"rollout": self._world.rollout_id})
+            if (answer := next(steps, done)) is not None:
                 del self._under_way[do]
-                self._server.finish(do, end.value)
-
-    # Requests: each begins an activity, which then goes on by one step a tick, up to its answer
+                self._server.finish(do, answer)
 
     def _begin_reset(self, asked: Request) -> Answer | None:
         """Reset the scene; in lockstep the world then stays frozen until the next activity.
@@ -142,7 +137,7 @@ class SceneServices:
         self._under_way["demonstrate"] = self._demonstrate()
         return None
 
-    def _reset(self, rollout_id: str, q: np.ndarray) -> Activity:
+    def _reset(self, rollout_id: str, q: np.ndarray) -> Steps:
         """Freeze and reset the world: now in lockstep, else in slices while the clock goes on.
 
         Raises:
@@ -152,62 +147,52 @@ class SceneServices:
         self._prepared, self._resetting = rollout_id, not self._lockstep
         return self._settle(iter([*slices]) if self._lockstep else slices)
 
-    def _settle(self, slices: Iterator[None]) -> Activity:
-        """Do the slices of a reset, and wait until the controller has settled."""
+    def _settle(self, slices: Iterator[None]) -> Steps:
+        """Do the slices of a reset; wait until the controller has settled."""
+        yield from slices
         if self._resetting:
-            yield from slices
             self._resetting = False
             self._world.release()
         yield from repeat(None, self._wait_ticks)
-        return self._done()
 
-    def _reset_for_demonstration(self) -> Activity:
-        if not (yield from self._is_guided()):
-            return self._not_free()
+    def _reset_for_demonstration(self) -> Steps:
+        yield from self._until_guided()
         rollout_id, home = self._next_demonstration()
         yield from self._carry(home)
-        return (yield from self._reset(rollout_id, home))
+        yield from self._reset(rollout_id, home)
 
-    def _demonstrate(self) -> Activity:
+    def _demonstrate(self) -> Steps:
         world = self._world
-        if not (yield from self._is_guided()):
-            return self._not_free()
+        yield from self._until_guided()
+        while self._resetting:
+            yield None
         rollout_id, home = self._next_demonstration()
         if world.rollout_id != rollout_id:  # not reset for it yet
             yield from self._carry(home)
-        while self._resetting:
-            yield
-        if not self._guided:
-            return self._not_free()
-        if world.rollout_id != rollout_id:
+            yield from self._until_guided()
             world.reset(rollout_id, home)
         if world.frozen:
             world.release()
         rng = np.random.default_rng((self._seed, self._demonstrations))
         world.attach(Demonstrator(world.scene.script(rng), *world.tool_pose))
         while world.pulled:
-            yield
+            yield None
         self._demonstrations += 1
-        return self._done()
 
-    @property
-    def _guided(self) -> bool:
-        return self.label == "gravity_compensation" and not self._overridden()
+    def _until_guided(self) -> Steps:
+        """Wait until the arm can be guided; refuse if that takes long."""
+        for _ in range(self._wait_ticks + 1):
+            if self.label == "gravity_compensation" and not self._overridden():
+                return
+            yield None
+        yield Answer(Code.BUSY, f"the arm is not free to be guided (mode {self.label!r})")
 
-    def _is_guided(self) -> Generator[None, None, bool]:
-        """Wait until the arm can be guided, but not for long; returns whether it can."""
-        for _ in range(self._wait_ticks):
-            if self._guided:
-                break
-            yield
-        return self._guided
-
-    def _carry(self, home: np.ndarray) -> Iterator[None]:
+    def _carry(self, home: np.ndarray) -> Steps:
         """Have the arm carried to a posture (n,) [rad] if it is away from it."""
         if np.abs(self._world.joint_state().q - home).max() > START_TOLERANCE:
             self._world.carry(home)
         while not self._world.carried:
-            yield
+            yield None
 
     def _next_demonstration(self) -> tuple[str, np.ndarray]:
         """Id and start posture (n,) [rad] of the next demonstration."""
@@ -215,12 +200,6 @@ class SceneServices:
         rng = np.random.default_rng((self._seed, number, 1))
         home = self._world.home + scene.home_sd * rng.standard_normal(self._world.n)
         return f"demonstration-{number}", home
-
-    def _done(self) -> Answer:
-        return Answer(Code.DONE, values={"rollout": self._world.rollout_id})
-
-    def _not_free(self) -> Answer:
-        return Answer(Code.BUSY, f"the arm is not free to be guided (mode {self.label!r})")
 
     def _on_drop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         answer = Answer(Code.DONE)

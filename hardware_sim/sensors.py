@@ -11,8 +11,9 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from hardware_sim.motors import joint_motion, motor_motion
-from hardware_sim.wam import ENCODER_COUNTS, PERIOD, VELOCITY_CUTOFF
+from hardware_sim.wam import ENCODER_COUNTS, VELOCITY_CUTOFF
 from wam_power_ros import rotations
+from wam_power_ros.tracking.marker_fit import LAYOUT
 
 _COUNTS_PER_RAD = ENCODER_COUNTS / math.tau  # of a motor's encoder
 _COUNT = math.tau / ENCODER_COUNTS  # [rad]
@@ -43,9 +44,7 @@ class Encoders:
     """
 
     def __init__(
-        self,
-        quantize: Callable[[Sequence[float]], tuple[float, ...]] = quantize_wam,
-        period: float = PERIOD,
+        self, quantize: Callable[[Sequence[float]], tuple[float, ...]], period: float
     ) -> None:
         self._quantize = quantize
         self._keep = math.exp(-VELOCITY_CUTOFF * period)
@@ -67,16 +66,9 @@ class Encoders:
 
 
 class MocapSettings(BaseModel):
-    """Settings of motion capture: the paper's, else typical of present systems.
+    """Settings of motion capture, as config/optitrack_sim.yaml describes them with their units.
 
-    Attributes:
-        rate: Frame rate [Hz]; 30 in the paper.
-        noise: Standard deviation of a marker's position, per axis [m].
-        latency: Time from exposure to delivery [s].
-        dropout: Share of lost frames.
-        occlusion: Share of frames in which one marker is hidden.
-        lost: Output of the driver for a lost frame: none, the last pose again, or a pose of zeros.
-        single_marker: True for one marker, at the body's origin, instead of a layout.
+    The defaults are the paper's, else typical of present systems.
 
     Raises:
         ValueError: A value is out of range.
@@ -105,19 +97,11 @@ class MocapFrame(NamedTuple):
 class Mocap:
     """Motion capture of a body: noisy markers and a pose fitted to them, with latency.
 
-    Args:
-        layout: Marker positions in the frame of the body, all at z = 0 [m], shape (m, 3); a single
-            one has a position without orientation.
-        settings: Settings of the motion capture.
-
-    Raises:
-        ValueError: A marker is not at z = 0.
+    The markers are those of `LAYOUT`, all at z = 0; a single one has a position alone.
     """
 
-    def __init__(self, layout: np.ndarray, settings: MocapSettings) -> None:
-        if layout[:, 2].any():
-            raise ValueError(f"z of the markers {layout[:, 2].tolist()} must be 0")
-        self._layout = layout
+    def __init__(self, settings: MocapSettings) -> None:
+        self._layout = layout = np.zeros((1, 3)) if settings.single_marker else np.array(LAYOUT)
         self._centre = layout.mean(axis=0)
         self._flat = (layout - self._centre)[:, :2]
         self._mean = np.full(len(layout), 1.0 / len(layout))

@@ -22,13 +22,19 @@ from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth, rotation_of
 from hardware_sim.hidden_arm import HiddenArm, drawn
 from hardware_sim.motors import DirectDrives, Motors
 from hardware_sim.scenes import Scene, scene_type
-from hardware_sim.sensors import Encoders, Mocap, MocapFrame, MocapSettings, quantize_geared
+from hardware_sim.sensors import (
+    Encoders,
+    Mocap,
+    MocapFrame,
+    MocapSettings,
+    quantize_geared,
+    quantize_wam,
+)
 from hardware_sim.settings import ArmSimParams, OptitrackSimParams, WorldSettings
 from hardware_sim.wam import WATCHDOG_DAMPING, WATCHDOG_TIMEOUT
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.joint_references import MinJerk
 from wam_power_ros.params.resources import robot_description
-from wam_power_ros.tracking.marker_fit import LAYOUT
 
 QUIET = "-quiet"  # suffix of the id of a rollout without wind, offset and variation of the arm
 DROP_HEIGHT = 0.7  # [m]
@@ -36,10 +42,9 @@ TRACE_RATE = 100.0  # [Hz] of the poses in `World.trace`
 CARRY_REST = 0.1  # [s] at its end, in which the filtered velocity becomes zero
 REST_SPEED = 0.05  # [rad/s] or [m/s] of what counts as at rest
 CARRY_SPEED = 1.0  # [rad/s] peak joint speed of an arm that is carried to a posture
-_SETTLE_STEPS = 900  # physics steps, at most, until bodies are at rest
-_SETTLE_CHECK = 50  # physics steps between checks for rest
-_SETTLE_SLICE = 10  # physics steps done within one tick
-_REST_SPEED = 0.003  # [m/s] and [rad/s] below which a body is at rest
+# Physics steps until bodies are at rest, at most; between checks for rest; within one tick
+_SETTLE_STEPS, _SETTLE_CHECK, _SETTLE_SLICE = 900, 50, 10
+_SETTLED_SPEED = 0.003  # [m/s] and [rad/s] below which a body is at rest then
 
 
 class JointSample(NamedTuple):
@@ -55,7 +60,7 @@ class World:
     """One arm with its tool in a scene.
 
     Attributes:
-        settings: Settings of the world.
+        settings: Settings, with what was drawn.
         scene: Scene around the arm.
         hidden: How the arm differs from its model.
         time_ns: Time of the simulation [ns].
@@ -97,12 +102,11 @@ class World:
         self._watchdog_ticks = settings.ticks(WATCHDOG_TIMEOUT)
         self._trace_ticks = settings.ticks(1.0 / TRACE_RATE)  # between poses of the trace
         self.motors: Motors | DirectDrives = Motors(settings.bus_voltage)
-        self._encoders = Encoders(period=settings.period)
+        self._encoders = Encoders(quantize_wam, settings.period)
         if settings.drives == "direct":
             self.motors = DirectDrives(self._arm.tau_max, self._arm.qd_max)
             self._encoders = Encoders(quantize_geared, settings.period)
-        layout = np.zeros((1, 3)) if mocap.single_marker else np.asarray(LAYOUT)
-        self._mocap = Mocap(layout, mocap)
+        self._mocap = Mocap(mocap)
         self._velocity = np.zeros(6)
         self._carrying: tuple[MinJerk, int] | None = None  # path and its beginning [ns]
         self._build()
@@ -146,14 +150,10 @@ class World:
         self._body, self._body_twist = data.qpos[columns[0]], data.qvel[columns[1]]
         self._tool_position = data.xpos[self._tool]
         self._tool_rotation = data.xmat[self._tool].reshape(3, 3)
-        points = [point.name for point in settings.guarded]
-        self._log = RolloutLog(model, data, points, n, columns, settings.period)
+        self._log = RolloutLog(model, data, settings, columns)
 
     def reset(self, rollout_id: str, q_start: np.ndarray) -> None:
         """Put the arm and the bodies of the scene to rest at the start of a rollout; freeze them.
-
-        After the release the world depends only on the seed, `rollout_id`, `q_start` and the
-        torques.
 
         Args:
             rollout_id: Id of the rollout; with suffix `QUIET` only the cameras are noisy.
@@ -183,7 +183,7 @@ class World:
             self._build(rollout_id)
         key = [self.seed, zlib.crc32(rollout_id.encode()), 1]
         self._mocap_rng = np.random.default_rng(key)
-        settings, model, data, n = self.settings, self.model, self.data, self.n
+        model, data = self.model, self.data
         offset, wind = self._vary(rollout_id)
         model.opt.wind[:] = 0.0
 
@@ -201,10 +201,11 @@ class World:
 
         self._encoders.reset((q_start + self.hidden.zeros).tolist())
         self._mocap.forget()
-        self._command = [0.0] * n if settings.driver_compensates_gravity else gravity.tolist()
         self._effort: list[float] = gravity.tolist()
+        own = self.settings.driver_compensates_gravity
+        self._command = [0.0] * self.n if own else self._effort
         self._delayed: deque[list[float] | None]
-        self._delayed = deque([self._command] * settings.command_delay_ticks)
+        self._delayed = deque([self._command] * self.settings.command_delay_ticks)
         self._ticks_since_command = 0
         self._demonstrator: Demonstrator | None = None
         self._grip_ns = 0
@@ -233,7 +234,7 @@ class World:
             mujoco.mj_step(self.model, self.data)
             self._q[:] = q_start
             self._qd[:] = 0.0
-            if step % _SETTLE_CHECK == 0 and np.abs(self._scene_qd).max() < _REST_SPEED:
+            if step % _SETTLE_CHECK == 0 and np.abs(self._scene_qd).max() < _SETTLED_SPEED:
                 return
             if step % _SETTLE_SLICE == 0:
                 yield
@@ -295,8 +296,7 @@ class World:
     @property
     def moving(self) -> bool:
         """Whether arm or scene move, such as a body that has not come to rest."""
-        speeds = (self._qd, self._scene_qd)
-        return not self.frozen and any(np.abs(qd).max(initial=0.0) > REST_SPEED for qd in speeds)
+        return not self.frozen and bool(np.abs(self.data.qvel).max() > REST_SPEED)
 
     @property
     def pulled(self) -> bool:
@@ -421,13 +421,10 @@ class World:
                 applied[3:] = wrench[3:] + np.cross(lever, wrench[:3])
         mujoco.mj_step2(model, data)
 
-    # Ground truth
-
     def _restart_log(self) -> None:
         if self.trace is not None:
             self.trace.clear()
-        start = self._body, self._tool_position, self._tool_rotation
-        self._log.restart(Snapshot(*(array.copy() for array in start)))
+        self._log.restart(Snapshot(self._body.copy(), *self.tool_pose))
 
     def _record(self, saturated: bool) -> None:
         row = self._log.rows
