@@ -44,11 +44,8 @@ class RolloutLog:
         period: Time between two ticks [s].
         full: Largest number of rows.
 
-    Args:
-        model: Model with a site at every guarded point and at the tool.
-        data: Simulated state to log.
-        settings: Settings of the world.
-        body: Columns of the tracked body in qpos, and in qvel; empty without one.
+    The model has a site at every guarded point and at the tool; `body` are the columns of the
+    tracked body in qpos and qvel, empty without one.
     """
 
     start: Snapshot
@@ -77,11 +74,7 @@ class RolloutLog:
         self.start, self.rows, self._saturated = start, 0, 0
 
     def record(self, saturated: bool) -> None:
-        """Add a row unless the log is full.
-
-        Args:
-            saturated: True if a motor could not give the commanded torque.
-        """
+        """Add a row unless the log is full; `saturated`: a motor could not give its torque."""
         self._saturated += saturated
         row, data = self.rows, self._data
         if row == self.full:

@@ -87,12 +87,7 @@ class HiddenArm:
         return bool(np.any(self.asymmetry) or np.any(self.stribeck))
 
     def drag(self, qd: np.ndarray, friction: np.ndarray) -> np.ndarray:
-        """Friction [N m], shape (n,), beyond the Coulomb friction of MuJoCo.
-
-        Args:
-            qd: Speeds [rad/s]. Shape (n,).
-            friction: Coulomb friction [N m]. Shape (n,).
-        """
+        """Friction beyond MuJoCo's Coulomb `friction` [N m] at speeds qd [rad/s]; each (n,)."""
         slow = self.stribeck * np.exp(-((qd / STRIBECK_SPEED) ** 2))
         return friction * (self.asymmetry + slow * np.tanh(qd / _SIGN_SPEED))
 
@@ -104,12 +99,8 @@ def drawn(
 
     "": nothing. "session" and "rollout": body mass 70 to 130 % and radius 80 to 120 % of nominal,
     its friction 0.1 to 0.5, torque constants 95 to 105 %, payload up to 0.12 kg. "lab": see
-    `_first_day`. In all but the first a command delay of 2 to 8 ms.
-
-    Args:
-        settings: Nominal settings.
-        seed: Seed of the world.
-        rollout_id: Id of the rollout; "" for the whole session.
+    `_first_day`. In all but the first a command delay of 2 to 8 ms. Without the id of a rollout it
+    is drawn for all of them.
     """
     n = len(settings.model_joint_names)
     if not settings.unknown:

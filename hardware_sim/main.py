@@ -65,7 +65,7 @@ class Simulation:
         self._statistics = LoopStatistics(params.period_ns)
         self._published_ns = 0  # [ns] on the steady clock
         self._held: joint_messages.TorqueReading | None = None  # newest that has no step yet
-        self._granted = _schedule(0 if self.wam.lockstep else params.realtime_priority)
+        self._granted = _schedule(0 if self.wam.params.lockstep else params.realtime_priority)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.wam.create_timer(1.0, self._report, clock=steady)
 
@@ -77,12 +77,14 @@ class Simulation:
             return bool(self.intruder) or ended()
 
         commands = self.wam.resolve_topic_name(self.wam.params.command_topic)
-        waiting = "each step waits" if self.wam.lockstep else "the arm, held by its driver, waits"
+        waiting = (
+            "each step waits" if self.wam.params.lockstep else "the arm, held by its driver, waits"
+        )
         self.wam.get_logger().info(f"{waiting} for torques on {commands}")
         executor = node_runner.executor_for(self.wam)
         if self.optitrack is not None:
             executor.add_node(self.optitrack)
-        if self.wam.lockstep:
+        if self.wam.params.lockstep:
             self._lockstep(executor, stopped)
         else:
             self._real_time(executor, stopped)

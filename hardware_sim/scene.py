@@ -24,17 +24,10 @@ _FIXED, _BODY = 1, 2  # collision bits: only bodies collide, with tool and groun
 def build(
     urdf: str, scene: Scene, settings: WorldSettings, hidden: HiddenArm | None = None
 ) -> mujoco.MjModel:
-    """Compile the model of an arm in a scene.
+    """Compile the model of an arm, which may differ from the text of its URDF, in a scene.
 
-    Args:
-        urdf: Text of the arm's URDF.
-        scene: Scene that adds its bodies, and shapes of the tool that touch them.
-        settings: Settings of the world.
-        hidden: How the arm differs from its URDF; None if it does not.
-
-    Returns:
-        A model whose first degrees of freedom are the arm's joints, followed by those of the scene,
-        with a site `TOOL_SITE` at the tool and a site at every guarded point, with its name.
+    Its first degrees of freedom are the arm's joints, followed by those of the scene. It has a site
+    `TOOL_SITE` at the tool and a site at every guarded point, with its name.
 
     Raises:
         ValueError: The text is no URDF.
@@ -65,10 +58,6 @@ def arm(urdf: str, joints: Sequence[str] = JOINTS) -> mujoco.MjSpec:
 
     Other joints, such as those of a gripper, are locked at zero; meshes are left out.
 
-    Args:
-        urdf: Text of the URDF.
-        joints: Names of the arm's joints.
-
     Raises:
         ValueError: The text is no URDF.
     """
@@ -90,13 +79,8 @@ def arm(urdf: str, joints: Sequence[str] = JOINTS) -> mujoco.MjSpec:
         dynamics = tree.find(f"./joint[@name='{joint.name}']/dynamics")
         if dynamics is not None:
             joint.armature = float(dynamics.get("armature", "0"))
-        joint.solimp_friction = [
-            0.99,
-            0.999,
-            0.001,
-            0.5,
-            2.0,
-        ]  # with the default a loaded joint creeps
+        # with the default a loaded joint creeps
+        joint.solimp_friction = [0.99, 0.999, 0.001, 0.5, 2.0]
     for geom in spec.geoms:
         geom.contype = geom.conaffinity = 0
         geom.mass = 0.0  # a link has the mass of its <inertial> element alone
@@ -127,11 +111,7 @@ def tool_contact(friction: float) -> dict[str, object]:
 def add_body(spec: mujoco.MjSpec, name: str, friction: float, **shape: object) -> mujoco.MjsBody:
     """Add a body on a free joint that tool and ground touch and air slows down.
 
-    Args:
-        spec: Model to add it to.
-        name: Name of the body, its joint and its geom.
-        friction: Sliding friction.
-        **shape: Other arguments of its geom.
+    Body, joint and geom have the same name; `shape` are other arguments of the geom.
     """
     body = spec.worldbody.add_body(name=name, pos=[0.0, 0.0, 2.0])
     body.add_freejoint(name=name)
@@ -153,7 +133,7 @@ def add_vessel(
 
     Args:
         tool: Body of the tool.
-        name: Name of the vessel.
+        name: Begins the names of its geoms.
         radius: Radius of the floor [m].
         height: Height of the wall [m].
         width: Half width of each of its `WALLS` boxes [m].

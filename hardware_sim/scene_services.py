@@ -7,7 +7,7 @@ truth of a rollout is published when it ends.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import repeat
 
 import numpy as np
@@ -15,7 +15,9 @@ from rclpy.node import Node
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from hardware_sim.barrett_services import PositionControl
 from hardware_sim.demonstrator import Demonstrator
+from hardware_sim.settings import ArmSimParams
 from hardware_sim.world import World
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.ros import interface
@@ -37,26 +39,14 @@ class SceneServices:
 
     Attributes:
         label: Activity of the controller, the label of its torques; "" before the first.
-
-    Args:
-        node: Node that offers the services.
-        world: World they act on.
-        seed: Seed of the demonstrations.
-        lockstep: True if the world steps in lockstep; a reset then takes one tick.
-        overridden: Returns True while the driver moves the arm itself.
     """
 
     def __init__(
-        self,
-        node: Node,
-        world: World,
-        seed: int,
-        lockstep: bool,
-        overridden: Callable[[], bool],
+        self, node: Node, world: World, params: ArmSimParams, control: PositionControl
     ) -> None:
         self.label = ""
-        self._node, self._world, self._seed = node, world, seed
-        self._lockstep, self._overridden = lockstep, overridden
+        self._world, self._seed, self._control = world, params.seed, control
+        self._lockstep = params.lockstep
         self._demonstrations = 0  # completed
         self._wait_ticks = world.settings.ticks(WAIT_TIME)
         self._under_way: dict[str, Steps] = {}  # by request
@@ -182,7 +172,7 @@ class SceneServices:
     def _until_guided(self) -> Steps:
         """Wait until the arm can be guided; refuse if that takes long."""
         for _ in range(self._wait_ticks + 1):
-            if self.label == "gravity_compensation" and not self._overridden():
+            if self.label == "gravity_compensation" and not self._control.engaged:
                 return
             yield None
         yield Answer(Code.BUSY, f"the arm is not free to be guided (mode {self.label!r})")

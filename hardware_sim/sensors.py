@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -19,12 +19,12 @@ _COUNTS_PER_RAD = ENCODER_COUNTS / math.tau  # of a motor's encoder
 _COUNT = math.tau / ENCODER_COUNTS  # [rad]
 
 
-def quantize_geared(q: Sequence[float]) -> tuple[float, ...]:
+def _quantize_geared(q: Sequence[float]) -> tuple[float, ...]:
     """Joint positions [rad] quantized by motor encoders behind gears of 1:100."""
     return tuple([_COUNT / 100 * round(_COUNTS_PER_RAD * 100 * position) for position in q])
 
 
-def quantize_wam(q: Sequence[float]) -> tuple[float, ...]:
+def _quantize_wam(q: Sequence[float]) -> tuple[float, ...]:
     """Joint positions [rad] quantized by the encoders of the WAM's motors; seven."""
     return joint_motion(
         [_COUNT * round(_COUNTS_PER_RAD * position) for position in motor_motion(q)]
@@ -32,21 +32,15 @@ def quantize_wam(q: Sequence[float]) -> tuple[float, ...]:
 
 
 class Encoders:
-    """Joint encoders with velocities differenced and low-passed as in libbarrett.
+    """Joint encoders, read every `period` [s]; velocities are low-passed as in libbarrett.
 
     Attributes:
         q: Joint positions [rad]; empty before `reset`.
         qd: Joint velocities [rad/s].
-
-    Args:
-        quantize: Quantizes joint positions.
-        period: Time between two readings [s].
     """
 
-    def __init__(
-        self, quantize: Callable[[Sequence[float]], tuple[float, ...]], period: float
-    ) -> None:
-        self._quantize = quantize
+    def __init__(self, drives: Literal["wam", "direct"], period: float) -> None:
+        self._quantize = _quantize_wam if drives == "wam" else _quantize_geared
         self._keep = math.exp(-VELOCITY_CUTOFF * period)
         self._gain = (1.0 - self._keep) / period
         self.q: tuple[float, ...] = ()

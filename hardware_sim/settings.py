@@ -134,6 +134,11 @@ class ArmSimParams(Params, WorldSettings):
     deactivates: bool
     scene: str
 
+    @property
+    def lockstep(self) -> bool:
+        """Whether each step waits for its torque."""
+        return self.pace == "lockstep"
+
     @model_validator(mode="after")
     def _fit_the_driver(self) -> Self:
         require_same_joints(self.joint_names, self.model_joint_names)

@@ -22,14 +22,7 @@ from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth, rotation_of
 from hardware_sim.hidden_arm import HiddenArm, drawn
 from hardware_sim.motors import DirectDrives, Motors
 from hardware_sim.scenes import Scene, scene_type
-from hardware_sim.sensors import (
-    Encoders,
-    Mocap,
-    MocapFrame,
-    MocapSettings,
-    quantize_geared,
-    quantize_wam,
-)
+from hardware_sim.sensors import Encoders, Mocap, MocapFrame, MocapSettings
 from hardware_sim.settings import ArmSimParams, OptitrackSimParams, WorldSettings
 from hardware_sim.wam import WATCHDOG_DAMPING, WATCHDOG_TIMEOUT
 from wam_power_ros.control.arm import Arm
@@ -68,7 +61,8 @@ class World:
             `release`.
         idle: True while the motors are shorted and commands have no effect.
         urdf: Text of the arm's URDF.
-        n: Number of the arm's joints.
+        arm: The driver's model of the arm.
+        n: Number of its joints.
         motors: Torque limits of the motors.
         trace: Set to [] to record joint positions of arm and bodies since the release, 100 a
             second; None records nothing.
@@ -95,17 +89,16 @@ class World:
         self.seed = seed
         self.urdf = robot_description(settings.urdf)
         names, tool, guarded = settings.model_joint_names, settings.tool_frame, settings.guarded
-        self._arm = Arm(self.urdf, names, tool, guarded=guarded)  # driver's model
-        self.n = self._arm.n
+        self.arm = Arm(self.urdf, names, tool, guarded=guarded)
+        self.n = self.arm.n
         self._period_ns = settings.period_ns
         self._substeps = round(settings.period / scene.TIMESTEP)
         self._watchdog_ticks = settings.ticks(WATCHDOG_TIMEOUT)
         self._trace_ticks = settings.ticks(1.0 / TRACE_RATE)  # between poses of the trace
         self.motors: Motors | DirectDrives = Motors(settings.bus_voltage)
-        self._encoders = Encoders(quantize_wam, settings.period)
         if settings.drives == "direct":
-            self.motors = DirectDrives(self._arm.tau_max, self._arm.qd_max)
-            self._encoders = Encoders(quantize_geared, settings.period)
+            self.motors = DirectDrives(self.arm.tau_max, self.arm.qd_max)
+        self._encoders = Encoders(settings.drives, settings.period)
         self._mocap = Mocap(mocap)
         self._velocity = np.zeros(6)
         self._carrying: tuple[MinJerk, int] | None = None  # path and its beginning [ns]
@@ -145,8 +138,7 @@ class World:
         # views into MuJoCo's arrays
         self._q, self._qd, self._applied = data.qpos[:n], data.qvel[:n], data.qfrc_applied[:n]
         self._scene_qd = data.qvel[n:]
-        self._mounted = self.scene.mounted
-        columns = _free_joint(model, "" if self._mounted else self.scene.body)
+        columns = _free_joint(model, "" if self.scene.mounted else self.scene.body)
         self._body, self._body_twist = data.qpos[columns[0]], data.qvel[columns[1]]
         self._tool_position = data.xpos[self._tool]
         self._tool_rotation = data.xmat[self._tool].reshape(3, 3)
@@ -191,7 +183,7 @@ class World:
         self._q[:] = q_start
         mujoco.mj_kinematics(model, data)
         self.scene.place(data, self._tool_position, self._tool_rotation, offset)
-        gravity = self._arm.gravity(q_start)
+        gravity = self.arm.gravity(q_start)
         self._applied[:] = gravity
         if self._scene_qd.size:
             yield from self._settle(q_start)
@@ -311,8 +303,7 @@ class World:
     @property
     def home(self) -> np.ndarray:
         """Posture in which demonstrations begin (n,) [rad]: the scene knows that of the WAM."""
-        settings = self.settings
-        own = settings.home if settings.drives == "direct" else None
+        own = self.settings.home if self.settings.drives == "direct" else None
         return self.scene.home if own is None else np.array(own)
 
     def joint_state(self) -> JointSample:
@@ -351,7 +342,7 @@ class World:
             saturated = self._advance()
             self._encoders.read((self._q + self.hidden.zeros).tolist())
             self._record(saturated)
-        if (self._body.size or self._mounted) and self._mocap.due(self.time_ns):
+        if self.scene.body and self._mocap.due(self.time_ns):
             position, rotation = self._body_pose()
             turn, offset = self.hidden.cameras
             self._mocap.expose(self.time_ns, turn @ position + offset, turn @ rotation)
@@ -378,9 +369,9 @@ class World:
 
     def _body_pose(self) -> tuple[np.ndarray, np.ndarray]:
         """Position (3,) [m] and rotation (3, 3) of the tracked body."""
-        if self._mounted is None:
+        if self.scene.mounted is None:
             return self._body[:3].copy(), rotation_of(self._body)
-        position, rotation = self._mounted
+        position, rotation = self.scene.mounted
         mujoco.mj_kinematics(self.model, self.data)  # a step leaves the tool where it began
         return self._tool_position + self._tool_rotation @ position, self._tool_rotation @ rotation
 
@@ -394,7 +385,7 @@ class World:
         return self._command
 
     def _gravity(self) -> list[float]:
-        return self._arm.gravity(np.array(self._encoders.q)).tolist()
+        return self.arm.gravity(np.array(self._encoders.q)).tolist()
 
     def _guided_step(self, substep: int) -> None:
         """Do one physics step with the force of the demonstrator."""

@@ -68,7 +68,7 @@ def test_the_controller_is_told_nothing() -> None:
 def test_markers_on_the_tool_are_seen_where_the_tool_is() -> None:
     lab = World(Markers, WorldSettings(), 0)
     for _ in range(60):
-        lab.step(lab._arm.gravity(lab.joint_state().q))
+        lab.step(lab.arm.gravity(lab.joint_state().q))
     frames = lab.mocap_frames()
     position, rotation = lab.tool_pose
     expected = position + rotation @ MOUNTED[0]

@@ -11,14 +11,14 @@ from simulated import CALM, LEVEL, begin, run
 
 from hardware_sim.motors import motor_motion
 from hardware_sim.scenes.flip import Flip
-from hardware_sim.sensors import Encoders, MocapFrame, MocapSettings, quantize_wam
+from hardware_sim.sensors import Encoders, MocapFrame, MocapSettings
 from hardware_sim.wam import PERIOD, PERIOD_NS
 from hardware_sim.world import World
 from wam_power_ros.tracking.marker_fit import LAYOUT
 
 
 def test_encoders_count_and_the_velocity_follows_through_its_filter() -> None:
-    encoders = Encoders(quantize_wam, PERIOD)
+    encoders = Encoders("wam", PERIOD)
     q, qd = LEVEL.copy(), np.array([0.1, -0.3, 0.2, 0.7, -0.5, 1.1, 2.3])
     encoders.reset(q.tolist())
     seen = []

@@ -12,7 +12,7 @@ from simulated import CALM, LEVEL, URDF, begin, having, holding_torque, run
 from hardware_sim.barrett_services import PositionControl
 from hardware_sim.scenes.flip import Flip
 from hardware_sim.scenes.reach import Reach
-from hardware_sim.wam import JOINTS, PERIOD, PERIOD_NS
+from hardware_sim.wam import JOINTS, PERIOD_NS
 from hardware_sim.world import QUIET, World
 from wam_power_ros.control.arm import Arm
 
@@ -67,7 +67,7 @@ def test_an_arm_of_any_number_of_joints_is_simulated_by_its_urdf(joints: int) ->
     arm = Arm(world.urdf, names, "cobot_pan", guarded=())
     assert (world.n, world.model.nq) == (joints, joints)
     np.testing.assert_array_equal(world.home, home)
-    control = PositionControl(arm, "direct", False, PERIOD)
+    control = PositionControl(arm, settings)
     control.move(np.array(home), goal := np.array(home) + 0.1)
     for _ in range(300):
         sample = world.joint_state()
