@@ -36,16 +36,15 @@ def rotation_of(body: np.ndarray) -> np.ndarray:
 
 
 class RolloutLog:
-    """State after each tick since the release, one row per tick.
+    """State after each tick since the release, one row per tick, for `LOG_TIME` at most.
+
+    The model has a site at every guarded point and at the tool; `body` are the columns of the
+    tracked body in qpos and qvel, empty without one.
 
     Attributes:
         start: Body and tool at the release.
         rows: Number of logged ticks.
         period: Time between two ticks [s].
-        full: Largest number of rows.
-
-    The model has a site at every guarded point and at the tool; `body` are the columns of the
-    tracked body in qpos and qvel, empty without one.
     """
 
     start: Snapshot
@@ -57,15 +56,15 @@ class RolloutLog:
         settings: WorldSettings,
         body: tuple[slice, slice],
     ) -> None:
-        self.period, self.full = settings.period, settings.ticks(LOG_TIME)
+        self.period, full = settings.period, settings.ticks(LOG_TIME)
         self._data, self._n = data, len(settings.model_joint_names)
         names = [*(point.name for point in settings.guarded), TOOL_SITE]
         self._points = [model.site(name).id for name in names]
         self._body = body
-        self._qpos = np.empty((self.full, model.nq))
-        self._qvel = np.empty((self.full, model.nv))
-        self._tau = np.empty((self.full, self._n))
-        self._sites = np.empty((self.full, *data.site_xpos.shape))
+        self._qpos = np.empty((full, model.nq))
+        self._qvel = np.empty((full, model.nv))
+        self._tau = np.empty((full, self._n))
+        self._sites = np.empty((full, *data.site_xpos.shape))
         self.rows = 0
         self._saturated = 0
 
@@ -77,7 +76,7 @@ class RolloutLog:
         """Add a row unless the log is full; `saturated`: a motor could not give its torque."""
         self._saturated += saturated
         row, data = self.rows, self._data
-        if row == self.full:
+        if row == len(self._qpos):
             return
         self._qpos[row] = data.qpos
         self._qvel[row] = data.qvel
@@ -86,9 +85,14 @@ class RolloutLog:
         self.rows = row + 1
 
     @property
+    def positions(self) -> np.ndarray:
+        """Joint positions of arm and bodies. Shape (rows, nq)."""
+        return self._qpos[: self.rows]
+
+    @property
     def body(self) -> np.ndarray:
         """Position [m] and quaternion wxyz of the tracked body. Shape (rows, 7)."""
-        return self._qpos[: self.rows, self._body[0]]
+        return self.positions[:, self._body[0]]
 
     @property
     def body_twist(self) -> np.ndarray:

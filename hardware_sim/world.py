@@ -64,8 +64,6 @@ class World:
         arm: The driver's model of the arm.
         n: Number of its joints.
         motors: Torque limits of the motors.
-        trace: Set to [] to record joint positions of arm and bodies since the release, 100 a
-            second; None records nothing.
 
     Args:
         make_scene: Creates the scene.
@@ -94,7 +92,6 @@ class World:
         self._period_ns = settings.period_ns
         self._substeps = round(settings.period / scene.TIMESTEP)
         self._watchdog_ticks = settings.ticks(WATCHDOG_TIMEOUT)
-        self._trace_ticks = settings.ticks(1.0 / TRACE_RATE)  # between poses of the trace
         self.motors: Motors | DirectDrives = Motors(settings.bus_voltage)
         if settings.drives == "direct":
             self.motors = DirectDrives(self.arm.tau_max, self.arm.qd_max)
@@ -104,7 +101,6 @@ class World:
         self._carrying: tuple[MinJerk, int] | None = None  # path and its beginning [ns]
         self._build()
         self.time_ns = self._period_ns
-        self.trace: list[np.ndarray] | None = None
         self.reset("start", self.scene.home if settings.home is None else np.array(settings.home))
         self.release()
 
@@ -341,7 +337,7 @@ class World:
                 self._command, self._ticks_since_command = command, 0
             saturated = self._advance()
             self._encoders.read((self._q + self.hidden.zeros).tolist())
-            self._record(saturated)
+            self._log.record(saturated)
         if self.scene.body and self._mocap.due(self.time_ns):
             position, rotation = self._body_pose()
             turn, offset = self.hidden.cameras
@@ -413,15 +409,12 @@ class World:
         mujoco.mj_step2(model, data)
 
     def _restart_log(self) -> None:
-        if self.trace is not None:
-            self.trace.clear()
         self._log.restart(Snapshot(self._body.copy(), *self.tool_pose))
 
-    def _record(self, saturated: bool) -> None:
-        row = self._log.rows
-        if self.trace is not None and row < self._log.full and row % self._trace_ticks == 0:
-            self.trace.append(self.data.qpos.copy())
-        self._log.record(saturated)
+    @property
+    def trace(self) -> np.ndarray:
+        """Joint positions of arm and bodies since the release, 100 a second. Shape (rows, nq)."""
+        return self._log.positions[:: self.settings.ticks(1.0 / TRACE_RATE)].copy()
 
     def truth(self) -> Truth:
         """Ground truth since the release: id, outcome by the scene, `RolloutLog.arm_truth`."""
