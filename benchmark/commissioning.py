@@ -122,11 +122,10 @@ def moved(seed: int) -> tuple[World, Arm, Laboratory, str, np.ndarray]:
     world = World(Markers, WorldSettings(unknown="lab"), seed, CAMERAS)
     environment = Environment(world)
     settled(environment, "commission", world.home)
-    arm, hidden = plain_arm(world), world.hidden
-    assert hidden is not None
+    arm = plain_arm(world)
     plan = excitation(arm, environment.controller.limits, world.home, np.random.default_rng(0))
     made, fault, peak = recorded(environment, plan)
-    return world, arm, Laboratory(plan, made, hidden.payload), fault, peak
+    return world, arm, Laboratory(plan, made, world.hidden.payload), fault, peak
 
 
 def analysed(arm: Arm, lab: Laboratory) -> Commissioned:
@@ -140,7 +139,6 @@ def commissioned(seed: int) -> tuple[Setup, dict[str, Any]]:
     found, hidden, plan = analysed(arm, lab), world.hidden, lab.plan
     c, seen = found.arm.corrections, found.cameras
     assert seen is not None
-    assert hidden is not None
     nominal = World(Markers, WorldSettings(), 0).model
     pan = world.model.body("pan").id
     mass, centre = world.model.body_mass[pan], world.model.body_ipos[pan]
@@ -157,7 +155,7 @@ def commissioned(seed: int) -> tuple[Setup, dict[str, Any]]:
         "zeros": float(np.rad2deg(np.abs(c.zeros - hidden.zeros)[1:-1].max()).round(3)),
         "last zero": float(np.rad2deg(np.abs(c.zeros - hidden.zeros)[-1]).round(3)),
         "latency ms": round(abs(seen.latency) * 1e3, 2),
-        "delay periods": round((found.arm.loop_delay - hidden.delay) / 0.002),
+        "delay periods": round(found.arm.loop_delay / 0.002 - world.settings.command_delay_ticks),
         "before": [round(x, 3) for x in (found.before.rest, found.before.slow, found.before.fast)],
         "after": [round(x, 3) for x in (found.after.rest, found.after.slow, found.after.fast)],
         "scales %": float(100 * np.abs(c.torque_scales - hidden.motors)[1:6].max().round(4)),

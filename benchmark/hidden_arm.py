@@ -23,12 +23,12 @@ from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.modes import ControllerError
 from wam_power_ros.control.safety import limits_of
 
-NOMINAL = HiddenArm.of(N)
+NOMINAL = HiddenArm()
 KNOWN = {  # single deviations, each far larger than what a laboratory should accept
     "as the model": NOMINAL,
-    "payload of 0.5 kg": HiddenArm.of(N, payload=0.5),
-    "motor 2 at 70 %": HiddenArm.of(N, motors=np.array([1.0, 0.7, 1.0, 1.0, 1.0, 1.0, 1.0])),
-    "base tilted 10 degrees": HiddenArm.of(N, tilt=np.deg2rad([0.0, 10.0])),
+    "payload of 0.5 kg": HiddenArm(payload=0.5),
+    "motor 2 at 70 %": HiddenArm(motors=np.array([1.0, 0.7, 1.0, 1.0, 1.0, 1.0, 1.0])),
+    "base tilted 10 degrees": HiddenArm(tilt=np.deg2rad([0.0, 10.0])),
 }
 PAN_MASS = 0.6  # [kg] of the tool, which a drawn payload is a share of
 
@@ -40,8 +40,7 @@ def draw(seed: int) -> HiddenArm:
     within 5 %, zeros of 1 to 3 degrees.
     """
     rng = np.random.default_rng([seed, 0xA12])
-    return HiddenArm.of(
-        N,
+    return HiddenArm(
         payload=PAN_MASS * rng.uniform(-0.2, 0.2),
         links=rng.uniform(0.95, 1.05, N),
         friction=2.0 ** rng.uniform(-1.0, 1.0, N),

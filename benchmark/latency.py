@@ -68,8 +68,8 @@ class Echo(Node):
 
 def stand_in(report: Path) -> int:
     """Run the stand-ins, time the answers to each state and write the times to `report`."""
+    from hardware_sim.arm_node import ArmSim
     from hardware_sim.main import Simulation
-    from hardware_sim.wam_node import WamSim
 
     sent: dict[int, int] = {}  # stamp -> time of publication [ns, steady clock]
     answered: dict[str, dict[int, int]] = {interface.EFFORT_COMMANDS: {}, ECHO: {}}
@@ -79,13 +79,13 @@ def stand_in(report: Path) -> int:
         stamp_ns = int(message.layout.dim[0].label.partition(" ")[0])
         answered[topic].setdefault(stamp_ns, now)
 
-    take = WamSim._on_torque
+    take = ArmSim._on_torque
 
-    def taken(wam: WamSim, message: Float64MultiArray) -> None:
+    def taken(wam: ArmSim, message: Float64MultiArray) -> None:
         on_answer(interface.EFFORT_COMMANDS, message)
         take(wam, message)
 
-    WamSim._on_torque = taken  # a second subscription would slow down the controller's topic
+    ArmSim._on_torque = taken  # a second subscription would slow down the controller's topic
 
     def make() -> Simulation:
         simulation = Simulation()

@@ -7,7 +7,8 @@ import numpy as np
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
-from hardware_sim.wam import HOME_SPEED, POSITION_KD, POSITION_KP, POSITION_TAU_MAX
+from hardware_sim.settings import ArmSimParams, WorldSettings
+from hardware_sim.wam import FOLDED, HOME_SPEED, POSITION_KD, POSITION_KP, POSITION_TAU_MAX
 from hardware_sim.world import World
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.ros import interface
@@ -20,17 +21,13 @@ STIFFNESS, DAMPING = 400.0, 40.0  # [1/s^2], [1/s] of position control of anothe
 class PositionControl:
     """Position control with gravity compensation; overrides torque commands while engaged.
 
-    Args:
-        arm: The driver's model of the arm.
-        drives: Drives of the arm, see `WorldSettings`; the WAM has the gains of its driver.
-        adds_gravity: The driver adds g(q) to every commanded torque.
-        period: Control period [s].
+    The WAM has the gains of its driver, another arm the same dynamics in every joint.
     """
 
-    def __init__(self, arm: Arm, drives: str, adds_gravity: bool, period: float) -> None:
-        self._arm, self._adds_gravity, self._period = arm, adds_gravity, period
+    def __init__(self, arm: Arm, settings: WorldSettings) -> None:
+        self._arm, self._settings = arm, settings
         self._kp, self._kd, self._tau_max = POSITION_KP, POSITION_KD, POSITION_TAU_MAX
-        if drives != "wam":
+        if settings.drives != "wam":
             inertia = np.diag(arm.mass_matrix(0.5 * (arm.q_min + arm.q_max)))  # (n,) [kg m^2]
             self._kp, self._kd = STIFFNESS * inertia, DAMPING * inertia
             self._tau_max = arm.tau_max
@@ -57,34 +54,26 @@ class PositionControl:
 
     def torque(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         """Torque command (n,) [N m] in state q (n,) [rad], qd (n,) [rad/s], while engaged."""
-        step = HOME_SPEED * self._period
+        step = HOME_SPEED * self._settings.period
         self._ref = self._ref + np.clip(self._goal - self._ref, -step, step)
         tau = self._kp * (self._ref - q) - self._kd * qd
         tau = np.clip(tau, -self._tau_max, self._tau_max)
-        return tau if self._adds_gravity else tau + self._arm.gravity(q)
+        return tau if self._settings.driver_compensates_gravity else tau + self._arm.gravity(q)
 
 
 class BarrettServices:
     """Barrett's services on a simulated world.
 
     Attributes:
+        control: Position control of the arm.
         deactivated: True if only zero torques reach the arm, until gravity compensation is
             requested, as with a ros2_control controller after a command of the wrong size.
-
-    Args:
-        node: Node that offers the services.
-        world: World they act on.
-        control: Position control of the arm.
-        home: Home posture [rad]. Shape (n,).
-        lockstep: True if the world steps in lockstep, where it may be frozen between rollouts.
     """
 
-    def __init__(
-        self, node: Node, world: World, control: PositionControl, home: np.ndarray, lockstep: bool
-    ) -> None:
+    def __init__(self, node: Node, world: World, params: ArmSimParams) -> None:
+        self.control = PositionControl(world.arm, params)
         self.deactivated = False
-        self._control = control
-        self._world, self._home_posture, self._lockstep = world, home, lockstep
+        self._world, self._params = world, params
         serve = node.create_service
         serve(SetBool, interface.WAM_GRAVITY_COMPENSATE, self._on_gravity_compensate)
         serve(SetBool, interface.WAM_HOLD, self._on_hold)
@@ -93,18 +82,25 @@ class BarrettServices:
 
     def update(self) -> None:
         """Answer a pending move home once it has ended; called every tick."""
-        arrived = self._control.arrived
-        if self._home.pending and (arrived or not self._control.engaged):
-            answer = (
-                Answer(Code.DONE, "at home") if arrived else Answer(Code.STOPPED, "interrupted")
-            )
-            self._home.finish(answer.success, str(answer))
+        if not self._home.pending:
+            return
+        if self.control.arrived:
+            self._home.finish(True, str(Answer(Code.DONE, "at home")))
+        elif not self.control.engaged:
+            self._home.finish(False, str(Answer(Code.STOPPED, "interrupted")))
+
+    def torque(self, tau: np.ndarray | None) -> np.ndarray | None:
+        """Torques (n,) [N m] that take effect where `tau` is commanded; None for no command."""
+        if self.control.engaged:
+            sample = self._world.joint_state()
+            return self.control.torque(sample.q, sample.qd)
+        return np.zeros(self._world.n) if self.deactivated else tau
 
     def _on_gravity_compensate(
         self, request: SetBool.Request, response: SetBool.Response
     ) -> SetBool.Response:
         """On: torque commands reach the arm. Off: the arm is idle."""
-        self._control.disengage()
+        self.control.disengage()
         self.deactivated = False
         self._world.idle = not request.data
         return _done(response)
@@ -112,21 +108,22 @@ class BarrettServices:
     def _on_hold(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         q = self._world.joint_state().q
         self._world.idle = False
-        self._control.move(q, q) if request.data else self._control.disengage()
+        self.control.move(q, q) if request.data else self.control.disengage()
         return _done(response)
 
     def _on_idle(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._control.disengage()
+        self.control.disengage()
         self._world.idle = True
         return _done(response)
 
     def _begin_home(self) -> str | None:
         if self._world.frozen:
-            if not self._lockstep:
+            if not self._params.lockstep:
                 return str(Answer(Code.BUSY, "the scene is being reset"))
             self._world.release()  # between rollouts
         self._world.idle = False
-        self._control.move(self._world.joint_state().q, self._home_posture)
+        home = FOLDED if self._params.drives == "wam" else self._world.home
+        self.control.move(self._world.joint_state().q, home)
         return None
 
 

@@ -44,13 +44,7 @@ class Script(Protocol):
 
 
 class Demonstrator:
-    """Follows a script from the pose in which the tool is gripped.
-
-    Args:
-        script: Movement to follow.
-        position: Position of the gripped tool [m]. Shape (3,).
-        rotation: Rotation of the gripped tool. Shape (3, 3).
-    """
+    """Follows a script from the `position` (3,) [m] and `rotation` (3, 3) of the gripped tool."""
 
     def __init__(self, script: Script, position: np.ndarray, rotation: np.ndarray) -> None:
         self.script = script
@@ -61,11 +55,8 @@ class Demonstrator:
     ) -> np.ndarray | None:
         """Force [N] and moment [N m] (6,) at the tool's origin; None once the tool is let go.
 
-        Args:
-            t: Time since the grip [s].
-            position: Position of the tool [m]. Shape (3,).
-            rotation: Rotation of the tool. Shape (3, 3).
-            twist: Velocity [m/s] and angular velocity [rad/s] of the tool. Shape (6,).
+        At time t [s] since the grip the tool has this position (3,) [m], rotation (3, 3) and twist
+        (6,): velocity [m/s] and angular velocity [rad/s].
         """
         release = max(t - self.script.end, 0.0)
         if release > RELEASE_TIME:

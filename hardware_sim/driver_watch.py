@@ -40,11 +40,7 @@ PARTICIPANT_SIZE = 12  # bytes of a global id that name its participant (RTPS 2.
 
 
 class DriverWatch:
-    """Checks who publishes joint states and who subscribes to commands.
-
-    Args:
-        node: Node of the stand-in, with its parameters.
-    """
+    """Checks who publishes joint states and who subscribes to commands beside a stand-in's node."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -94,10 +90,7 @@ class DriverWatch:
             time.sleep(0.05)
 
     def look(self) -> str:
-        """Describe a robot that has appeared; "" for none.
-
-        Checks at most every `CHECK_PERIOD` and returns "" in between.
-        """
+        """Describe a robot that has appeared; "" for none and between checks."""
         now = time.monotonic()
         if now < self._check_time + CHECK_PERIOD:
             return ""

@@ -6,13 +6,13 @@ It is logged and displayed only; no part of the system learns from it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 
 from hardware_sim.motors import DirectDrives, Motors
+from hardware_sim.settings import WorldSettings
 
 TOOL_SITE = "tool origin"  # site of the model at the origin of the tool
 LOG_TIME = 10.0  # [s] from the release on that is logged
@@ -36,20 +36,14 @@ def rotation_of(body: np.ndarray) -> np.ndarray:
 
 
 class RolloutLog:
-    """State after each tick since the release, one row per tick.
+    """State after each tick since the release, one row per tick, for `LOG_TIME` at most.
+
+    The model has a site at every guarded point and at the tool; `body` are the columns of the
+    tracked body in qpos and qvel, empty without one.
 
     Attributes:
         start: Body and tool at the release.
         rows: Number of logged ticks.
-        period: Time between two ticks [s].
-        full: Largest number of rows.
-
-    Args:
-        model: Model with a site at every point and at the tool.
-        data: Simulated state to log.
-        points: Names of the guarded points.
-        n: Number of the arm's joints.
-        body: Columns of the tracked body in qpos, and in qvel; empty without one.
         period: Time between two ticks [s].
     """
 
@@ -59,19 +53,18 @@ class RolloutLog:
         self,
         model: mujoco.MjModel,
         data: mujoco.MjData,
-        points: Sequence[str],
-        n: int,
+        settings: WorldSettings,
         body: tuple[slice, slice],
-        period: float,
     ) -> None:
-        self.period, self.full = period, round(LOG_TIME / period)
-        self._data, self._n = data, n
-        self._points = [model.site(name).id for name in (*points, TOOL_SITE)]
+        self.period, full = settings.period, settings.ticks(LOG_TIME)
+        self._data, self._n = data, len(settings.model_joint_names)
+        names = [*(point.name for point in settings.guarded), TOOL_SITE]
+        self._points = [model.site(name).id for name in names]
         self._body = body
-        self._qpos = np.empty((self.full, model.nq))
-        self._qvel = np.empty((self.full, model.nv))
-        self._tau = np.empty((self.full, n))
-        self._sites = np.empty((self.full, *data.site_xpos.shape))
+        self._qpos = np.empty((full, model.nq))
+        self._qvel = np.empty((full, model.nv))
+        self._tau = np.empty((full, self._n))
+        self._sites = np.empty((full, *data.site_xpos.shape))
         self.rows = 0
         self._saturated = 0
 
@@ -80,14 +73,10 @@ class RolloutLog:
         self.start, self.rows, self._saturated = start, 0, 0
 
     def record(self, saturated: bool) -> None:
-        """Add a row unless the log is full.
-
-        Args:
-            saturated: True if a motor could not give the commanded torque.
-        """
+        """Add a row unless the log is full; `saturated`: a motor could not give its torque."""
         self._saturated += saturated
         row, data = self.rows, self._data
-        if row == self.full:
+        if row == len(self._qpos):
             return
         self._qpos[row] = data.qpos
         self._qvel[row] = data.qvel
@@ -96,9 +85,14 @@ class RolloutLog:
         self.rows = row + 1
 
     @property
+    def positions(self) -> np.ndarray:
+        """Joint positions of arm and bodies. Shape (rows, nq)."""
+        return self._qpos[: self.rows]
+
+    @property
     def body(self) -> np.ndarray:
         """Position [m] and quaternion wxyz of the tracked body. Shape (rows, 7)."""
-        return self._qpos[: self.rows, self._body[0]]
+        return self.positions[:, self._body[0]]
 
     @property
     def body_twist(self) -> np.ndarray:

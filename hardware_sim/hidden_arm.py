@@ -1,25 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated arms that differ from the controller's model, as real ones do."""
+"""Simulated arms and bodies that differ from their models, as real ones do, drawn from a seed."""
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TypeAlias
 
 import mujoco
 import numpy as np
 
+from hardware_sim.settings import WorldSettings
 from wam_power_ros import rotations
 
 GRAVITY = 9.81  # [m/s^2]
 STRIBECK_SPEED = 0.05  # [rad/s] at which friction at low speed has fallen by a factor of e
 _SIGN_SPEED = 0.01  # [rad/s] width of the tanh in place of the sign of a speed
+_SAME_FRAME = np.eye(3), np.zeros(3)
+
+Numbers: TypeAlias = np.ndarray | float
 
 
 @dataclass(frozen=True, eq=False)
 class HiddenArm:
-    """Deviations of an arm with n joints from its model.
+    """Deviations of an arm with n joints from its model; without arguments there are none.
+
+    One number stands for an array of that number.
 
     Attributes:
         payload: Additional mass at the tool; may be negative [kg].
@@ -36,94 +43,104 @@ class HiddenArm:
             Shape (n, 6).
         cameras: Rotation (3, 3) and position (3,) [m] of the base in the frame in which the cameras
             see it.
-        delay: Time from a command until the motors' torque [s].
     """
 
-    payload: float
-    centre: np.ndarray
-    links: np.ndarray
-    friction: np.ndarray
-    viscous: np.ndarray
-    asymmetry: np.ndarray
-    stribeck: np.ndarray
-    motors: np.ndarray
-    tilt: np.ndarray
-    zeros: np.ndarray
-    geometry: np.ndarray
-    cameras: tuple[np.ndarray, np.ndarray]
-    delay: float
-
-    @classmethod
-    def of(cls, n: int, **values: Any) -> HiddenArm:  # noqa: ANN401 - numbers of any kind
-        """An arm with n joints that differs from its model in these values alone."""
-        neutral = {
-            "payload": 0.0,
-            "centre": np.zeros(3),
-            **{name: np.ones(n) for name in ("links", "friction", "viscous", "motors")},
-            **{name: np.zeros(n) for name in ("asymmetry", "stribeck", "zeros")},
-            "tilt": np.zeros(2),
-            "geometry": np.zeros((n, 6)),
-            "cameras": (np.eye(3), np.zeros(3)),
-            "delay": 0.0,
-        }
-        return cls(**(neutral | values))
+    payload: float = 0.0
+    centre: Numbers = 0.0
+    links: Numbers = 1.0
+    friction: Numbers = 1.0
+    viscous: Numbers = 1.0
+    asymmetry: Numbers = 0.0
+    stribeck: Numbers = 0.0
+    motors: Numbers = 1.0
+    tilt: Numbers = 0.0
+    zeros: Numbers = 0.0
+    geometry: Numbers = 0.0
+    cameras: tuple[np.ndarray, np.ndarray] = _SAME_FRAME
 
     def change(self, spec: mujoco.MjSpec, joints: Sequence[str], tool_frame: str) -> None:
         """Change masses, geometry, friction and gravity of a model before it is compiled."""
-        tool = spec.body(tool_frame)
-        for row, name in enumerate(joints):
+        n = len(joints)
+        factors = np.broadcast_arrays(self.links, self.friction, self.viscous, np.empty(n))
+        errors = np.broadcast_to(self.geometry, (n, 6))
+        for name, mass, friction, viscous, error in zip(joints, *factors[:3], errors, strict=True):
             joint = spec.joint(name)
             body = joint.parent
-            body.mass *= self.links[row]
-            body.inertia = body.inertia * self.links[row]
-            joint.frictionloss *= self.friction[row]
-            joint.damping *= self.viscous[row]
-            turn = rotations.quat_of_vector(self.geometry[row, 3:])
+            body.mass *= mass
+            body.inertia = body.inertia * mass
+            joint.frictionloss *= friction
+            joint.damping *= viscous
+            turn = rotations.quat_of_vector(error[3:])
             quat = np.zeros(4)
             mujoco.mju_mulQuat(quat, body.quat, turn[[3, 0, 1, 2]])
-            body.pos, body.quat = body.pos + self.geometry[row, :3], quat
+            body.pos, body.quat = body.pos + error[:3], quat
+        tool = spec.body(tool_frame)
         tool.mass += self.payload
         tool.ipos = tool.ipos + self.centre
-        x, y = self.tilt.tolist()
+        x, y = np.broadcast_to(self.tilt, 2).tolist()
         down = [np.cos(x) * np.sin(y), -np.sin(x), -np.cos(x) * np.cos(y)]
         spec.option.gravity = [GRAVITY * each for each in down]
 
-    def drag(self, qd: np.ndarray, friction: np.ndarray) -> np.ndarray:
-        """Friction [N m], shape (n,), beyond the Coulomb friction of MuJoCo.
+    @property
+    def drags(self) -> bool:
+        """Whether friction is anything but Coulomb and viscous."""
+        return bool(np.any(self.asymmetry) or np.any(self.stribeck))
 
-        Args:
-            qd: Speeds [rad/s]. Shape (n,).
-            friction: Coulomb friction [N m]. Shape (n,).
-        """
+    def drag(self, qd: np.ndarray, friction: np.ndarray) -> np.ndarray:
+        """Friction beyond MuJoCo's Coulomb `friction` [N m] at speeds qd [rad/s]; each (n,)."""
         slow = self.stribeck * np.exp(-((qd / STRIBECK_SPEED) ** 2))
         return friction * (self.asymmetry + slow * np.tanh(qd / _SIGN_SPEED))
 
 
-def hidden_arm(seed: int, n: int, tool_mass: float = 0.6) -> HiddenArm:
-    """Draw how an arm differs from its model on a laboratory's first day.
+def drawn(
+    settings: WorldSettings, seed: int, rollout_id: str = ""
+) -> tuple[WorldSettings, HiddenArm]:
+    """Draw what is unknown by `settings.unknown`; everything is uniform in its range.
 
-    Uniform: payload within 20 % of the tool and its centre within 10 mm, links within 5 %, Coulomb
+    "": nothing. "session" and "rollout": body mass 70 to 130 % and radius 80 to 120 % of nominal,
+    its friction 0.1 to 0.5, torque constants 95 to 105 %, payload up to 0.12 kg. "lab": see
+    `_first_day`. In all but the first a command delay of 2 to 8 ms. Without the id of a rollout it
+    is drawn for all of them.
+    """
+    n = len(settings.model_joint_names)
+    if not settings.unknown:
+        return settings, HiddenArm()
+    if settings.unknown == "lab":
+        rng = np.random.default_rng([seed, 0x1AB])
+        hidden, changes = _first_day(rng, n), {}
+        delay = int(rng.integers(1, 5))
+    else:
+        rng = np.random.default_rng([seed, zlib.crc32(f"unknown world{rollout_id}".encode())])
+        changes = {
+            "body_mass": float(rng.uniform(0.7, 1.3)),
+            "body_size": float(rng.uniform(0.8, 1.2)),
+            "friction": float(rng.uniform(0.1, 0.5)),
+        }
+        delay = int(rng.integers(1, 5))
+        hidden = HiddenArm(motors=rng.uniform(0.95, 1.05, n), payload=float(rng.uniform(0.0, 0.12)))
+    changes["command_delay_ticks"] = settings.ticks(0.002 * delay)
+    return settings.model_copy(update=changes), hidden
+
+
+def _first_day(rng: np.random.Generator, n: int) -> HiddenArm:
+    """Draw how an arm with n joints differs from its model on a laboratory's first day.
+
+    Payload within 20 % of a tool of 0.6 kg and its centre within 10 mm, links within 5 %, Coulomb
     friction halved to doubled, viscous friction 66 to 150 %, asymmetry within 12 %, friction at low
     speed up to 20 % higher, torque constants within 5 %, zeros of 1 to 3 degrees, the base tilted
     by 1 degree and the cameras' frame off by 20 mm and 1 degree in random directions, links off by
-    0.5 mm and 0.1 degrees, a delay of 2 to 8 ms.
-
-    Args:
-        seed: Seed of the arm.
-        n: Number of joints.
-        tool_mass: Mass of the tool [kg].
+    0.5 mm and 0.1 degrees.
     """
-    rng = np.random.default_rng([seed, 0x1AB])
 
     def around(spread: float, size: int = n) -> np.ndarray:
         return rng.uniform(-spread, spread, size)
 
-    def direction(size: int = 3) -> np.ndarray:
-        vector = rng.standard_normal(size)
-        return vector / np.linalg.norm(vector)
+    def directions(*shape: int) -> np.ndarray:
+        vectors = rng.standard_normal(shape)
+        return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
     return HiddenArm(
-        payload=float(tool_mass * rng.uniform(-0.2, 0.2)),
+        payload=float(0.6 * rng.uniform(-0.2, 0.2)),
         centre=around(0.01, 3),
         links=1.0 + around(0.05),
         friction=2.0 ** around(1.0),
@@ -131,14 +148,8 @@ def hidden_arm(seed: int, n: int, tool_mass: float = 0.6) -> HiddenArm:
         asymmetry=around(0.12),
         stribeck=rng.uniform(0.0, 0.2, n),
         motors=1.0 + around(0.05),
-        tilt=np.deg2rad(1.0) * direction(2),
+        tilt=np.deg2rad(1.0) * directions(2),
         zeros=np.deg2rad(rng.uniform(1.0, 3.0, n)) * rng.choice([-1.0, 1.0], n),
-        geometry=np.hstack(
-            [
-                5e-4 * np.stack([direction() for _ in range(n)]),
-                np.deg2rad(0.1) * np.stack([direction() for _ in range(n)]),
-            ]
-        ),
-        cameras=(rotations.exp(np.deg2rad(1.0) * direction()), 0.02 * direction()),
-        delay=0.002 * int(rng.integers(1, 5)),
+        geometry=np.hstack([5e-4 * directions(n, 3), np.deg2rad(0.1) * directions(n, 3)]),
+        cameras=(rotations.exp(np.deg2rad(1.0) * directions(3)), 0.02 * directions(3)),
     )

@@ -3,8 +3,7 @@
 
 Lockstep: publish a state, and repeat it every 50 ms, until the torque with its stamp arrives; then
 step the world, and only 20 times a second while nothing has moved for long. Real time: a step every
-control period on absolute deadlines, over links that delay, jitter and lose messages as real
-networks do.
+control period on absolute deadlines.
 """
 
 from __future__ import annotations
@@ -14,21 +13,17 @@ if __name__ == "__main__":  # before the other imports, which a signal may inter
 
     raise SystemExit(start("hardware_sim.main"))
 
-import copy
 import os
 import time
-from collections import deque
 from collections.abc import Callable
-from typing import Any
 
-import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import Executor
 
+from hardware_sim.arm_node import ArmSim
 from hardware_sim.driver_watch import DriverWatch
 from hardware_sim.optitrack_node import OptitrackSim
 from hardware_sim.scenes import scene_type
-from hardware_sim.wam_node import WamSim
 from hardware_sim.world import World
 from wam_power_ros.entry import REFUSED
 from wam_power_ros.ros import joint_messages, node_runner, scheduling
@@ -38,37 +33,6 @@ from wam_power_ros.ros.loop_statistics import LoopStatistics
 REPEAT_PERIOD_NS = 50_000_000  # [ns] after which an unanswered state is published again
 IDLE_PERIOD_NS = 50_000_000  # [ns] between two steps while nothing moves: waiting costs little
 LAG_MAX_NS = 100_000_000  # [ns] behind the clock; beyond, the time of the simulation is shifted
-
-
-class Link:
-    """Queue whose items arrive in order after random delays, except those that are lost.
-
-    Args:
-        latency: Mean delay [s].
-        jitter: Standard deviation of the delay, which is cut at 0 [s].
-        loss: Share of lost items.
-        rng: Generator of losses and delays.
-    """
-
-    def __init__(
-        self, latency: float, jitter: float, loss: float, rng: np.random.Generator
-    ) -> None:
-        self._latency, self._jitter, self._loss, self._rng = latency, jitter, loss, rng
-        self._in_transit: deque[tuple[int, Any]] = deque()
-
-    def put(self, now_ns: int, item: object) -> None:
-        """Send an item at `now_ns` [ns]."""
-        if self._rng.random() < self._loss:
-            return
-        delay = max(0.0, self._latency + self._jitter * self._rng.standard_normal())
-        self._in_transit.append((now_ns + round(delay * 1e9), item))
-
-    def take(self, now_ns: int) -> list[Any]:
-        """Remove and return the items that have arrived by `now_ns` [ns], in order."""
-        arrived = []
-        while self._in_transit and self._in_transit[0][0] <= now_ns:
-            arrived.append(self._in_transit.popleft()[1])
-        return arrived
 
 
 class Simulation:
@@ -86,7 +50,7 @@ class Simulation:
 
     def __init__(self) -> None:
         self.intruder = ""
-        self.wam = WamSim()
+        self.wam = ArmSim()
         params = self.wam.params
         # a lock, held while the process lives
         self._domain = hold(exported(os.environ), self.wam.get_namespace())
@@ -98,17 +62,10 @@ class Simulation:
         world = World.of(params, cameras)
         self._watch.check()  # discovery went on while the world was built
         self.wam.attach(world, on_frame)
-        rngs = [np.random.default_rng((params.seed, link)) for link in range(2)]
-        self._state_link = Link(
-            params.state_latency, params.state_jitter, params.state_loss, rngs[0]
-        )
-        self._command_link = Link(
-            params.command_latency, params.command_jitter, params.command_loss, rngs[1]
-        )
         self._statistics = LoopStatistics(params.period_ns)
         self._published_ns = 0  # [ns] on the steady clock
-        self._held: joint_messages.TorqueReading | None = None  # answer that waits in idleness
-        self._granted = _schedule(0 if self.wam.lockstep else params.realtime_priority)
+        self._held: joint_messages.TorqueReading | None = None  # newest that has no step yet
+        self._granted = _schedule(0 if self.wam.params.lockstep else params.realtime_priority)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.wam.create_timer(1.0, self._report, clock=steady)
 
@@ -120,12 +77,14 @@ class Simulation:
             return bool(self.intruder) or ended()
 
         commands = self.wam.resolve_topic_name(self.wam.params.command_topic)
-        waiting = "each step waits" if self.wam.lockstep else "the arm, held by its driver, waits"
+        waiting = (
+            "each step waits" if self.wam.params.lockstep else "the arm, held by its driver, waits"
+        )
         self.wam.get_logger().info(f"{waiting} for torques on {commands}")
         executor = node_runner.executor_for(self.wam)
         if self.optitrack is not None:
             executor.add_node(self.optitrack)
-        if self.wam.lockstep:
+        if self.wam.params.lockstep:
             self._lockstep(executor, stopped)
         else:
             self._real_time(executor, stopped)
@@ -161,8 +120,7 @@ class Simulation:
         self._published_ns = time.monotonic_ns()
 
     def _real_time(self, executor: Executor, ended: Callable[[], bool]) -> None:
-        self.wam.on_torque = lambda reading: self._command_link.put(time.monotonic_ns(), reading)
-        delayed = self.wam.params.state_latency > 0.0 or self.wam.params.state_jitter > 0.0
+        self.wam.on_torque = lambda reading: setattr(self, "_held", reading)
         period_ns = self.wam.params.period_ns
         deadline_ns = time.monotonic_ns() + period_ns
         self.wam.stamp_offset_ns = time.time_ns() - self.wam.world.time_ns  # system clock
@@ -171,11 +129,8 @@ class Simulation:
             if now < deadline_ns:
                 executor.spin_once(timeout_sec=(deadline_ns - now) * 1e-9)
                 continue
-            arrived = self._command_link.take(now)
-            state = self.wam.tick(arrived[-1] if arrived else None)
-            self._state_link.put(now, copy.deepcopy(state) if delayed else state)
-            for message in self._state_link.take(now):
-                self.wam.publish(message)
+            reading, self._held = self._held, None
+            self.wam.publish(self.wam.tick(reading))
             self._statistics.add(now, time.monotonic_ns())
             deadline_ns += period_ns  # absolute: being late once does not shift the rest
             due_ns = deadline_ns

@@ -42,15 +42,22 @@ def motor_motion(joints: Sequence[float]) -> tuple[float, ...]:
 def joint_motion(motors: Sequence[float]) -> tuple[float, ...]:
     """Joint positions [rad] or speeds [rad/s] of motor ones; inverse of `motor_motion`."""
     m1, m2, m3, m4, m5, m6, m7 = motors
-    return (
-        m1 / J1,
-        (m2 - m3) / (2.0 * J2),
-        (m2 + m3) / (-2.0 * J3),
-        m4 / J4,
-        (m6 + m5) / (2.0 * J56),
-        (m6 - m5) / (2.0 * J56),
-        m7 / J7,
-    )
+    a, b, c, d = (m2 - m3) / (2.0 * J2), (m2 + m3) / (-2.0 * J3), m6 + m5, m6 - m5
+    return m1 / J1, a, b, m4 / J4, c / (2.0 * J56), d / (2.0 * J56), m7 / J7
+
+
+def _motor_torques(joints: Sequence[float]) -> tuple[float, ...]:
+    """Motor torques of joint torques; seven each [N m]."""
+    t1, t2, t3, t4, t5, t6, t7 = joints
+    a, b, c, d = t2 / (2.0 * J2), t3 / (2.0 * J3), t5 / (2.0 * J56), t6 / (2.0 * J56)
+    return t1 / J1, a - b, -a - b, t4 / J4, c - d, c + d, t7 / J7
+
+
+def _joint_torques(motors: Sequence[float]) -> tuple[float, ...]:
+    """Joint torques of motor torques; inverse of `_motor_torques`."""
+    m1, m2, m3, m4, m5, m6, m7 = motors
+    a, b, c, d = J2 * (m2 - m3), -J3 * (m2 + m3), J56 * (m5 + m6), J56 * (m6 - m5)
+    return J1 * m1, a, b, J4 * m4, c, d, J7 * m7
 
 
 class DirectDrives:
@@ -95,10 +102,7 @@ class Motors:
     Attributes:
         motor_of_joint: Matrix from joint speeds to motor speeds. Shape (7, 7).
         motor_no_load_speed: No-load speed of each motor [rad/s]. Shape (7,).
-        no_load_speed: No-load speed of each joint moving alone [rad/s]. Shape (7,).
-        full_torque_speed: Speed up to which each joint, moving alone, has full torque [rad/s].
-            Shape (7,).
-        tau_max: Full torque of each joint alone [N m]. Shape (7,).
+        motor_full_torque_speed: Speed up to which each motor has full torque [rad/s]. Shape (7,).
 
     Args:
         bus_voltage: Bus voltage [V]; nominal 48 V, allowed 36 to 90 V.
@@ -107,23 +111,18 @@ class Motors:
         ValueError: The voltage is out of range.
     """
 
+    motor_of_joint = MOTOR_OF_JOINT
+
     def __init__(self, bus_voltage: float = 48.0) -> None:
         if not BUS_VOLTAGE_MIN <= bus_voltage <= BUS_VOLTAGE_MAX:
             allowed = f"{BUS_VOLTAGE_MIN:.0f} to {BUS_VOLTAGE_MAX:.0f} V"
             raise ValueError(f"bus_voltage {bus_voltage} V is outside the arm's {allowed}")
-        no_load = NO_LOAD_SPEED_48V * bus_voltage / 48.0
+        self.motor_no_load_speed = no_load = NO_LOAD_SPEED_48V * bus_voltage / 48.0
         current = CABLE_LIMIT / TORQUE_CONSTANT
         full = (bus_voltage - current * RESISTANCE) / TORQUE_CONSTANT
-        full = np.minimum(full, _FULL_TORQUE_SHARE * no_load)
-        ratio = np.abs(MOTOR_OF_JOINT).max(axis=0)  # (joint,)
-        self.motor_of_joint = MOTOR_OF_JOINT
-        self.motor_no_load_speed = no_load
-        self.no_load_speed = no_load / ratio
-        self.full_torque_speed = full / ratio
-        self.tau_max = CABLE_LIMIT @ np.abs(MOTOR_OF_JOINT)
+        self.motor_full_torque_speed = full = np.minimum(full, _FULL_TORQUE_SHARE * no_load)
         slope = CABLE_LIMIT / (no_load - full)  # [N m s/rad]
         self._envelope = np.stack([CABLE_LIMIT, no_load, slope], axis=1).tolist()
-        self._full = np.stack([CABLE_LIMIT, full], axis=1).tolist()  # no limit is active within
         self._brake = (TORQUE_CONSTANT**2 / RESISTANCE).tolist()
 
     def limit(self, tau: Sequence[float], qd: Sequence[float]) -> Sequence[float]:
@@ -131,17 +130,8 @@ class Motors:
 
         Returns `tau` itself if no motor is at a limit.
         """
-        t1, t2, t3, t4, t5, t6, t7 = tau
-        a, b, c, d = t2 / (2.0 * J2), t3 / (2.0 * J3), t5 / (2.0 * J56), t6 / (2.0 * J56)
-        wanted = (t1 / J1, a - b, -a - b, t4 / J4, c - d, c + d, t7 / J7)
-        speeds = motor_motion(qd)
-        for torque, speed, (peak, full) in zip(wanted, speeds, self._full, strict=True):
-            if not (-peak <= torque <= peak and -full <= speed <= full):
-                break
-        else:
-            return tau
-        given, within = [], True
-        rows = zip(wanted, speeds, self._envelope, strict=True)
+        wanted, given, within = _motor_torques(tau), [], True
+        rows = zip(wanted, motor_motion(qd), self._envelope, strict=True)
         for torque, speed, (peak, no_load, slope) in rows:
             most, least = slope * (no_load - speed), -slope * (no_load + speed)
             if most < torque or peak < torque:
@@ -157,17 +147,3 @@ class Motors:
         """Joint torques [N m] of shorted motors at joint speeds [rad/s]: the arm in IDLE."""
         rows = zip(self._brake, motor_motion(qd), strict=True)
         return _joint_torques([-k * speed for k, speed in rows])
-
-
-def _joint_torques(motors: Sequence[float]) -> tuple[float, ...]:
-    """Joint torques of motor torques; seven each [N m]."""
-    m1, m2, m3, m4, m5, m6, m7 = motors
-    return (
-        J1 * m1,
-        J2 * (m2 - m3),
-        -J3 * (m2 + m3),
-        J4 * m4,
-        J56 * (m5 + m6),
-        J56 * (m6 - m5),
-        J7 * m7,
-    )

@@ -25,14 +25,7 @@ STRAY_MARKERS = np.array([[0.4, -0.3, 0.05], [0.45, -0.2, 0.05], [-0.1, 0.6, 0.3
 
 
 class OptitrackSim(Node):
-    """Publishes poses and markers of the tracked body.
-
-    Attributes:
-        params: Parameters of the node.
-
-    Args:
-        **options: Options of `rclpy.node.Node`.
-    """
+    """Publishes poses and markers of the tracked body; `options` are those of a `Node`."""
 
     def __init__(self, **options: Any) -> None:  # noqa: ANN401 - of Node
         super().__init__(
@@ -56,10 +49,8 @@ class OptitrackSim(Node):
     def publish(self, frame: MocapFrame, stamp_offset_ns: int, now_ns: int) -> None:
         """Publish a frame, or hold it back until it can be delivered together with others.
 
-        Args:
-            frame: Motion-capture frame in the base frame of the arm, stamped by the world's clock.
-            stamp_offset_ns: Offset of the stamping clock from the world's clock [ns].
-            now_ns: Time of the world's clock [ns].
+        It is in the base frame of the arm and stamped by the world's clock, whose time is `now_ns`
+        [ns] and from which the stamping clock is off by `stamp_offset_ns` [ns].
         """
         params = self.params
         self._waiting.append(frame)

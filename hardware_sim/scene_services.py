@@ -7,14 +7,17 @@ truth of a rollout is published when it ends.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from itertools import repeat
 
 import numpy as np
 from rclpy.node import Node
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from hardware_sim.barrett_services import PositionControl
 from hardware_sim.demonstrator import Demonstrator
+from hardware_sim.settings import ArmSimParams
 from hardware_sim.world import World
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.ros import interface
@@ -25,6 +28,7 @@ from wam_power_ros.ros.requests import Request, Server
 ROLLOUT = "rollout "  # begins the label of a rollout, before its id
 WAIT_TIME = 0.1  # [s] from a reset to its answer, and from a request to a refusal
 START_TOLERANCE = 0.05  # [rad] between the arm and q_start for a reset
+Steps = Iterator[Answer | None]  # what a request does, a step a tick: None until it is answered
 
 
 class SceneServices:
@@ -35,33 +39,19 @@ class SceneServices:
 
     Attributes:
         label: Activity of the controller, the label of its torques; "" before the first.
-
-    Args:
-        node: Node that offers the services.
-        world: World they act on.
-        seed: Seed of the demonstrations.
-        lockstep: True if the world steps in lockstep; a reset then takes one tick.
-        overridden: Returns True while the driver moves the arm itself.
     """
 
     def __init__(
-        self,
-        node: Node,
-        world: World,
-        seed: int,
-        lockstep: bool,
-        overridden: Callable[[], bool],
+        self, node: Node, world: World, params: ArmSimParams, control: PositionControl
     ) -> None:
         self.label = ""
-        self._node, self._world, self._seed = node, world, seed
-        self._lockstep, self._overridden = lockstep, overridden
+        self._world, self._seed, self._control = world, params.seed, control
+        self._lockstep = params.lockstep
         self._demonstrations = 0  # completed
-        self._demonstrating = False
-        self._awaited = False  # a demonstration whose scene is to be put back
-        self._wait_ticks, self._ticks_left = world.settings.ticks(WAIT_TIME), 0
-        self._resetting: Iterator[None] | None = None
+        self._wait_ticks = world.settings.ticks(WAIT_TIME)
+        self._under_way: dict[str, Steps] = {}  # by request
+        self._resetting = False  # in slices
         self._prepared = ""  # id of the rollout that the world was reset for
-        self._put_back_to: tuple[str, np.ndarray] | None = None  # after the arm was carried there
         body = world.scene.body
         self._truths = node.create_publisher(
             String, interface.body_topic(body, "truth"), interface.LATCHED
@@ -74,8 +64,7 @@ class SceneServices:
     @property
     def busy(self) -> bool:
         """Whether a request is pending or a demonstration or reset under way."""
-        under_way = self._demonstrating or self._resetting is not None
-        return under_way or bool(self._server.pending) or not self._world.carried
+        return bool(self._under_way) or not self._world.carried
 
     def change(self, label: str, stamp_ns: int) -> None:
         """Change the activity of the controller; a rollout begins or ends with this tick.
@@ -86,7 +75,7 @@ class SceneServices:
         """
         previous, self.label = self.label, label
         world = self._world
-        if world.frozen and self._resetting is None and label not in ("hold", "inactive"):
+        if world.frozen and not self._resetting and label not in ("hold", "inactive"):
             world.release()
         if label.startswith(ROLLOUT):
             rollout_id = label.removeprefix(ROLLOUT)
@@ -98,41 +87,12 @@ class SceneServices:
             self._truths.publish(ground_truth_message(GroundTruth(stamp_ns, truth)))
 
     def update(self) -> None:
-        """Advance a pending reset or demonstration; called every tick."""
-        world, waited = self._world, self._ticks_left == 0
-        self._ticks_left = max(0, self._ticks_left - 1)
-        if not world.carried:
-            self._ticks_left = self._wait_ticks
-            return
-        if self._put_back_to is not None:
-            self._put_back(*self._put_back_to)
-            self._put_back_to = None
-        if self._resetting is not None and next(self._resetting, self) is self:
-            self._resetting = None
-            world.release()
-        pending, guided = self._server.pending, self.label == "gravity_compensation"
-        text = f"the arm is not free to be guided (mode {self.label!r})"
-        if self._awaited and (guided or waited):
-            self._awaited = False
-            if guided:
-                self._put_back_for_demonstration()
-            else:
-                self._server.finish("reset", Answer(Code.BUSY, text))
-        elif "reset" in pending and waited and self._resetting is None:
-            self._finish("reset")  # the controller has settled by now
-        if "demonstrate" in pending and not self._demonstrating:
-            if guided and not self._overridden():
-                if self._resetting is None:
-                    self._grip()
-            elif waited:
-                self._server.finish("demonstrate", Answer(Code.BUSY, text))
-        elif self._demonstrating and not world.pulled:
-            self._demonstrating = False
-            self._demonstrations += 1
-            self._finish("demonstrate")
-
-    def _finish(self, do: str) -> None:
-        self._server.finish(do, Answer(Code.DONE, values={"rollout": self._world.rollout_id}))
+        """Advance the requests under way; called every tick."""
+        for do, steps in [*self._under_way.items()]:
+            done = Answer(Code.DONE, values={"rollout": self._world.rollout_id})
+            if (answer := next(steps, done)) is not None:
+                del self._under_way[do]
+                self._server.finish(do, answer)
 
     def _begin_reset(self, asked: Request) -> Answer | None:
         """Reset the scene; in lockstep the world then stays frozen until the next activity.
@@ -147,7 +107,7 @@ class SceneServices:
         if "policy" not in asked.about:
             if world.pulled:
                 return Answer(Code.BUSY, "a demonstration is under way")
-            self._awaited, self._ticks_left = True, self._wait_ticks
+            self._under_way["reset"] = self._reset_for_demonstration()
             return None
         policy = policies.from_json(asked.about["policy"])
         if len(policy.q_start) != world.n:
@@ -158,49 +118,71 @@ class SceneServices:
         if far > START_TOLERANCE:
             text = f"the arm is {far:.3f} rad from the start of {policy.id}"
             return Answer(Code.NOT_AT_START, text)
-        self._put_back(policy.id, policy.q_start)
+        self._under_way["reset"] = self._reset(policy.id, policy.q_start)
         return None
 
-    def _put_back_for_demonstration(self) -> None:
-        rollout_id, home = self._next_demonstration()
-        if self._carry(home):
-            self._put_back_to = rollout_id, home
-        else:
-            self._put_back(rollout_id, home)
-
-    def _carry(self, home: np.ndarray) -> bool:
-        """Whether the arm is away from a posture (n,) [rad], so that it is carried there first."""
-        far = np.abs(self._world.joint_state().q - home).max() > START_TOLERANCE
-        if far:
-            self._world.carry(home)
-        return bool(far)
-
-    def _put_back(self, rollout_id: str, q: np.ndarray) -> None:
-        """Reset the world: at once in lockstep, else in slices while the clock goes on."""
-        if self._lockstep:
-            self._world.reset(rollout_id, q)
-        else:
-            self._resetting = self._world.resetting(rollout_id, q)
-        self._prepared, self._ticks_left = rollout_id, self._wait_ticks
-
     def _begin_demonstration(self, _: Request) -> Answer | None:
-        self._ticks_left = self._wait_ticks
-        busy = self._world.pulled
-        return Answer(Code.BUSY, "a demonstration is under way") if busy else None
+        if self._world.pulled:
+            return Answer(Code.BUSY, "a demonstration is under way")
+        self._under_way["demonstrate"] = self._demonstrate()
+        return None
 
-    def _grip(self) -> None:
-        """Begin the next demonstration."""
+    def _reset(self, rollout_id: str, q: np.ndarray) -> Steps:
+        """Freeze and reset the world: now in lockstep, else in slices while the clock goes on.
+
+        Raises:
+            ValueError: The posture q (n,) [rad] is outside the limits of the arm.
+        """
+        slices = self._world.resetting(rollout_id, q)
+        self._prepared, self._resetting = rollout_id, not self._lockstep
+        return self._settle(iter([*slices]) if self._lockstep else slices)
+
+    def _settle(self, slices: Iterator[None]) -> Steps:
+        """Do the slices of a reset; wait until the controller has settled."""
+        yield from slices
+        if self._resetting:
+            self._resetting = False
+            self._world.release()
+        yield from repeat(None, self._wait_ticks)
+
+    def _reset_for_demonstration(self) -> Steps:
+        yield from self._until_guided()
+        rollout_id, home = self._next_demonstration()
+        yield from self._carry(home)
+        yield from self._reset(rollout_id, home)
+
+    def _demonstrate(self) -> Steps:
         world = self._world
+        yield from self._until_guided()
+        while self._resetting:
+            yield None
         rollout_id, home = self._next_demonstration()
         if world.rollout_id != rollout_id:  # not reset for it yet
-            if self._carry(home):
-                return
+            yield from self._carry(home)
+            yield from self._until_guided()
             world.reset(rollout_id, home)
-        rng = np.random.default_rng((self._seed, self._demonstrations))
         if world.frozen:
             world.release()
+        rng = np.random.default_rng((self._seed, self._demonstrations))
         world.attach(Demonstrator(world.scene.script(rng), *world.tool_pose))
-        self._demonstrating = True
+        while world.pulled:
+            yield None
+        self._demonstrations += 1
+
+    def _until_guided(self) -> Steps:
+        """Wait until the arm can be guided; refuse if that takes long."""
+        for _ in range(self._wait_ticks + 1):
+            if self.label == "gravity_compensation" and not self._control.engaged:
+                return
+            yield None
+        yield Answer(Code.BUSY, f"the arm is not free to be guided (mode {self.label!r})")
+
+    def _carry(self, home: np.ndarray) -> Steps:
+        """Have the arm carried to a posture (n,) [rad] if it is away from it."""
+        if np.abs(self._world.joint_state().q - home).max() > START_TOLERANCE:
+            self._world.carry(home)
+        while not self._world.carried:
+            yield None
 
     def _next_demonstration(self) -> tuple[str, np.ndarray]:
         """Id and start posture (n,) [rad] of the next demonstration."""

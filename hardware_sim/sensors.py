@@ -4,26 +4,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from hardware_sim.motors import joint_motion, motor_motion
-from hardware_sim.wam import ENCODER_COUNTS, PERIOD, VELOCITY_CUTOFF
+from hardware_sim.wam import ENCODER_COUNTS, VELOCITY_CUTOFF
 from wam_power_ros import rotations
+from wam_power_ros.tracking.marker_fit import LAYOUT
 
 _COUNTS_PER_RAD = ENCODER_COUNTS / math.tau  # of a motor's encoder
 _COUNT = math.tau / ENCODER_COUNTS  # [rad]
 
 
-def quantize_geared(q: Sequence[float]) -> tuple[float, ...]:
+def _quantize_geared(q: Sequence[float]) -> tuple[float, ...]:
     """Joint positions [rad] quantized by motor encoders behind gears of 1:100."""
     return tuple([_COUNT / 100 * round(_COUNTS_PER_RAD * 100 * position) for position in q])
 
 
-def quantize_wam(q: Sequence[float]) -> tuple[float, ...]:
+def _quantize_wam(q: Sequence[float]) -> tuple[float, ...]:
     """Joint positions [rad] quantized by the encoders of the WAM's motors; seven."""
     return joint_motion(
         [_COUNT * round(_COUNTS_PER_RAD * position) for position in motor_motion(q)]
@@ -31,23 +32,15 @@ def quantize_wam(q: Sequence[float]) -> tuple[float, ...]:
 
 
 class Encoders:
-    """Joint encoders with velocities differenced and low-passed as in libbarrett.
+    """Joint encoders, read every `period` [s]; velocities are low-passed as in libbarrett.
 
     Attributes:
         q: Joint positions [rad]; empty before `reset`.
         qd: Joint velocities [rad/s].
-
-    Args:
-        quantize: Quantizes joint positions.
-        period: Time between two readings [s].
     """
 
-    def __init__(
-        self,
-        quantize: Callable[[Sequence[float]], tuple[float, ...]] = quantize_wam,
-        period: float = PERIOD,
-    ) -> None:
-        self._quantize = quantize
+    def __init__(self, drives: Literal["wam", "direct"], period: float) -> None:
+        self._quantize = _quantize_wam if drives == "wam" else _quantize_geared
         self._keep = math.exp(-VELOCITY_CUTOFF * period)
         self._gain = (1.0 - self._keep) / period
         self.q: tuple[float, ...] = ()
@@ -67,16 +60,9 @@ class Encoders:
 
 
 class MocapSettings(BaseModel):
-    """Settings of motion capture: the paper's, else typical of present systems.
+    """Settings of motion capture, as config/optitrack_sim.yaml describes them with their units.
 
-    Attributes:
-        rate: Frame rate [Hz]; 30 in the paper.
-        noise: Standard deviation of a marker's position, per axis [m].
-        latency: Time from exposure to delivery [s].
-        dropout: Share of lost frames.
-        occlusion: Share of frames in which one marker is hidden.
-        lost: Output of the driver for a lost frame: none, the last pose again, or a pose of zeros.
-        single_marker: True for one marker, at the body's origin, instead of a layout.
+    The defaults are the paper's, else typical of present systems.
 
     Raises:
         ValueError: A value is out of range.
@@ -105,19 +91,11 @@ class MocapFrame(NamedTuple):
 class Mocap:
     """Motion capture of a body: noisy markers and a pose fitted to them, with latency.
 
-    Args:
-        layout: Marker positions in the frame of the body, all at z = 0 [m], shape (m, 3); a single
-            one has a position without orientation.
-        settings: Settings of the motion capture.
-
-    Raises:
-        ValueError: A marker is not at z = 0.
+    The markers are those of `LAYOUT`, all at z = 0; a single one has a position alone.
     """
 
-    def __init__(self, layout: np.ndarray, settings: MocapSettings) -> None:
-        if layout[:, 2].any():
-            raise ValueError(f"z of the markers {layout[:, 2].tolist()} must be 0")
-        self._layout = layout
+    def __init__(self, settings: MocapSettings) -> None:
+        self._layout = layout = np.zeros((1, 3)) if settings.single_marker else np.array(LAYOUT)
         self._centre = layout.mean(axis=0)
         self._flat = (layout - self._centre)[:, :2]
         self._mean = np.full(len(layout), 1.0 / len(layout))

@@ -3,14 +3,11 @@
 
 from __future__ import annotations
 
-import zlib
 from typing import Annotated, ClassVar, Literal
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from typing_extensions import Self
 
-from hardware_sim.hidden_arm import hidden_arm
 from hardware_sim.sensors import MocapSettings
 from hardware_sim.wam import JOINTS, PERIOD
 from wam_power_ros.control.arm import GuardedPoint, guarded_points
@@ -28,53 +25,21 @@ PITCH_RATE = 7.6  # [rad/s] of an expert: most reproductions turn by 90 degrees 
 Length = Annotated[float, Field(ge=-5.0, le=5.0, description="in m: beyond the reach of the arm")]
 Radius = Annotated[float, Field(ge=0.0, le=2.0)]
 Angle = Annotated[float, Field(ge=-10.0, le=10.0, description="in rad: beyond any joint limit")]
-Delay = Annotated[float, Field(ge=0.0, le=1.0, description="in s: more is a broken link")]
 Spread = Annotated[float, Field(ge=0.0, le=10.0, description="far above any real value")]
 Scale = Annotated[float, Field(ge=0.1, le=10.0, description="relative to nominal")]
 Sent = Literal["filled", "empty", "nan"]
 
 
 class WorldSettings(BaseModel):
-    """Settings of the simulated world; the defaults describe the real WAM and its tool.
+    """Settings of the simulated world, as config/wam_sim.yaml describes them with their units.
 
-    Each scene uses some of the settings from `friction` on.
+    The defaults describe the real WAM and its tool; without `home` it begins in that of the scene.
+    Each scene uses some of the settings from `friction` on. No file has:
 
     Attributes:
-        urdf: URDF file, absolute or below the package's share folder.
-        model_joint_names: Names of the joints in it, from base to tip.
-        tool_frame: Link that is the tool.
-        guarded_names: Points whose speeds are logged; the first as elbow, the last as forearm. One
-            name "": only the speed of the tool is.
-        guarded_links: Link of each.
-        guarded_points: Position of each in the frame of its link [m], three numbers a point.
-        home: Initial posture [rad], one angle a joint; None for that of the scene.
-        drives: "wam" for the WAM's cables and motors, "direct" for the limits in the URDF.
-        bus_voltage: Bus voltage of the motors [V].
-        period: Control period of the driver [s], a multiple of the physics' 1 ms.
-        command_delay_ticks: Delay from a torque command to the motors, in control periods.
-        driver_compensates_gravity: True if the driver adds g(q) to the commanded torque.
-        watchdog: True if the driver compensates gravity, with damping, after 10 ms without a
-            command; otherwise it holds the last command.
-        watchdog_damping: Damping in that state [1/s].
-        wind_sd: Standard deviation of a rollout's steady wind, per axis [m/s].
-        torque_scale_sd: Relative standard deviation of each joint's torque constant per rollout.
-        friction_sd: Relative standard deviation of each joint's Coulomb friction per rollout.
         friction_share: Coulomb friction of the joints, relative to the URDF.
-        torque_constants: Torque constant of each joint, relative to nominal; () for nominal ones.
-        payload: Mass at the tool that is in no model of the arm [kg].
-        unknown: Replaces some settings by random ones, see `drawn`: never (""), once for all
-            rollouts ("session"), anew for each rollout ("rollout"), or by an arm that differs from
-            its model as one on a laboratory's first day does ("lab").
-        friction: Sliding friction between tool and body.
-        body_offset_sd: Standard deviation of the body's initial position at the tool, per axis [m].
         body_mass: Mass of the body, relative to nominal.
         body_size: Radius of the body, relative to nominal.
-        guarded_region: Centre and radius of the controller's guarded region, a sphere in the base
-            frame [m], which a scene may show; radius 0 for none.
-        goal: Where a demonstrated reach ends [m].
-        spread: Scale of the differences between demonstrations of one movement: 0 for the intended
-            one, see the scene.
-        pitch_rate: Intended pitch rate of a demonstrated toss at the release [rad/s].
         level: True if a demonstrated toss begins with the tool level, the body in its middle.
 
     Raises:
@@ -96,13 +61,10 @@ class WorldSettings(BaseModel):
     command_delay_ticks: int = Field(2, ge=0, le=50, description="beyond 0.1 s: unstable")
     driver_compensates_gravity: bool = False
     watchdog: bool = True
-    watchdog_damping: float = Field(5.0, ge=0.0, le=100.0)
     wind_sd: Spread = 0.1
     torque_scale_sd: Spread = 0.01
     friction_sd: Spread = 0.1
     friction_share: Spread = 1.0
-    torque_constants: tuple[Scale, ...] = Field((), max_length=JOINTS_MAX)
-    payload: float = Field(0.0, ge=0.0, le=5.0)
     unknown: Literal["", "session", "rollout", "lab"] = ""
     friction: Spread = 0.2
     body_offset_sd: Spread = 0.003
@@ -134,32 +96,6 @@ class WorldSettings(BaseModel):
         """Number of control periods in a time [s]."""
         return round(seconds / self.period)
 
-    def drawn(self, seed: int, rollout_id: str = "") -> WorldSettings:
-        """Draw what is unknown in a laboratory, for a session or for one rollout.
-
-        Uniform: body mass 70 to 130 % and radius 80 to 120 % of nominal, friction 0.1 to 0.5,
-        command delay 2 to 8 ms, torque constants 95 to 105 %, payload at the tool up to 0.12 kg.
-        For "lab" see `hidden_arm`.
-
-        Args:
-            seed: Seed of the world.
-            rollout_id: Id of the rollout; "" for the whole session.
-        """
-        n = len(self.model_joint_names)
-        if self.unknown == "lab":
-            delay = self.ticks(hidden_arm(seed, n).delay)
-            return self.model_copy(update={"command_delay_ticks": delay})
-        rng = np.random.default_rng([seed, zlib.crc32(f"unknown world{rollout_id}".encode())])
-        drawn = {
-            "body_mass": float(rng.uniform(0.7, 1.3)),
-            "body_size": float(rng.uniform(0.8, 1.2)),
-            "friction": float(rng.uniform(0.1, 0.5)),
-            "command_delay_ticks": self.ticks(0.002 * int(rng.integers(1, 5))),
-            "torque_constants": tuple(rng.uniform(0.95, 1.05, n).tolist()),
-            "payload": float(rng.uniform(0.0, 0.12)),
-        }
-        return self.model_copy(update=drawn)
-
     @model_validator(mode="after")
     def _fit_the_arm(self) -> Self:
         names, n = self.model_joint_names, len(self.model_joint_names)
@@ -170,21 +106,17 @@ class WorldSettings(BaseModel):
             )
         if self.period_ns % 1_000_000:
             raise ValueError(f"period = {self.period} must be a multiple of 0.001 s")
-        for name, values in (("home", self.home), ("torque_constants", self.torque_constants)):
-            if values and len(values) != n:
-                raise ValueError(f"{name} = {values} must be {n} numbers, one for each of {names}")
+        if self.home is not None and len(self.home) != n:
+            raise ValueError(f"home = {self.home} must be {n} angles, one for each of {names}")
         guarded_points(self.guarded_names, self.guarded_links, self.guarded_points)
         return self
 
 
-class WamSimParams(Params, WorldSettings):
+class ArmSimParams(Params, WorldSettings):
     """Parameters of config/wam_sim.yaml, settings of the world included."""
 
     file = "wam_sim.yaml"
-    constants: ClassVar = {  # set by studies, and by the unknown world
-        *("watchdog_damping", "friction_share", "torque_constants", "payload"),
-        *("body_mass", "body_size", "level"),
-    }
+    constants: ClassVar = {"friction_share", "body_mass", "body_size", "level"}  # of studies
 
     pace: Literal["lockstep", "real_time"]
     seed: int = Field(ge=0, le=2**63 - 1, description="a ROS integer")
@@ -200,13 +132,12 @@ class WamSimParams(Params, WorldSettings):
     command_type: Literal["multiarray", "joint_state"]
     listeners: tuple[str, ...] = Field(max_length=100)
     deactivates: bool
-    state_latency: Delay
-    state_jitter: Delay
-    state_loss: float = Field(ge=0.0, le=1.0)
-    command_latency: Delay
-    command_jitter: Delay
-    command_loss: float = Field(ge=0.0, le=1.0)
     scene: str
+
+    @property
+    def lockstep(self) -> bool:
+        """Whether each step waits for its torque."""
+        return self.pace == "lockstep"
 
     @model_validator(mode="after")
     def _fit_the_driver(self) -> Self:

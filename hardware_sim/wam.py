@@ -10,6 +10,7 @@ JOINTS = tuple(f"wam_j{number}" for number in range(1, N + 1))
 PERIOD_NS = 2_000_000  # [ns]
 PERIOD = PERIOD_NS / 1e9  # [s]
 WATCHDOG_TIMEOUT = 0.01  # [s] without a command
+WATCHDOG_DAMPING = 5.0  # [1/s] of the gravity compensation that then begins
 
 # Transmission: motor turns per joint turn, libbarrett's j2mp; 2-3 and 5-6 are differentials
 J1, J2, J3, J4, J56, J7 = -42.0, 28.25, 28.25 / 1.68, -18.0, 9.7, -14.93

@@ -19,16 +19,15 @@ import numpy as np
 from hardware_sim import scene
 from hardware_sim.demonstrator import Demonstrator
 from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth, rotation_of
-from hardware_sim.hidden_arm import HiddenArm, hidden_arm
+from hardware_sim.hidden_arm import HiddenArm, drawn
 from hardware_sim.motors import DirectDrives, Motors
 from hardware_sim.scenes import Scene, scene_type
-from hardware_sim.sensors import Encoders, Mocap, MocapFrame, MocapSettings, quantize_geared
-from hardware_sim.settings import OptitrackSimParams, WamSimParams, WorldSettings
-from hardware_sim.wam import WATCHDOG_TIMEOUT
+from hardware_sim.sensors import Encoders, Mocap, MocapFrame, MocapSettings
+from hardware_sim.settings import ArmSimParams, OptitrackSimParams, WorldSettings
+from hardware_sim.wam import WATCHDOG_DAMPING, WATCHDOG_TIMEOUT
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.joint_references import MinJerk
 from wam_power_ros.params.resources import robot_description
-from wam_power_ros.tracking.marker_fit import LAYOUT
 
 QUIET = "-quiet"  # suffix of the id of a rollout without wind, offset and variation of the arm
 DROP_HEIGHT = 0.7  # [m]
@@ -36,10 +35,9 @@ TRACE_RATE = 100.0  # [Hz] of the poses in `World.trace`
 CARRY_REST = 0.1  # [s] at its end, in which the filtered velocity becomes zero
 REST_SPEED = 0.05  # [rad/s] or [m/s] of what counts as at rest
 CARRY_SPEED = 1.0  # [rad/s] peak joint speed of an arm that is carried to a posture
-_SETTLE_STEPS = 900  # physics steps, at most, until bodies are at rest
-_SETTLE_CHECK = 50  # physics steps between checks for rest
-_SETTLE_SLICE = 10  # physics steps done within one tick
-_REST_SPEED = 0.003  # [m/s] and [rad/s] below which a body is at rest
+# Physics steps until bodies are at rest, at most; between checks for rest; within one tick
+_SETTLE_STEPS, _SETTLE_CHECK, _SETTLE_SLICE = 900, 50, 10
+_SETTLED_SPEED = 0.003  # [m/s] and [rad/s] below which a body is at rest then
 
 
 class JointSample(NamedTuple):
@@ -55,18 +53,17 @@ class World:
     """One arm with its tool in a scene.
 
     Attributes:
-        settings: Settings of the world.
+        settings: Settings, with what was drawn.
         scene: Scene around the arm.
-        hidden: How the arm differs from its model; None if it does not.
+        hidden: How the arm differs from its model.
         time_ns: Time of the simulation [ns].
         frozen: True while only clock and cameras go on; physics, encoders and commands wait for
             `release`.
         idle: True while the motors are shorted and commands have no effect.
         urdf: Text of the arm's URDF.
-        n: Number of the arm's joints.
+        arm: The driver's model of the arm.
+        n: Number of its joints.
         motors: Torque limits of the motors.
-        trace: Set to [] to record joint positions of arm and bodies since the release, 100 a
-            second; None records nothing.
 
     Args:
         make_scene: Creates the scene.
@@ -84,41 +81,31 @@ class World:
         mocap: MocapSettings | None = None,
         hidden: HiddenArm | None = None,
     ) -> None:
-        self._nominal_settings = settings = settings or WorldSettings()
+        self._nominal = settings = settings or WorldSettings()
         mocap = mocap or MocapSettings()
-        self._make_scene = make_scene
+        self._make_scene, self._given = make_scene, hidden
         self.seed = seed
         self.urdf = robot_description(settings.urdf)
         names, tool, guarded = settings.model_joint_names, settings.tool_frame, settings.guarded
-        self._arm = Arm(self.urdf, names, tool, guarded=guarded)  # driver's model
-        self.n = self._arm.n
-        self._period_ns, self._substeps = (
-            settings.period_ns,
-            round(settings.period / scene.TIMESTEP),
-        )
+        self.arm = Arm(self.urdf, names, tool, guarded=guarded)
+        self.n = self.arm.n
+        self._period_ns = settings.period_ns
+        self._substeps = round(settings.period / scene.TIMESTEP)
         self._watchdog_ticks = settings.ticks(WATCHDOG_TIMEOUT)
-        self._trace_ticks = settings.ticks(1.0 / TRACE_RATE)  # between poses of the trace
         self.motors: Motors | DirectDrives = Motors(settings.bus_voltage)
-        self._encoders = Encoders(period=settings.period)
         if settings.drives == "direct":
-            self.motors = DirectDrives(self._arm.tau_max, self._arm.qd_max)
-            self._encoders = Encoders(quantize_geared, settings.period)
-        layout = np.zeros((1, 3)) if mocap.single_marker else np.asarray(LAYOUT)
-        self._mocap = Mocap(layout, mocap)
+            self.motors = DirectDrives(self.arm.tau_max, self.arm.qd_max)
+        self._encoders = Encoders(settings.drives, settings.period)
+        self._mocap = Mocap(mocap)
         self._velocity = np.zeros(6)
         self._carrying: tuple[MinJerk, int] | None = None  # path and its beginning [ns]
-        drawn = hidden_arm(seed, self.n) if settings.unknown == "lab" else None
-        self.hidden = hidden or drawn
-        self._zeros = np.zeros(self.n) if self.hidden is None else self.hidden.zeros
-        self._build(settings.drawn(seed) if settings.unknown else settings)
-
+        self._build()
         self.time_ns = self._period_ns
-        self.trace: list[np.ndarray] | None = None
         self.reset("start", self.scene.home if settings.home is None else np.array(settings.home))
         self.release()
 
     @classmethod
-    def of(cls, params: WamSimParams, cameras: OptitrackSimParams | None) -> World:
+    def of(cls, params: ArmSimParams, cameras: OptitrackSimParams | None) -> World:
         """World of the stand-ins' parameters; `cameras` may be None in a scene without a body.
 
         Raises:
@@ -132,32 +119,29 @@ class World:
             )
         return cls(make_scene, params, params.seed, cameras)
 
-    def _build(self, settings: WorldSettings) -> None:
-        """Compile scene and physics for these settings."""
-        self.settings = settings
+    def _build(self, rollout_id: str = "") -> None:
+        """Draw what is unknown, in a rollout or in all; compile scene and physics."""
+        settings, hidden = drawn(self._nominal, self.seed, rollout_id)
+        self.settings, self.hidden = settings, self._given or hidden
+        self._drags = self.hidden.drags
         self.scene = self._make_scene(settings)
         n = self.n
         self.model = model = scene.build(self.urdf, self.scene, settings, self.hidden)
         self.data = data = mujoco.MjData(model)
         self._tool = model.body(settings.tool_frame).id
         self._friction = settings.friction_share * model.dof_frictionloss[:n]
-        self._watchdog_damping = (settings.watchdog_damping * model.dof_M0[:n]).tolist()
+        self._watchdog_damping = (WATCHDOG_DAMPING * model.dof_M0[:n]).tolist()
         # views into MuJoCo's arrays
         self._q, self._qd, self._applied = data.qpos[:n], data.qvel[:n], data.qfrc_applied[:n]
         self._scene_qd = data.qvel[n:]
-        self._mounted = getattr(self.scene, "mounted", None)
-        columns = _free_joint(model, "" if self._mounted else self.scene.body)
+        columns = _free_joint(model, "" if self.scene.mounted else self.scene.body)
         self._body, self._body_twist = data.qpos[columns[0]], data.qvel[columns[1]]
         self._tool_position = data.xpos[self._tool]
         self._tool_rotation = data.xmat[self._tool].reshape(3, 3)
-        points = [point.name for point in settings.guarded]
-        self._log = RolloutLog(model, data, points, n, columns, settings.period)
+        self._log = RolloutLog(model, data, settings, columns)
 
     def reset(self, rollout_id: str, q_start: np.ndarray) -> None:
         """Put the arm and the bodies of the scene to rest at the start of a rollout; freeze them.
-
-        After the release the world depends only on the seed, `rollout_id`, `q_start` and the
-        torques.
 
         Args:
             rollout_id: Id of the rollout; with suffix `QUIET` only the cameras are noisy.
@@ -180,14 +164,14 @@ class World:
         if q_start.shape != (n,) or not np.all((low <= q_start) & (q_start <= high)):
             raise ValueError(f"q_start {q_start.tolist()} must be {n} angles within their limits")
         self.frozen = True
-        return self._resetting(rollout_id, q_start - self._zeros)
+        return self._resetting(rollout_id, q_start - self.hidden.zeros)
 
     def _resetting(self, rollout_id: str, q_start: np.ndarray) -> Iterator[None]:
-        if self._nominal_settings.unknown == "rollout":
-            self._build(self._nominal_settings.drawn(self.seed, rollout_id))
+        if self._nominal.unknown == "rollout":
+            self._build(rollout_id)
         key = [self.seed, zlib.crc32(rollout_id.encode()), 1]
         self._mocap_rng = np.random.default_rng(key)
-        settings, model, data, n = self.settings, self.model, self.data, self.n
+        model, data = self.model, self.data
         offset, wind = self._vary(rollout_id)
         model.opt.wind[:] = 0.0
 
@@ -195,7 +179,7 @@ class World:
         self._q[:] = q_start
         mujoco.mj_kinematics(model, data)
         self.scene.place(data, self._tool_position, self._tool_rotation, offset)
-        gravity = self._arm.gravity(q_start)
+        gravity = self.arm.gravity(q_start)
         self._applied[:] = gravity
         if self._scene_qd.size:
             yield from self._settle(q_start)
@@ -203,12 +187,13 @@ class World:
         model.opt.wind[:] = wind
         mujoco.mj_forward(model, data)
 
-        self._encoders.reset((q_start + self._zeros).tolist())
+        self._encoders.reset((q_start + self.hidden.zeros).tolist())
         self._mocap.forget()
-        self._command = [0.0] * n if settings.driver_compensates_gravity else gravity.tolist()
         self._effort: list[float] = gravity.tolist()
+        own = self.settings.driver_compensates_gravity
+        self._command = [0.0] * self.n if own else self._effort
         self._delayed: deque[list[float] | None]
-        self._delayed = deque([self._command] * settings.command_delay_ticks)
+        self._delayed = deque([self._command] * self.settings.command_delay_ticks)
         self._ticks_since_command = 0
         self._demonstrator: Demonstrator | None = None
         self._grip_ns = 0
@@ -225,9 +210,7 @@ class World:
         offset = noise * settings.body_offset_sd * rng.standard_normal(2)
         wind = noise * settings.wind_sd * rng.standard_normal(3)
         scale = 1.0 + noise * settings.torque_scale_sd * rng.standard_normal(n)
-        scale *= settings.torque_constants or 1.0
-        if self.hidden is not None:
-            scale *= self.hidden.motors
+        scale *= self.hidden.motors
         friction = 1.0 + noise * settings.friction_sd * rng.standard_normal(n)
         self._torque_scale: list[float] = scale.tolist()
         self.model.dof_frictionloss[:n] = self._friction * np.maximum(friction, 0.0)
@@ -239,7 +222,7 @@ class World:
             mujoco.mj_step(self.model, self.data)
             self._q[:] = q_start
             self._qd[:] = 0.0
-            if step % _SETTLE_CHECK == 0 and np.abs(self._scene_qd).max() < _REST_SPEED:
+            if step % _SETTLE_CHECK == 0 and np.abs(self._scene_qd).max() < _SETTLED_SPEED:
                 return
             if step % _SETTLE_SLICE == 0:
                 yield
@@ -250,7 +233,7 @@ class World:
         The encoders see a movement of minimum jerk, as of a real arm; `carried` says when it ends.
         """
         self.frozen = True
-        self._carrying = MinJerk(self._q.copy(), q - self._zeros, CARRY_SPEED), self.time_ns
+        self._carrying = MinJerk(self._q.copy(), q - self.hidden.zeros, CARRY_SPEED), self.time_ns
 
     @property
     def carried(self) -> bool:
@@ -264,7 +247,7 @@ class World:
         path, begun_ns = self._carrying
         t = (self.time_ns - begun_ns) * 1e-9
         self._q[:] = path.at(t)[0]
-        self._encoders.read((self._q + self._zeros).tolist())
+        self._encoders.read((self._q + self.hidden.zeros).tolist())
         if t >= path.duration + CARRY_REST:
             self._carrying = None
 
@@ -301,8 +284,7 @@ class World:
     @property
     def moving(self) -> bool:
         """Whether arm or scene move, such as a body that has not come to rest."""
-        speeds = (self._qd, self._scene_qd)
-        return not self.frozen and any(np.abs(qd).max(initial=0.0) > REST_SPEED for qd in speeds)
+        return not self.frozen and bool(np.abs(self.data.qvel).max() > REST_SPEED)
 
     @property
     def pulled(self) -> bool:
@@ -317,8 +299,7 @@ class World:
     @property
     def home(self) -> np.ndarray:
         """Posture in which demonstrations begin (n,) [rad]: the scene knows that of the WAM."""
-        settings = self.settings
-        own = settings.home if settings.drives == "direct" else None
+        own = self.settings.home if self.settings.drives == "direct" else None
         return self.scene.home if own is None else np.array(own)
 
     def joint_state(self) -> JointSample:
@@ -355,12 +336,12 @@ class World:
             else:
                 self._command, self._ticks_since_command = command, 0
             saturated = self._advance()
-            q = self._q if self.hidden is None else self._q + self._zeros
-            self._encoders.read(q.tolist())
-            self._record(saturated)
-        if (self._body.size or self._mounted) and self._mocap.due(self.time_ns):
-            pose = self._body_pose()
-            self._mocap.expose(self.time_ns, *self._seen(*pose))
+            self._encoders.read((self._q + self.hidden.zeros).tolist())
+            self._log.record(saturated)
+        if self.scene.body and self._mocap.due(self.time_ns):
+            position, rotation = self._body_pose()
+            turn, offset = self.hidden.cameras
+            self._mocap.expose(self.time_ns, turn @ position + offset, turn @ rotation)
 
     def _advance(self) -> bool:
         """Step motors and physics by one tick; returns whether a motor was at its limit."""
@@ -373,7 +354,7 @@ class World:
             given = self.motors.limit(self._effort, qd)
             saturated = given is not self._effort
             self._applied[:] = [a * b for a, b in zip(given, self._torque_scale, strict=True)]
-        if self.hidden is not None:
+        if self._drags:
             self._applied[:] -= self.hidden.drag(self._qd, self.model.dof_frictionloss[: self.n])
         if self._demonstrator is None:
             mujoco.mj_step(self.model, self.data, self._substeps)
@@ -384,18 +365,11 @@ class World:
 
     def _body_pose(self) -> tuple[np.ndarray, np.ndarray]:
         """Position (3,) [m] and rotation (3, 3) of the tracked body."""
-        if self._mounted is None:
+        if self.scene.mounted is None:
             return self._body[:3].copy(), rotation_of(self._body)
-        position, rotation = self._mounted
+        position, rotation = self.scene.mounted
         mujoco.mj_kinematics(self.model, self.data)  # a step leaves the tool where it began
         return self._tool_position + self._tool_rotation @ position, self._tool_rotation @ rotation
-
-    def _seen(self, position: np.ndarray, rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Pose of a body in the cameras' frame, taken for that of the base."""
-        if self.hidden is None:
-            return position, rotation
-        turn, offset = self.hidden.cameras
-        return turn @ position + offset, turn @ rotation
 
     def _commanded_torque(self) -> list[float]:
         """Joint torques (n,) that the driver commands to the motors [N m]."""
@@ -407,7 +381,7 @@ class World:
         return self._command
 
     def _gravity(self) -> list[float]:
-        return self._arm.gravity(np.array(self._encoders.q)).tolist()
+        return self.arm.gravity(np.array(self._encoders.q)).tolist()
 
     def _guided_step(self, substep: int) -> None:
         """Do one physics step with the force of the demonstrator."""
@@ -434,24 +408,18 @@ class World:
                 applied[3:] = wrench[3:] + np.cross(lever, wrench[:3])
         mujoco.mj_step2(model, data)
 
-    # Ground truth
-
     def _restart_log(self) -> None:
-        if self.trace is not None:
-            self.trace.clear()
-        start = self._body, self._tool_position, self._tool_rotation
-        self._log.restart(Snapshot(*(array.copy() for array in start)))
+        self._log.restart(Snapshot(self._body.copy(), *self.tool_pose))
 
-    def _record(self, saturated: bool) -> None:
-        row = self._log.rows
-        if self.trace is not None and row < self._log.full and row % self._trace_ticks == 0:
-            self.trace.append(self.data.qpos.copy())
-        self._log.record(saturated)
+    @property
+    def trace(self) -> np.ndarray:
+        """Joint positions of arm and bodies since the release, 100 a second. Shape (rows, nq)."""
+        return self._log.positions[:: self.settings.ticks(1.0 / TRACE_RATE)].copy()
 
     def truth(self) -> Truth:
         """Ground truth since the release: id, outcome by the scene, `RolloutLog.arm_truth`."""
-        tool = self._arm.tool_pose(self._q) if self.hidden is None else self.tool_pose
-        now = Snapshot(self._body, *tool)
+        mujoco.mj_kinematics(self.model, self.data)  # a step leaves the tool where it began
+        now = Snapshot(self._body, *self.tool_pose)
         truth, peaks = self.scene.truth(self._log, now), self._log.arm_truth(self.motors)
         return {"id": self.rollout_id, **truth, **peaks}
 

@@ -10,7 +10,7 @@ import numpy as np
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from hardware_sim import main, optitrack_node, wam_node
+from hardware_sim import arm_node, main, optitrack_node
 from hardware_sim.sensors import MocapFrame
 from wam_power_ros import rotations
 from wam_power_ros.ros import interface, joint_messages
@@ -37,7 +37,7 @@ class _Fault:
     name = "none"
 
 
-class BrokenWam(wam_node.WamSim):
+class BrokenArm(arm_node.ArmSim):
     """A driver whose names, velocities, rate or watchdog are wrong."""
 
     def __init__(self) -> None:
@@ -94,5 +94,5 @@ class BrokenOptitrack(optitrack_node.OptitrackSim):
 
 
 if __name__ == "__main__":
-    main.WamSim, main.OptitrackSim = BrokenWam, BrokenOptitrack
+    main.ArmSim, main.OptitrackSim = BrokenArm, BrokenOptitrack
     sys.exit(main.main())

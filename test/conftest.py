@@ -241,8 +241,9 @@ class Processes:
         self.started: list[tuple[Process, Path]] = []
 
     def node(self, module: str, *configs: str | Path, **parameters: object) -> Process:
-        """Start `python -m module` with parameter files of `config/` and overrides."""
-        command = [sys.executable, "-m", module, "--ros-args"]
+        """Start a module, or a script, with parameter files of `config/` and overrides."""
+        program = [module] if module.endswith(".py") else ["-m", module]
+        command = [sys.executable, *program, "--ros-args"]
         for config in configs:
             command += ["--params-file", str(ROOT / "config" / config)]
         for name, value in parameters.items():

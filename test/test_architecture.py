@@ -113,7 +113,7 @@ BUDGET = {
     "reporting": 990,
     "in_process": 413,
     "cli": 3353,
-    "hardware_sim": 3365,
+    "hardware_sim": 3067,
     "launch": 260,
     "examples": 380,
     "reproduction": 4653,  # learners that only studies compare with, and their models

@@ -7,8 +7,6 @@ provide scenes.
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import mujoco
 import numpy as np
 
@@ -18,22 +16,30 @@ from hardware_sim.settings import WorldSettings
 from wam_power_ros import installed
 
 
-class Scene(Protocol):
+class Scene:
     """Bodies around the arm, shapes of the tool, demonstrations, and ground truth of a rollout.
 
+    What a scene does not define stays as here: nothing is tracked, added, placed or demonstrated,
+    and a rollout has no outcome.
+
     Attributes:
-        body: Name of the tracked MuJoCo body, on a free joint; "" for none. Topics and services are
-            named after it. A class attribute.
+        body: Name of the tracked MuJoCo body, on a free joint unless it is mounted; "" for none.
+            Topics and services are named after it. A class attribute.
         home: Posture of the WAM in which demonstrations begin [rad], shape (7,); that of another
             arm is a parameter of `wam_sim`.
         home_sd: Standard deviation of that posture, per joint [rad].
+        mounted: Position (3,) [m] and rotation (3, 3) at the tool of a tracked body that is fixed
+            to it and no part of the model; None for one on a free joint.
+        settings: Settings of the world.
     """
 
-    body: str
+    body: str = ""
     home: np.ndarray
-    home_sd: float
+    home_sd: float = 0.0
+    mounted: tuple[np.ndarray, np.ndarray] | None = None
 
-    def __init__(self, settings: WorldSettings) -> None: ...
+    def __init__(self, settings: WorldSettings) -> None:
+        self.settings = settings
 
     def build(self, spec: mujoco.MjSpec, tool: mujoco.MjsBody) -> None:
         """Add bodies to the model of the arm, and shapes that touch them to its tool.
@@ -58,10 +64,12 @@ class Scene(Protocol):
         """
 
     def script(self, rng: np.random.Generator) -> Script:
-        """Draw a random demonstration."""
+        """Draw a random demonstration; raises a ValueError where nothing is demonstrated."""
+        raise ValueError(f"the scene {type(self).__name__} has no demonstrations")
 
     def truth(self, log: RolloutLog, now: Snapshot) -> Truth:
         """Outcome of a rollout, from its log and the current state."""
+        return {}
 
 
 def scene_type(name: str) -> type[Scene]:

@@ -13,7 +13,7 @@ from scipy.interpolate import BSpline
 from hardware_sim import scene
 from hardware_sim.demonstrator import PAUSE, Target
 from hardware_sim.ground_truth import TOOL_SITE, RolloutLog, Snapshot, Truth
-from hardware_sim.settings import WorldSettings
+from hardware_sim.scenes import Scene
 from wam_power_ros.tasks.ball_in_cup.swing import (
     BALL_RADIUS,
     CUP_RADIUS,
@@ -28,7 +28,6 @@ BODY = "ball"
 MASS = 0.02  # [kg] of the ball
 HOME = np.deg2rad([0.0, 0.0, 0.0, 110.0, 0.0, -20.0, 0.0])  # [rad] cup upright
 HOME.setflags(write=False)
-WALLS, WALL = 16, 0.002  # boxes around the cup, and their half thickness [m]
 KNOT = 0.2  # [s] between two points of the swing
 # Outward and up, relative to the cup's start [m]: found by optimisation, first of a planar model of
 # a point on a string, then of this scene with its demonstrator. The ball swings up on the far side;
@@ -49,32 +48,28 @@ SWING = np.array(
 SWING.setflags(write=False)
 
 
-class BallInCup:
-    """Scene of ball-in-a-cup, see `Scene`. String and forearm do not touch."""
+class BallInCup(Scene):
+    """Scene of ball-in-a-cup. String and forearm do not touch."""
 
     body = BODY
     home = HOME
-    home_sd = 0.0
-
-    def __init__(self, settings: WorldSettings) -> None:
-        self._settings = settings
 
     def build(self, spec: mujoco.MjSpec, tool: mujoco.MjsBody) -> None:
         """Add the cup, and the ball on its string."""
-        friction = self._settings.friction
-        _add_cup(tool, friction)
-        ball = spec.worldbody.add_body(name=BODY, pos=[0.0, 0.0, 2.0])
-        ball.add_freejoint(name=BODY)
-        ball.add_site(name=BODY, group=4)
-        ball.add_geom(
-            name=BODY,
+        settings, radius = self.settings, CUP_RADIUS + scene.WALL
+        width = radius * np.tan(np.pi / scene.WALLS)
+        contact = scene.tool_contact(settings.friction) | {"rgba": [0.75, 0.75, 0.78, 0.5]}
+        scene.add_vessel(tool, "cup", radius, RIM, width, **contact)
+        ball = scene.add_body(
+            spec,
+            BODY,
+            settings.friction,
             type=mujoco.mjtGeom.mjGEOM_SPHERE,
-            size=[BALL_RADIUS * self._settings.body_size, 0.0, 0.0],
-            mass=MASS * self._settings.body_mass,
-            fluid_ellipsoid=1,
+            size=[BALL_RADIUS * settings.body_size, 0.0, 0.0],
+            mass=MASS * settings.body_mass,
             rgba=[0.86, 0.35, 0.12, 1.0],
-            **scene.body_contact(friction),
         )
+        ball.add_site(name=BODY, group=4)
         string = spec.add_tendon(
             name="string",
             limited=True,
@@ -95,7 +90,7 @@ class BallInCup:
 
     def script(self, rng: np.random.Generator) -> SwingScript:
         """Draw a random swing."""
-        return swing(rng, self._settings.spread)
+        return swing(rng, self.settings.spread)
 
     def truth(self, log: RolloutLog, now: Snapshot) -> Truth:
         """Outcome of a swing.
@@ -115,29 +110,6 @@ class BallInCup:
             "t_c": t_c,
             "distance": distance,
         }
-
-
-def _add_cup(tool: mujoco.MjsBody, friction: float) -> None:
-    """Add a cup without mass to the tool: a floor, and a wall of boxes."""
-    contact = scene.tool_contact(friction) | {"mass": 0.0, "rgba": [0.75, 0.75, 0.78, 0.5]}
-    radius = CUP_RADIUS + WALL
-    tool.add_geom(
-        name="cup_floor",
-        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-        size=[radius, WALL, 0.0],
-        pos=[0.0, 0.0, -WALL],
-        **contact,
-    )
-    for k in range(WALLS):
-        angle = 2.0 * np.pi * k / WALLS
-        tool.add_geom(
-            name=f"cup_wall{k}",
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=[WALL, radius * np.tan(np.pi / WALLS), 0.5 * RIM],
-            pos=[radius * np.cos(angle), radius * np.sin(angle), 0.5 * RIM],
-            quat=[np.cos(0.5 * angle), 0.0, 0.0, np.sin(0.5 * angle)],
-            **contact,
-        )
 
 
 @dataclass(frozen=True)

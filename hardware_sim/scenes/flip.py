@@ -14,6 +14,7 @@ from scipy.interpolate import CubicHermiteSpline
 from hardware_sim import scene
 from hardware_sim.demonstrator import PAUSE, Target
 from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth, rotation_of
+from hardware_sim.scenes import Scene
 from hardware_sim.settings import PITCH_RATE, WorldSettings
 from wam_power_ros import rotations
 from wam_power_ros.tasks.flip.flight import DELTA_H
@@ -30,35 +31,31 @@ LEVEL = np.deg2rad([0.0, 20.0, 0.0, 122.0, 0.0, -52.0, 0.0])  # [rad] pan level
 HOME.setflags(write=False)
 LEVEL.setflags(write=False)
 WRIST_TO_PAN = 0.34  # [m] from the wrist to the pan's centre
-RIM_SEGMENTS = 16
 RIM_HEIGHT = 0.035  # [m]
 RIM_FLARE = 0.6  # [rad] outward: as of a real pan; a catch tolerates some centimetres
 
 
-class Flip:
-    """Scene of pancake flipping, see `Scene`."""
+class Flip(Scene):
+    """Scene of pancake flipping."""
 
     body = BODY
-    home_sd = 0.0
 
     def __init__(self, settings: WorldSettings) -> None:
-        self._settings = settings
+        super().__init__(settings)
         self.home = LEVEL if settings.level else HOME
 
     def build(self, spec: mujoco.MjSpec, tool: mujoco.MjsBody) -> None:
         """Add the pan, and the pancake, white above and yellow below as in the paper."""
-        add_pan(tool, self._settings.friction)
-        radius = PANCAKE_RADIUS * self._settings.body_size
-        body = spec.worldbody.add_body(name=BODY, pos=[0.0, 0.0, 2.0])
-        body.add_freejoint(name=BODY)
-        body.add_geom(
-            name=BODY,
+        add_pan(tool, self.settings.friction)
+        radius = PANCAKE_RADIUS * self.settings.body_size
+        body = scene.add_body(
+            spec,
+            BODY,
+            self.settings.friction,
             type=mujoco.mjtGeom.mjGEOM_CYLINDER,
             size=[radius, HALF_HEIGHT, 0.0],
-            mass=MASS * self._settings.body_mass,
-            fluid_ellipsoid=1,
+            mass=MASS * self.settings.body_mass,
             rgba=[0.95, 0.78, 0.25, 1.0],
-            **scene.body_contact(self._settings.friction),
         )
         for sign, colour in ((1.0, [0.97, 0.97, 0.95, 1.0]), (-1.0, [0.96, 0.70, 0.10, 1.0])):
             body.add_geom(  # visual only
@@ -81,7 +78,7 @@ class Flip:
 
     def script(self, rng: np.random.Generator) -> TossScript:
         """Draw a random toss."""
-        settings = self._settings
+        settings = self.settings
         return wrist_flick(rng, settings.spread, settings.pitch_rate, settings.level)
 
     def truth(self, log: RolloutLog, now: Snapshot) -> Truth:
@@ -119,34 +116,10 @@ class Flip:
 
 def add_pan(tool: mujoco.MjsBody, friction: float) -> None:
     """Add a pan without mass to the tool: a floor, and a flared rim of boxes."""
-    contact = scene.tool_contact(friction) | {"mass": 0.0}
     colour = [0.13, 0.13, 0.14, 1.0]
-    tool.add_geom(
-        name="pan_floor",
-        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-        size=[PAN_RADIUS, 0.004, 0.0],
-        pos=[0.0, 0.0, -0.004],
-        rgba=colour,
-        **contact,
-    )
-    length = RIM_HEIGHT / np.cos(RIM_FLARE)  # along the flared wall
-    outward = PAN_RADIUS + 0.5 * RIM_HEIGHT * np.tan(RIM_FLARE)
-    width = np.pi * (PAN_RADIUS + RIM_HEIGHT * np.tan(RIM_FLARE)) / RIM_SEGMENTS
-    for k in range(RIM_SEGMENTS):
-        angle = 2.0 * np.pi * k / RIM_SEGMENTS
-        tilt = np.array([np.cos(RIM_FLARE / 2), 0.0, np.sin(RIM_FLARE / 2), 0.0])  # about y
-        turn = np.array([np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)])  # about z
-        quat_wxyz = np.zeros(4)
-        mujoco.mju_mulQuat(quat_wxyz, turn, tilt)
-        tool.add_geom(
-            name=f"pan_rim{k}",
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=[0.002, width, 0.5 * length],
-            pos=[outward * np.cos(angle), outward * np.sin(angle), 0.5 * RIM_HEIGHT],
-            quat=quat_wxyz,
-            rgba=colour,
-            **contact,
-        )
+    width = np.pi * (PAN_RADIUS + RIM_HEIGHT * np.tan(RIM_FLARE)) / scene.WALLS
+    contact = scene.tool_contact(friction) | {"rgba": colour}
+    scene.add_vessel(tool, "pan", PAN_RADIUS, RIM_HEIGHT, width, RIM_FLARE, 0.004, **contact)
 
 
 def _caught_flipped(now: Snapshot, start: Snapshot) -> tuple[bool, bool]:

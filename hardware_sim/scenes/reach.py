@@ -14,27 +14,23 @@ from numpy.typing import ArrayLike
 
 from hardware_sim.demonstrator import PAUSE, Target
 from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth
-from hardware_sim.settings import REACH_GOAL, WorldSettings
+from hardware_sim.scenes import Scene
+from hardware_sim.settings import REACH_GOAL
 
 HOME = np.deg2rad([-29.5, 27.2, 0.0, 116.3, -35.3, -58.9, 20.1])  # [rad] pan level, right
 HOME.setflags(write=False)
 TOUCH_TOLERANCE = 0.001  # [m]; the controller stops at the obstacle by its encoders
 
 
-class Reach:
-    """Scene of reaching, see `Scene`: nothing is tracked."""
+class Reach(Scene):
+    """Scene of reaching: nothing is tracked."""
 
-    body = ""
     home = HOME
     home_sd = 0.008
 
-    def __init__(self, settings: WorldSettings) -> None:
-        self._region, self._spread = settings.region, settings.spread
-        self._goal = np.array(settings.goal)
-
     def build(self, spec: mujoco.MjSpec, tool: mujoco.MjsBody) -> None:
         """Draw the obstacle."""
-        if (region := self._region) is not None:
+        if (region := self.settings.region) is not None:
             spec.worldbody.add_geom(
                 name="obstacle",
                 type=mujoco.mjtGeom.mjGEOM_SPHERE,
@@ -45,14 +41,9 @@ class Reach:
                 conaffinity=0,
             )
 
-    def place(
-        self, data: mujoco.MjData, position: np.ndarray, rotation: np.ndarray, offset: np.ndarray
-    ) -> None:
-        """There is nothing to place."""
-
     def script(self, rng: np.random.Generator) -> ReachScript:
         """Draw a random reach."""
-        return reach(rng, self._goal, self._spread)
+        return reach(rng, self.settings.goal, self.settings.spread)
 
     def truth(self, log: RolloutLog, now: Snapshot) -> Truth:
         """Outcome of a reach.
@@ -64,13 +55,13 @@ class Reach:
         """
         path = np.vstack([log.start.position, log.tool])
         clearance = None
-        if (region := self._region) is not None:
+        if (region := self.settings.region) is not None:
             nearest = np.linalg.norm(path - region.centre, axis=1).min()
             clearance = float(nearest - region.radius)
         return {
             "touched": clearance is not None and clearance < TOUCH_TOLERANCE,
             "clearance": clearance,
-            "goal_distance": float(np.linalg.norm(path - self._goal, axis=1).min()),
+            "goal_distance": float(np.linalg.norm(path - self.settings.goal, axis=1).min()),
         }
 
 

@@ -251,7 +251,6 @@ def _figure_paths(
     number = int(demonstrated.id.rpartition("-")[2]) - 1  # as `teach` named it
     world = environment.world
     script = _script(environment, seed, number, pitch_rate)
-    world.trace = []
     environment.demonstrate(script, f"demonstration-{number}")
     shown = {"demonstration": _traced(environment, world.trace)}
     for name, policy in (("reproduction", demonstrated), ("answer", answer)):
@@ -264,14 +263,12 @@ def _figure_paths(
             "t_f": flight.t_f if flight.tossed else None,
             "eq5": pancake_return(flight).total,
         }
-    shown["trace"] = [row.round(5).tolist() for row in world.trace]
-    world.trace = None
+    shown["trace"] = world.trace.round(5).tolist()
     return shown
 
 
-def _traced(environment: Environment, trace: Sequence[np.ndarray]) -> dict[str, Any]:
+def _traced(environment: Environment, rows: np.ndarray) -> dict[str, Any]:
     """Paths of pan and pancake in a trace of the world, at 100 Hz."""
-    rows = np.array(trace)
     t = 0.01 * np.arange(len(rows))
     n = environment.arm.n
     poses = [environment.arm.tool_pose(q) for q in rows[:, :n]]

@@ -35,6 +35,7 @@ class Hardware:
         processes: Processes of the test.
         pace: Pace of the stand-ins.
         body: Tracked body of their scene.
+        module: Module or script that runs them.
         **parameters: Other parameters of wam_sim.
     """
 
@@ -44,6 +45,7 @@ class Hardware:
         processes: Processes,
         pace: str,
         body: str = "pancake",
+        module: str = "hardware_sim.main",
         **parameters: object,
     ) -> None:
         self.probe, self.processes, self.pace = probe, processes, pace
@@ -54,9 +56,7 @@ class Hardware:
         self.paths = probe.listen(Path, interface.ROLLOUT_END_EFFECTOR, interface.LATCHED)
         self.truths = probe.listen(String, interface.body_topic(body, "truth"), interface.LATCHED)
         overrides = {f"wam_sim:{name}": value for name, value in parameters.items()}
-        self.process = processes.node(
-            "hardware_sim.main", *CONFIGS, **{"wam_sim:pace": pace, **overrides}
-        )
+        self.process = processes.node(module, *CONFIGS, **{"wam_sim:pace": pace, **overrides})
         self._read = joint_messages.JointStateReader(NAMES)
         probe.until(lambda: self.messages, "the first state")
 

@@ -6,11 +6,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hardware_sim.hidden_arm import hidden_arm
+from hardware_sim.hidden_arm import drawn
 from hardware_sim.scenes import scene_type
 from hardware_sim.scenes.markers import MOUNTED, Markers
 from hardware_sim.settings import WorldSettings
 from hardware_sim.world import World
+
+LAB = WorldSettings(unknown="lab")
 
 
 def world(seed: int = 0, scene: str = "reach", **settings: object) -> World:
@@ -26,8 +28,8 @@ def test_the_encoders_report_angles_with_zeros() -> None:
 
 
 def test_the_same_seed_draws_the_same_arm_and_another_seed_another_one() -> None:
-    arms = [hidden_arm(seed, 7) for seed in (3, 3, 4)]
-    for name in ("payload", "links", "friction", "motors", "zeros", "geometry", "delay"):
+    arms = [drawn(LAB, seed)[1] for seed in (3, 3, 4)]
+    for name in ("payload", "links", "friction", "motors", "zeros", "geometry"):
         same, again, _ = (np.asarray(getattr(arm, name)) for arm in arms)
         assert same.tobytes() == again.tobytes(), name
     assert arms[0].payload != arms[2].payload
@@ -35,12 +37,12 @@ def test_the_same_seed_draws_the_same_arm_and_another_seed_another_one() -> None
 
 @pytest.mark.parametrize("seed", range(5))
 def test_every_drawn_deviation_is_within_its_range(seed: int) -> None:
-    arm = hidden_arm(seed, 7)
+    settings, arm = drawn(LAB, seed)
     assert abs(arm.payload) <= 0.12
     assert np.all((arm.friction >= 0.5) & (arm.friction <= 2.0))
     assert np.all((np.abs(arm.zeros) >= np.deg2rad(1.0)) & (np.abs(arm.zeros) <= np.deg2rad(3.0)))
     assert np.linalg.norm(arm.geometry[:, :3], axis=1) == pytest.approx(np.full(7, 5e-4))
-    assert arm.delay in (0.002, 0.004, 0.006, 0.008)
+    assert settings.command_delay_ticks in (1, 2, 3, 4)
 
 
 def test_masses_friction_and_gravity_of_the_physics_are_those_of_the_arm() -> None:
@@ -66,7 +68,7 @@ def test_the_controller_is_told_nothing() -> None:
 def test_markers_on_the_tool_are_seen_where_the_tool_is() -> None:
     lab = World(Markers, WorldSettings(), 0)
     for _ in range(60):
-        lab.step(lab._arm.gravity(lab.joint_state().q))
+        lab.step(lab.arm.gravity(lab.joint_state().q))
     frames = lab.mocap_frames()
     position, rotation = lab.tool_pose
     expected = position + rotation @ MOUNTED[0]

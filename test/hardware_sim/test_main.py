@@ -17,8 +17,8 @@ from sensor_msgs.msg import PointCloud2
 from stand_ins import CONFIGS, NAMES, TICK, Hardware, arm_model
 from std_msgs.msg import Float64MultiArray, String
 
+from hardware_sim.arm_node import IDLE_TIME, ArmSim
 from hardware_sim.main import Simulation
-from hardware_sim.wam_node import IDLE_TIME, WamSim
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.ros import interface, joint_messages, pose_messages
 from wam_power_ros.ros.stamps import nanoseconds
@@ -113,18 +113,7 @@ def test_in_lockstep_no_real_time_priority_is_requested(probe: Probe, processes:
 
 @pytest.mark.requirement("S-46")
 def test_links_that_lose_and_jitter_are_survived(probe: Probe, processes: Processes) -> None:
-    hardware = Hardware(
-        probe,
-        processes,
-        "real_time",
-        realtime_priority=70,
-        state_latency=0.001,
-        state_jitter=0.0003,
-        state_loss=0.02,
-        command_latency=0.001,
-        command_jitter=0.0003,
-        command_loss=0.02,
-    )
+    hardware = Hardware(probe, processes, "real_time", module="test/lossy_standins.py")
     hardware.control()
     for _ in range(3):  # a machine that pauses for 20 ms causes a fault
         hardware.holds()
@@ -166,7 +155,7 @@ def test_a_torque_waits_only_while_nothing_moves_and_nothing_is_requested() -> N
         scene = SimpleNamespace(busy=busy)
         params = SimpleNamespace(period=0.002)
         node = SimpleNamespace(_still_ticks=ticks, _scene=scene, params=params)
-        return WamSim.idle.fget(node)
+        return ArmSim.idle.fget(node)
 
     longest = round(IDLE_TIME / 0.002)
     assert idle(longest + 1, False) and not idle(longest, False) and not idle(longest + 1, True)

@@ -14,6 +14,9 @@ from hypothesis.extra.numpy import arrays
 from hardware_sim.motors import DirectDrives, Motors, joint_motion, motor_motion
 from hardware_sim.wam import CABLE_LIMIT, MOTOR_OF_JOINT
 
+RATIO = np.abs(MOTOR_OF_JOINT).max(axis=0)  # (joint,) of a joint that moves alone
+TAU_MAX = CABLE_LIMIT @ np.abs(MOTOR_OF_JOINT)  # [N m] of a joint alone
+
 
 @given(arrays(float, 7, elements=st.floats(-20.0, 20.0)))
 def test_joint_motion_is_the_inverse_of_motor_motion(q: np.ndarray) -> None:
@@ -57,22 +60,24 @@ def test_torque_is_full_up_to_a_speed_and_zero_at_no_load(joint: int) -> None:
     def given_at(speed: float) -> float:
         return float(motors.limit(list(1e3 * one), list(speed * one))[joint])
 
-    full, no_load = motors.full_torque_speed[joint], motors.no_load_speed[joint]
+    full = (motors.motor_full_torque_speed / RATIO)[joint]
+    no_load = (motors.motor_no_load_speed / RATIO)[joint]
     # Barrett's data: J4 has 28.8 N m up to 4.36 rad/s and a no-load speed of 5.57 rad/s
-    assert given_at(0.0) == pytest.approx(motors.tau_max[joint])
-    assert given_at(full) == pytest.approx(motors.tau_max[joint])
-    assert given_at(0.5 * (full + no_load)) == pytest.approx(0.5 * motors.tau_max[joint])
+    assert given_at(0.0) == pytest.approx(TAU_MAX[joint])
+    assert given_at(full) == pytest.approx(TAU_MAX[joint])
+    assert given_at(0.5 * (full + no_load)) == pytest.approx(0.5 * TAU_MAX[joint])
     assert given_at(no_load) == pytest.approx(0.0, abs=1e-9)
-    assert given_at(-no_load) == pytest.approx(motors.tau_max[joint])  # braking
+    assert given_at(-no_load) == pytest.approx(TAU_MAX[joint])  # braking
 
 
 def test_the_envelope_is_that_of_the_facts_sheet() -> None:
     motors = Motors(48.0)
     no_load = [2.39, 3.55, 5.96, 5.57, 19.8, 19.8, 38.1]
     full = [1.79, 2.66, 4.47, 4.36, 14.1, 14.1, 34.5]
-    np.testing.assert_allclose(motors.no_load_speed, no_load, rtol=5e-3)
-    np.testing.assert_allclose(motors.full_torque_speed, full, rtol=1e-2)
-    np.testing.assert_allclose(Motors(80.0).no_load_speed, np.array(no_load) * 80 / 48, rtol=5e-3)
+    np.testing.assert_allclose(motors.motor_no_load_speed / RATIO, no_load, rtol=5e-3)
+    np.testing.assert_allclose(motors.motor_full_torque_speed / RATIO, full, rtol=1e-2)
+    faster = Motors(80.0).motor_no_load_speed / motors.motor_no_load_speed
+    np.testing.assert_allclose(faster, 80 / 48)
 
 
 def test_joints_that_share_motors_share_their_torque() -> None:

@@ -14,7 +14,7 @@ from hardware_sim import scene
 from hardware_sim.ground_truth import TOOL_SITE
 from hardware_sim.scenes.flip import Flip
 from hardware_sim.scenes.reach import Reach
-from hardware_sim.wam import JOINTS
+from hardware_sim.wam import CABLE_LIMIT, JOINTS, MOTOR_OF_JOINT
 from hardware_sim.world import World
 from wam_power_ros.control.arm import Arm
 
@@ -68,8 +68,10 @@ def test_the_arm_keeps_its_properties_in_the_scene(arm: Arm, world: World) -> No
     )
     np.testing.assert_array_equal(model.dof_armature[:7], arm.armature)
     np.testing.assert_array_equal(model.jnt_range[:7].T, [arm.q_min, arm.q_max])
-    np.testing.assert_allclose(world.motors.no_load_speed, arm.qd_max, rtol=2e-3)
-    np.testing.assert_allclose(world.motors.tau_max, arm.tau_max, rtol=4e-3)
+    turns = np.abs(MOTOR_OF_JOINT)
+    no_load_speed = world.motors.motor_no_load_speed / turns.max(axis=0)
+    np.testing.assert_allclose(no_load_speed, arm.qd_max, rtol=2e-3)
+    np.testing.assert_allclose(CABLE_LIMIT @ turns, arm.tau_max, rtol=4e-3)
     assert sum(model.geom_group == 1) > 10  # the shapes of the arm
 
 

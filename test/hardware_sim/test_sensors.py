@@ -18,7 +18,7 @@ from wam_power_ros.tracking.marker_fit import LAYOUT
 
 
 def test_encoders_count_and_the_velocity_follows_through_its_filter() -> None:
-    encoders = Encoders()
+    encoders = Encoders("wam", PERIOD)
     q, qd = LEVEL.copy(), np.array([0.1, -0.3, 0.2, 0.7, -0.5, 1.1, 2.3])
     encoders.reset(q.tolist())
     seen = []

@@ -3,32 +3,34 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
-from simulated import CALM, LEVEL, begin, having, holding_torque, run
+from simulated import CALM, LEVEL, begin, holding_torque, run
 
+from hardware_sim.hidden_arm import HiddenArm, drawn
 from hardware_sim.scenes.flip import MASS, Flip
 from hardware_sim.settings import WorldSettings
 from hardware_sim.world import World
 
 SEEDS = range(200)
+UNKNOWN = WorldSettings(unknown="session")
 
 
 def test_the_seed_determines_the_unknown_world() -> None:
-    assert WorldSettings().drawn(3) == WorldSettings().drawn(3) != WorldSettings().drawn(4)
+    (one, arm), (same, again), (other, third) = (drawn(UNKNOWN, seed) for seed in (3, 3, 4))
+    assert one == same != other
+    assert (arm.motors == again.motors).all() and (arm.motors != third.motors).all()
 
 
 def test_unknown_settings_fill_their_ranges_and_the_others_stay() -> None:
-    plain = WorldSettings(wind_sd=0.2, body_offset_sd=0.001)
-    worlds = [plain.drawn(seed) for seed in SEEDS]
+    plain = WorldSettings(unknown="session", wind_sd=0.2, body_offset_sd=0.001)
+    worlds, arms = zip(*(drawn(plain, seed) for seed in SEEDS), strict=True)
     for values, low, high in (
         ([w.body_mass for w in worlds], 0.7, 1.3),
         ([w.body_size for w in worlds], 0.8, 1.2),
         ([w.friction for w in worlds], 0.1, 0.5),
-        ([c for w in worlds for c in w.torque_constants], 0.95, 1.05),
-        ([w.payload for w in worlds], 0.0, 0.12),
+        ([c for a in arms for c in a.motors], 0.95, 1.05),
+        ([a.payload for a in arms], 0.0, 0.12),
     ):
         assert low <= min(values) < low + 0.05 * (high - low)
         assert high - 0.05 * (high - low) < max(values) <= high
@@ -37,10 +39,10 @@ def test_unknown_settings_fill_their_ranges_and_the_others_stay() -> None:
 
 
 def test_an_unknown_world_has_the_drawn_properties_but_its_urdf_has_not() -> None:
-    world, known = World(Flip, WorldSettings(unknown="session"), 5), World(Flip, seed=5)
-    hidden = WorldSettings().drawn(5)
+    world, known = World(Flip, UNKNOWN, 5), World(Flip, seed=5)
+    hidden, arm = drawn(UNKNOWN, 5)
     pan, pancake = (world.model.body(name) for name in ("pan", "pancake"))
-    assert pan.mass - known.model.body("pan").mass == pytest.approx(hidden.payload)
+    assert pan.mass - known.model.body("pan").mass == pytest.approx(arm.payload)
     share = pancake.mass / known.model.body("pancake").mass
     assert share == pytest.approx(hidden.body_mass)
     sizes = world.model.geom("pancake").size / known.model.geom("pancake").size.clip(1e-9)
@@ -51,17 +53,18 @@ def test_an_unknown_world_has_the_drawn_properties_but_its_urdf_has_not() -> Non
 
 
 def test_a_payload_does_not_change_the_drag_model() -> None:
-    known, hidden = World(Flip, seed=5).model, World(Flip, WorldSettings(payload=0.1), 5).model
+    known = World(Flip, seed=5).model
+    hidden = World(Flip, seed=5, hidden=HiddenArm(payload=0.1)).model
     assert (known.geom_fluid == hidden.geom_fluid).all()
     drag = known.geom_fluid[known.geom("pancake").id]
     assert drag[:4].all() and not drag[4:].any()  # no lift, no added mass
 
 
-@pytest.mark.parametrize("change", [{"payload": 0.5}, {"torque_constants": (0.8,) * 7}])
-def test_the_models_gravity_torque_does_not_hold_an_unknown_arm(change: dict[str, Any]) -> None:
+@pytest.mark.parametrize("change", [HiddenArm(payload=0.5), HiddenArm(motors=0.8)])
+def test_the_models_gravity_torque_does_not_hold_an_unknown_arm(change: HiddenArm) -> None:
     fallen = []
-    for settings in (CALM, having(**change)):
-        world = World(Flip, settings)
+    for hidden in (None, change):
+        world = World(Flip, CALM, hidden=hidden)
         begin(world)
         before = world.tool_pose[0][2]
         run(world, holding_torque(world), 100)

@@ -12,7 +12,7 @@ from simulated import CALM, LEVEL, URDF, begin, having, holding_torque, run
 from hardware_sim.barrett_services import PositionControl
 from hardware_sim.scenes.flip import Flip
 from hardware_sim.scenes.reach import Reach
-from hardware_sim.wam import JOINTS, PERIOD, PERIOD_NS
+from hardware_sim.wam import JOINTS, PERIOD_NS
 from hardware_sim.world import QUIET, World
 from wam_power_ros.control.arm import Arm
 
@@ -67,8 +67,7 @@ def test_an_arm_of_any_number_of_joints_is_simulated_by_its_urdf(joints: int) ->
     arm = Arm(world.urdf, names, "cobot_pan", guarded=())
     assert (world.n, world.model.nq) == (joints, joints)
     np.testing.assert_array_equal(world.home, home)
-    assert world.settings.drawn(3).torque_constants != world.settings.drawn(4).torque_constants
-    control = PositionControl(arm, "direct", False, PERIOD)
+    control = PositionControl(arm, settings)
     control.move(np.array(home), goal := np.array(home) + 0.1)
     for _ in range(300):
         sample = world.joint_state()
@@ -112,10 +111,13 @@ def test_without_commands_the_arm_holds_the_last_one_for_10_ms_and_then_compensa
     assert (calm.joint_state().tau == pushed).all()
 
 
-def test_the_gravity_compensation_of_the_watchdog_is_damped() -> None:
+def test_the_gravity_compensation_of_the_watchdog_is_damped(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     speeds = []
     for damping in (0.0, 5.0):
-        world = World(Flip, having(watchdog_damping=damping))
+        monkeypatch.setattr("hardware_sim.world.WATCHDOG_DAMPING", damping)
+        world = World(Flip, CALM)
         begin(world)
         run(world, None, 10)
         world.data.qvel[3] = 2.0
@@ -306,9 +308,9 @@ def test_a_rollout_without_a_reset_has_the_noise_of_one_with_a_reset(world: Worl
 
 
 def test_a_trace_keeps_100_poses_a_second(calm: World) -> None:
-    calm.trace = []
     gravity = begin(calm)
     run(calm, gravity, 100)
-    trace, calm.trace = calm.trace, None
-    assert len(trace) == 20
-    assert all(pose.shape == (14,) for pose in trace)
+    trace = calm.trace
+    assert trace.shape == (20, 14)
+    run(calm, gravity, 1)
+    np.testing.assert_array_equal(calm.trace[-1], calm.data.qpos)

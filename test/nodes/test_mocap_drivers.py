@@ -20,7 +20,6 @@ from wam_power_ros import rotations
 from wam_power_ros.learning.rollout import EndEffectorPath
 from wam_power_ros.params import overlay
 from wam_power_ros.ros import interface, pose_messages
-from wam_power_ros.tracking.marker_fit import LAYOUT
 
 PAN = np.array([0.8, 0.1, 0.6])
 MILLISECOND = 1_000_000  # [ns]
@@ -49,7 +48,7 @@ class Cameras:
         overrides = [Parameter(name, value=value) for name, value in parameters.items()]
         self.node = OptitrackSim(context=probe.context, parameter_overrides=overrides)
         self.probe, params = probe, self.node.params
-        self._mocap = Mocap(np.asarray(LAYOUT), params)
+        self._mocap = Mocap(params)
 
     def film(self, start_ns: int) -> None:
         """Play the toss in steps of a millisecond, at four times real time."""

@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rclpy.node import Node
 
-from hardware_sim.settings import OptitrackSimParams, WamSimParams
+from hardware_sim.settings import ArmSimParams, OptitrackSimParams
 from wam_power_ros.cli import main
 from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorderParams
 from wam_power_ros.nodes.learner import LearnerParams
@@ -26,7 +26,7 @@ from wam_power_ros.ros.domain import private_domain
 
 READS = (
     *(TorqueControllerParams, BodyTrackerParams, DemonstrationRecorderParams, LearnerParams),
-    *(WamSimParams, OptitrackSimParams),
+    *(ArmSimParams, OptitrackSimParams),
 )
 
 Accepts = Callable[[dict[str, dict[str, object]]], str]

@@ -14,7 +14,7 @@ from pydantic import Field
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from hardware_sim.settings import OptitrackSimParams, WamSimParams
+from hardware_sim.settings import ArmSimParams, OptitrackSimParams
 from wam_power_ros.console.replay import ReplayParams
 from wam_power_ros.console.run_policy import RunPolicyParams
 from wam_power_ros.console.teach import TeachParams
@@ -131,7 +131,7 @@ def test_every_parameter_describes_itself_its_range_and_that_it_is_read_at_start
     ("file", "node", "params"),
     [
         ("torque_controller.yaml", "torque_controller", TorqueControllerParams),
-        ("wam_sim.yaml", "wam_sim", WamSimParams),
+        ("wam_sim.yaml", "wam_sim", ArmSimParams),
         ("optitrack_sim.yaml", "optitrack_sim", OptitrackSimParams),
         ("learner.yaml", "learner", LearnerParams),
         ("pancake_tracker.yaml", "pancake_tracker", BodyTrackerParams),
@@ -156,7 +156,7 @@ def test_a_yaml_holds_exactly_what_its_node_reads(
 
 PARAMS = (
     TorqueControllerParams,
-    WamSimParams,
+    ArmSimParams,
     OptitrackSimParams,
     LearnerParams,
     BodyTrackerParams,
@@ -200,9 +200,9 @@ def test_settings_that_a_node_includes_are_parameters_without_default_or_constan
     values = of_nodes(ROOT / "config/wam_sim.yaml")["wam_sim"]
     less = {name: value for name, value in values.items() if name not in ("friction", "home")}
     with pytest.raises(ValueError, match="friction is missing; home is missing"):
-        WamSimParams.of_values("wam_sim", less)
+        ArmSimParams.of_values("wam_sim", less)
     with pytest.raises(ValueError, match="payload is no parameter"):
-        WamSimParams.of_values("wam_sim", values | {"payload": 0.1})
+        ArmSimParams.of_values("wam_sim", values | {"payload": 0.1})
 
 
 def test_a_parameter_without_a_bound_is_detected() -> None:

@@ -13,7 +13,7 @@ from conftest import ROOT
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hardware_sim.settings import OptitrackSimParams, WamSimParams
+from hardware_sim.settings import ArmSimParams, OptitrackSimParams
 from wam_power_ros import installed
 from wam_power_ros.cli import main
 from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorderParams
@@ -29,7 +29,7 @@ READS: dict[str, type[Params]] = {
     "demonstration_recorder": DemonstrationRecorderParams,
     "pancake_tracker": BodyTrackerParams,
     "learner": LearnerParams,
-    "wam_sim": WamSimParams,
+    "wam_sim": ArmSimParams,
     "optitrack_sim": OptitrackSimParams,
 }
 
@@ -166,7 +166,7 @@ def test_a_set_up_is_a_value_that_reads_back_as_it_was_written(tmp_path: Path) -
     file.write_text(overlay.text(other))
     assert overlay.read(file) == other
     file.write_text("wam_sim: {ros__parameters: {seed: 7}}")  # of an older version: fewer values
-    assert WamSimParams.of_setup(overlay.read(file)).seed == 7
+    assert ArmSimParams.of_setup(overlay.read(file)).seed == 7
 
 
 def test_a_task_without_a_body_has_no_motion_capture_to_record(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import rclpy
 import yaml
 from rclpy.parameter import Parameter
 
-from hardware_sim.settings import WamSimParams
+from hardware_sim.settings import ArmSimParams
 from wam_power_ros.params import overlay, parameter_file
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
@@ -165,7 +165,7 @@ def test_the_model_must_have_as_many_joint_names_as_the_driver(tmp_path: Path) -
 def test_names_of_the_driver_in_another_order_than_the_models_are_refused() -> None:
     setup = overlay.setup(["ur"])
     names = setup["torque_controller"]["joint_names"]
-    for params in (TorqueControllerParams, WamSimParams):
+    for params in (TorqueControllerParams, ArmSimParams):
         node = params.file.removesuffix(".yaml")
         with pytest.raises(ValueError, match="'elbow_joint' in the place of 'shoulder_pan_joint'"):
             params.of_setup(setup.changed({node: {"joint_names": sorted(names)}}))

@@ -14,7 +14,7 @@ from conftest import ROOT, Processes
 from test_session_over_dds import ended, wam_power
 
 from hardware_sim.scenes.reach import reach
-from hardware_sim.settings import WamSimParams
+from hardware_sim.settings import ArmSimParams
 from wam_power_ros.bags import layout
 from wam_power_ros.bags.bag import Bag
 from wam_power_ros.params import overlay
@@ -27,7 +27,7 @@ WAMS = ("geodude", "libbarrett")
 @pytest.mark.parametrize("arm", [*ARMS, *WAMS])
 def test_a_set_up_of_an_arm_is_complete_and_its_reach_lies_within_its_limits(arm: str) -> None:
     setup = overlay.setup([arm], simulated=True, task="reach")
-    params, driver = TorqueControllerParams.of_setup(setup), WamSimParams.of_setup(setup)
+    params, driver = TorqueControllerParams.of_setup(setup), ArmSimParams.of_setup(setup)
     text = (ROOT / f"config/{arm}.yaml").read_text()
     own = yaml.safe_load(text)["/**/torque_controller"]["ros__parameters"]
     assert {"joint_names", "driver_compensates_gravity", "torque_share"} <= own.keys()
@@ -68,7 +68,7 @@ def test_a_set_up_of_an_arm_is_complete_and_its_reach_lies_within_its_limits(arm
 
 def test_the_driver_of_a_ur_is_rehearsed_in_its_shape() -> None:
     setup = overlay.setup(["ur"], simulated=True)
-    driver = WamSimParams.of_setup(setup)
+    driver = ArmSimParams.of_setup(setup)
     assert (driver.effort, driver.command_topic) == (
         "current",
         "forward_effort_controller/commands",

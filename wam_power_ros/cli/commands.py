@@ -455,12 +455,12 @@ def _last_error(command: Sequence[str], gl: str) -> str | None:
 
 def config(devices: Devices, task: str | None) -> None:
     """Print the parameters of every node, once each would accept its own."""
-    from hardware_sim.settings import OptitrackSimParams, WamSimParams
+    from hardware_sim.settings import ArmSimParams, OptitrackSimParams
     from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorderParams
     from wam_power_ros.nodes.learner import LearnerParams
 
     setup = devices.parameters(task or DEFAULT_TASK)
-    stand_ins = (WamSimParams, OptitrackSimParams) if devices.stand_ins else ()
+    stand_ins = (ArmSimParams, OptitrackSimParams) if devices.stand_ins else ()
     for node in (DemonstrationRecorderParams, LearnerParams, *stand_ins):
         node.of_setup(setup)
     print(overlay.text(setup), end="")

@@ -14,7 +14,7 @@ import numpy as np
 
 from hardware_sim.demonstrator import Demonstrator, Script
 from hardware_sim.ground_truth import Truth
-from hardware_sim.settings import OptitrackSimParams, WamSimParams
+from hardware_sim.settings import ArmSimParams, OptitrackSimParams
 from hardware_sim.world import World
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.feasibility import foresee, simulate_policy, speed_margin
@@ -75,7 +75,7 @@ class Environment:
         Raises:
             ValueError: A parameter is not acceptable.
         """
-        params = WamSimParams.of_setup(setup), OptitrackSimParams.of_setup(setup)
+        params = ArmSimParams.of_setup(setup), OptitrackSimParams.of_setup(setup)
         return cls(World.of(*params), setup=setup)
 
     def infeasible(self, policy: Policy, overruns: int = 0) -> Fault | None:

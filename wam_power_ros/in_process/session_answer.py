@@ -67,7 +67,6 @@ def run(folder: Path, film: bool) -> session_report.ShownRollout:
     setup = overlay.read(parameters).changed({"wam_sim": {"seed": found.header.seed}})
     environment = Environment.of(setup)
     world = environment.world
-    world.trace = []
     quiet = policy.with_id(answer, f"answer{QUIET}")
     without = _caption(task, quiet, *environment.run(quiet))
     rollout, truth = environment.run(answer)

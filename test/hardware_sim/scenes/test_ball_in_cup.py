@@ -61,12 +61,10 @@ def test_the_velocity_of_a_target_is_that_of_its_position() -> None:
 def guided(environment: Environment, script: SwingScript) -> tuple[Truth, np.ndarray, np.ndarray]:
     """Guide the arm; ground truth, postures (M, nq), and distance of ball and cup (M,) [m]."""
     world = environment.world
-    world.trace = []
     environment.demonstrate(script, "demonstration-0-quiet")
     for _ in range(world.settings.ticks(SETTLE)):  # held by the controller
         environment.tick()
-    rows, truth = np.array(world.trace), world.truth()
-    world.trace = None
+    rows, truth = world.trace, world.truth()
     tool = np.array([environment.arm.tool_pose(row[:7])[0] for row in rows])
     return truth, rows, np.linalg.norm(rows[:, 7:10] - tool, axis=1)
 

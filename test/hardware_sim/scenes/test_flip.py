@@ -26,7 +26,7 @@ from hardware_sim.scenes.flip import (
     TossScript,
     wrist_flick,
 )
-from hardware_sim.wam import JOINTS, PERIOD
+from hardware_sim.wam import JOINTS, MOTOR_OF_JOINT, PERIOD
 from hardware_sim.world import World
 from wam_power_ros import rotations
 from wam_power_ros.control.arm import Arm
@@ -241,7 +241,7 @@ def test_the_demonstrator_tosses_the_pancake(
 def test_the_motors_can_do_what_is_demonstrated_at_48_volts(
     demonstrations: list[tuple[Truth, np.ndarray]],
 ) -> None:
-    no_load = World(Flip).motors.no_load_speed
+    no_load = World(Flip).motors.motor_no_load_speed / np.abs(MOTOR_OF_JOINT).max(axis=0)
     for truth, _ in demonstrations:
         assert (np.array(truth["peak_qd"]) < 0.95 * no_load).all()
         assert not truth["beyond_no_load"]

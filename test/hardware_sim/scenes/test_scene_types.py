@@ -10,7 +10,7 @@ from simulated import LEVEL, holding_torque, run
 
 from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth
 from hardware_sim.scene import body_contact
-from hardware_sim.scenes import scene_type
+from hardware_sim.scenes import Scene, scene_type
 from hardware_sim.scenes.flip import Flip, add_pan, wrist_flick
 from hardware_sim.scenes.reach import Reach
 from hardware_sim.settings import WorldSettings
@@ -19,19 +19,15 @@ from hardware_sim.world import DROP_HEIGHT, World
 RADIUS = 0.02  # [m] of the ball
 
 
-class Ball:
+class Ball(Scene):
     """A ball that rests in the pan."""
 
     body = "ball"
     home = LEVEL
-    home_sd = 0.0
-
-    def __init__(self, settings: WorldSettings) -> None:
-        self._friction = settings.friction
 
     def build(self, spec: mujoco.MjSpec, tool: mujoco.MjsBody) -> None:
         """Add the pan, the ball, and an untracked flag on a hinge."""
-        add_pan(tool, self._friction)
+        add_pan(tool, self.settings.friction)
         still = spec.worldbody.add_body(name="stand", pos=[1.5, 0.0, 0.0])
         still.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.1, 0.1, 0.1])
         hinged = still.add_body(name="flag", pos=[0.0, 0.0, 0.5])
@@ -43,7 +39,7 @@ class Ball:
             type=mujoco.mjtGeom.mjGEOM_SPHERE,
             size=[RADIUS, 0.0, 0.0],
             mass=0.05,
-            **body_contact(self._friction),
+            **body_contact(self.settings.friction),
         )
 
     def place(

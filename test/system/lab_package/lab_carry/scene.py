@@ -7,22 +7,17 @@ import mujoco
 import numpy as np
 
 from hardware_sim import scene
-from hardware_sim.scenes import reach
+from hardware_sim.scenes import Scene, reach
 
 
-class Carry:
-    """See `hardware_sim.scenes.Scene`."""
-
+class Carry(Scene):
     body = "ball"
     home = reach.HOME
     home_sd = 0.008
 
-    def __init__(self, settings) -> None:
-        self._friction = settings.friction
-
     def build(self, spec: mujoco.MjSpec, tool: mujoco.MjsBody) -> None:
         for shape in tool.geoms:  # floor and walls of the cup hold the ball
-            for name, value in scene.tool_contact(self._friction).items():
+            for name, value in scene.tool_contact(self.settings.friction).items():
                 setattr(shape, name, value)
         ball = spec.worldbody.add_body(name="ball", pos=[0.0, 0.0, 2.0])
         ball.add_freejoint(name="ball")
@@ -30,7 +25,7 @@ class Carry:
             type=mujoco.mjtGeom.mjGEOM_SPHERE,
             size=[0.02, 0.0, 0.0],
             mass=0.03,
-            **scene.body_contact(self._friction),
+            **scene.body_contact(self.settings.friction),
         )
 
     def place(self, data, position, rotation, offset) -> None:

@@ -18,13 +18,11 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 
-from hardware_sim.barrett_services import BarrettServices, PositionControl
+from hardware_sim.barrett_services import BarrettServices
 from hardware_sim.scene_services import SceneServices
 from hardware_sim.sensors import MocapFrame
-from hardware_sim.settings import WamSimParams
-from hardware_sim.wam import FOLDED
+from hardware_sim.settings import ArmSimParams
 from hardware_sim.world import World
-from wam_power_ros.control.arm import Arm
 from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.ros.diagnostics import component, diagnostics_message
 
@@ -41,46 +39,35 @@ def _sent(values: np.ndarray, how: str) -> Sequence[float] | np.ndarray:
     return values if how == "filled" else np.full(len(values), np.nan) if how == "nan" else ()
 
 
-class WamSim(Node):
+class ArmSim(Node):
     """Driver of the simulated arm.
 
     Attributes:
         params: Parameters of the node.
         on_torque: Callback for every valid torque command.
         counters: Events since the start, by name.
-        lockstep: True in lockstep, False in real time.
         world: World to step, see `attach`.
         stamp_offset_ns: Offset of the stamps from the time of the world [ns].
     """
 
     def __init__(self) -> None:
         super().__init__("wam_sim", automatically_declare_parameters_from_overrides=True)
-        self.params = params = WamSimParams.of(self)
+        self.params = ArmSimParams.of(self)
         self.on_torque: Callable[[joint_messages.TorqueReading], None] = lambda reading: None
         self.counters: Counter[str] = Counter()
-        self.lockstep = params.pace == "lockstep"
         self._still_ticks = 0  # without motion and requests
 
     def attach(self, world: World, on_frame: Callable[[MocapFrame, int, int], None]) -> None:
         """Attach a world and create the topics and services of the driver.
 
-        Args:
-            world: World to step.
-            on_frame: Callback for motion-capture frames: frame, stamp offset [ns], time [ns].
+        `on_frame` gets each motion-capture frame, the stamp offset [ns] and the time [ns].
         """
         self.world, self._on_frame = world, on_frame
-        params, lockstep = self.params, self.lockstep
         self._connect()
         # in real time the stamps are of the system clock, like those of a real driver
-        self.stamp_offset_ns = 0 if lockstep else time.time_ns() - world.time_ns
-        arm = Arm(world.urdf, params.model_joint_names, params.tool_frame, guarded=())
-        self._control = PositionControl(
-            arm, params.drives, params.driver_compensates_gravity, params.period
-        )
-        home = FOLDED if params.drives == "wam" else world.home
-        self._barrett = BarrettServices(self, world, self._control, home, lockstep)
-        engaged = lambda: self._control.engaged  # noqa: E731
-        self._scene = SceneServices(self, world, params.seed, lockstep, engaged)
+        self.stamp_offset_ns = 0 if self.params.lockstep else time.time_ns() - world.time_ns
+        self._barrett = BarrettServices(self, world, self.params)
+        self._scene = SceneServices(self, world, self.params, self._barrett.control)
         self._description.publish(String(data=world.urdf))
 
     def _connect(self) -> None:
@@ -93,7 +80,7 @@ class WamSim(Node):
             self._velocities = self.create_publisher(JointState, params.velocity_topic, qos)
         others = [name for name in params.other_joints if name]
         self._others = joint_messages.JointStateWriter(others) if others else None
-        if self.lockstep:
+        if self.params.lockstep:
             self._clock_ns = self._state_ns = -CLOCK_PERIOD_NS  # when last published
             self._clocks = self.create_publisher(Clock, interface.CLOCK, interface.CLOCK_QOS)
         self._description = self.create_publisher(
@@ -127,31 +114,18 @@ class WamSim(Node):
         return self.world.time_ns + self.stamp_offset_ns
 
     def tick(self, reading: joint_messages.TorqueReading | None) -> JointState:
-        """Step the world.
-
-        Args:
-            reading: Newest torque; None if none has come since the last tick.
-
-        Returns:
-            The state after the step: the same message object every time.
-        """
+        """Step the world with the newest torque, None if there is no new one; see `state`."""
         world = self.world
         if reading is not None and reading.label != self._scene.label:
             if (self._scene.label, reading.label) == ("fault", "hold"):
                 world.idle = False  # the controller was reset: the arm is active again
             self._still_ticks = 0
             self._scene.change(reading.label, self.stamp_ns)
-        tau = None if reading is None else reading.tau
-        if self._barrett.deactivated:
-            tau = np.zeros(world.n)
-        if self._control.engaged:
-            sample = world.joint_state()
-            tau = self._control.torque(sample.q, sample.qd)
-        world.step(tau)
+        world.step(self._barrett.torque(None if reading is None else reading.tau))
         self._barrett.update()
         self._scene.update()
-        moves = self._scene.label not in IDLE_LABELS or self._scene.busy or self._control.engaged
-        moves = moves or world.moving
+        busy = self._scene.busy or self._barrett.control.engaged
+        moves = busy or world.moving or self._scene.label not in IDLE_LABELS
         self._still_ticks = 0 if moves else self._still_ticks + 1
         for frame in world.mocap_frames():
             self._on_frame(frame, self.stamp_offset_ns, world.time_ns)
@@ -174,7 +148,7 @@ class WamSim(Node):
             self._velocities.publish(joint_messages.nameless_velocities(self.stamp_ns, qd))
         self._states.publish(message)
         self.counters["states published"] += 1
-        if self.lockstep:
+        if self.params.lockstep:
             self._publish_clock(message)
 
     def _publish_clock(self, message: JointState) -> None:
@@ -201,7 +175,8 @@ class WamSim(Node):
     def report(self, values: dict[str, object]) -> None:
         """Publish diagnostics with the `values` of the loop; called once a second."""
         world = self.world
-        state = "idle" if world.idle else "own motion" if self._control.engaged else "commanded"
+        own = self._barrett.control.engaged
+        state = "idle" if world.idle else "own motion" if own else "commanded"
         state = "deactivated" if self._barrett.deactivated else state
         values |= {"frozen": world.frozen, "label": self._scene.label, **self.counters}
         values["stamp of the last [ns]"] = self.stamp_ns
