@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 
 import mujoco
 
+from hardware_sim.contact import tool_contact
 from hardware_sim.ground_truth import TOOL_SITE
 from hardware_sim.hidden_arm import HiddenArm
 from hardware_sim.scenes import Scene
@@ -16,7 +17,6 @@ from hardware_sim.wam import JOINTS
 
 TIMESTEP = 0.001  # [s] of the physics
 AIR_DENSITY = 1.2  # [kg/m^3]
-_FIXED, _BODY = 1, 2  # collision bits: only bodies collide, with tool and ground
 
 
 def build(
@@ -102,26 +102,6 @@ def arm(urdf: str, joints: Sequence[str] = JOINTS) -> mujoco.MjSpec:
         geom.mass = 0.0  # a link has the mass of its <inertial> element alone
         geom.group = 1
     return spec
-
-
-def body_contact(friction: float) -> dict[str, object]:
-    """Geom arguments for the contact of a body with tool and ground."""
-    return tool_contact(friction) | {"contype": _BODY, "conaffinity": _FIXED}
-
-
-def tool_contact(friction: float) -> dict[str, object]:
-    """Geom arguments for the contact of the tool with a body.
-
-    Nearly inelastic: MuJoCo's softer default lets a thin disc fall through a tool.
-    """
-    return {
-        "solref": [0.005, 0.6],
-        "solimp": [0.9, 0.97, 0.002, 0.5, 2.0],
-        "friction": [friction, 0.005, 0.0001],
-        "condim": 4,
-        "contype": _FIXED,
-        "conaffinity": _BODY,
-    }
 
 
 def _add_surroundings(spec: mujoco.MjSpec, friction: float) -> None:

@@ -96,11 +96,11 @@ ALLOWED["benchmark"] = {*ALLOWED}
 # what can go; where nothing can, the commit that raises a figure says why.
 BUDGET = {
     "ground": 1435,  # the modules of wam_power_ros/ itself; what is installed is found in one
-    "learning": 2900,
+    "learning": 2897,
     "control": 4970,  # the reaction asks in every state what is believed, knows a mass, and a drift
     "commissioning": 1221,
     "tracking": 620,
-    "tasks": 3885,  # what follows from the errors of any task is written here once
+    "tasks": 3999,  # what a laboratory's task need not say is written here once: return, outcome
     "practice": 2476,  # refusals by a person and pauses are in its log
     "conformance": 1123,
     "bags": 2660,
@@ -113,9 +113,9 @@ BUDGET = {
     "reporting": 990,
     "in_process": 420,
     "cli": 3353,
-    "hardware_sim": 3365,
+    "hardware_sim": 3355,
     "launch": 260,
-    "examples": 380,
+    "examples": 377,
     "reproduction": 3976,
     "benchmark": 5369,  # the matrix of the reaction has a plant of its own
 }

@@ -10,10 +10,9 @@ import mujoco
 import numpy as np
 from scipy.interpolate import BSpline
 
-from hardware_sim import scene
 from hardware_sim.demonstrator import PAUSE, Target
 from hardware_sim.ground_truth import TOOL_SITE, RolloutLog, Snapshot, Truth
-from hardware_sim.settings import WorldSettings
+from hardware_sim.scenes import Scene
 from wam_power_ros.tasks.ball_in_cup.swing import (
     BALL_RADIUS,
     CUP_RADIUS,
@@ -49,32 +48,24 @@ SWING = np.array(
 SWING.setflags(write=False)
 
 
-class BallInCup:
+class BallInCup(Scene):
     """Scene of ball-in-a-cup, see `Scene`. String and forearm do not touch."""
 
     body = BODY
     home = HOME
-    home_sd = 0.0
-
-    def __init__(self, settings: WorldSettings) -> None:
-        self._settings = settings
 
     def build(self, spec: mujoco.MjSpec, tool: mujoco.MjsBody) -> None:
         """Add the cup, and the ball on its string."""
-        friction = self._settings.friction
-        _add_cup(tool, friction)
-        ball = spec.worldbody.add_body(name=BODY, pos=[0.0, 0.0, 2.0])
-        ball.add_freejoint(name=BODY)
-        ball.add_site(name=BODY, group=4)
-        ball.add_geom(
-            name=BODY,
+        _add_cup(tool, self.contact)
+        ball = self.add_body(
+            spec,
             type=mujoco.mjtGeom.mjGEOM_SPHERE,
-            size=[BALL_RADIUS * self._settings.body_size, 0.0, 0.0],
-            mass=MASS * self._settings.body_mass,
+            size=[BALL_RADIUS * self.settings.body_size, 0.0, 0.0],
+            mass=MASS * self.settings.body_mass,
             fluid_ellipsoid=1,
             rgba=[0.86, 0.35, 0.12, 1.0],
-            **scene.body_contact(friction),
         )
+        ball.add_site(name=BODY, group=4)
         string = spec.add_tendon(
             name="string",
             limited=True,
@@ -95,7 +86,7 @@ class BallInCup:
 
     def script(self, rng: np.random.Generator) -> SwingScript:
         """Draw a random swing."""
-        return swing(rng, self._settings.spread)
+        return swing(rng, self.settings.spread)
 
     def truth(self, log: RolloutLog, now: Snapshot) -> Truth:
         """Outcome of a swing.
@@ -117,9 +108,9 @@ class BallInCup:
         }
 
 
-def _add_cup(tool: mujoco.MjsBody, friction: float) -> None:
+def _add_cup(tool: mujoco.MjsBody, contact: dict[str, object]) -> None:
     """Add a cup without mass to the tool: a floor, and a wall of boxes."""
-    contact = scene.tool_contact(friction) | {"mass": 0.0, "rgba": [0.75, 0.75, 0.78, 0.5]}
+    contact = contact | {"mass": 0.0, "rgba": [0.75, 0.75, 0.78, 0.5]}
     radius = CUP_RADIUS + WALL
     tool.add_geom(
         name="cup_floor",

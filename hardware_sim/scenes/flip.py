@@ -11,9 +11,10 @@ import mujoco
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from hardware_sim import scene
+from hardware_sim.contact import tool_contact
 from hardware_sim.demonstrator import PAUSE, Target
 from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth, rotation_of
+from hardware_sim.scenes import Scene
 from hardware_sim.settings import PITCH_RATE, WorldSettings
 from wam_power_ros import rotations
 from wam_power_ros.tasks.flip.flight import DELTA_H
@@ -35,30 +36,26 @@ RIM_HEIGHT = 0.035  # [m]
 RIM_FLARE = 0.6  # [rad] outward: as of a real pan; a catch tolerates some centimetres
 
 
-class Flip:
+class Flip(Scene):
     """Scene of pancake flipping, see `Scene`."""
 
     body = BODY
-    home_sd = 0.0
 
     def __init__(self, settings: WorldSettings) -> None:
-        self._settings = settings
+        super().__init__(settings)
         self.home = LEVEL if settings.level else HOME
 
     def build(self, spec: mujoco.MjSpec, tool: mujoco.MjsBody) -> None:
         """Add the pan, and the pancake, white above and yellow below as in the paper."""
-        add_pan(tool, self._settings.friction)
-        radius = PANCAKE_RADIUS * self._settings.body_size
-        body = spec.worldbody.add_body(name=BODY, pos=[0.0, 0.0, 2.0])
-        body.add_freejoint(name=BODY)
-        body.add_geom(
-            name=BODY,
+        add_pan(tool, self.settings.friction)
+        radius = PANCAKE_RADIUS * self.settings.body_size
+        body = self.add_body(
+            spec,
             type=mujoco.mjtGeom.mjGEOM_CYLINDER,
             size=[radius, HALF_HEIGHT, 0.0],
-            mass=MASS * self._settings.body_mass,
+            mass=MASS * self.settings.body_mass,
             fluid_ellipsoid=1,
             rgba=[0.95, 0.78, 0.25, 1.0],
-            **scene.body_contact(self._settings.friction),
         )
         for sign, colour in ((1.0, [0.97, 0.97, 0.95, 1.0]), (-1.0, [0.96, 0.70, 0.10, 1.0])):
             body.add_geom(  # visual only
@@ -81,7 +78,7 @@ class Flip:
 
     def script(self, rng: np.random.Generator) -> TossScript:
         """Draw a random toss."""
-        settings = self._settings
+        settings = self.settings
         return wrist_flick(rng, settings.spread, settings.pitch_rate, settings.level)
 
     def truth(self, log: RolloutLog, now: Snapshot) -> Truth:
@@ -119,7 +116,7 @@ class Flip:
 
 def add_pan(tool: mujoco.MjsBody, friction: float) -> None:
     """Add a pan without mass to the tool: a floor, and a flared rim of boxes."""
-    contact = scene.tool_contact(friction) | {"mass": 0.0}
+    contact = tool_contact(friction) | {"mass": 0.0}
     colour = [0.13, 0.13, 0.14, 1.0]
     tool.add_geom(
         name="pan_floor",

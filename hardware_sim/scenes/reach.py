@@ -14,21 +14,19 @@ from numpy.typing import ArrayLike
 
 from hardware_sim.demonstrator import PAUSE, Target
 from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth
+from hardware_sim.scenes import Scene
 from hardware_sim.settings import REACH_GOAL, WorldSettings
 
-HOME = np.deg2rad([-29.5, 27.2, 0.0, 116.3, -35.3, -58.9, 20.1])  # [rad] pan level, right
-HOME.setflags(write=False)
 TOUCH_TOLERANCE = 0.001  # [m]; the controller stops at the obstacle by its encoders
 
 
-class Reach:
+class Reach(Scene):
     """Scene of reaching, see `Scene`: nothing is tracked."""
 
-    body = ""
-    home = HOME
     home_sd = 0.008
 
     def __init__(self, settings: WorldSettings) -> None:
+        super().__init__(settings)
         self._region, self._spread = settings.region, settings.spread
         self._goal = np.array(settings.goal)
 
@@ -44,11 +42,6 @@ class Reach:
                 contype=0,
                 conaffinity=0,
             )
-
-    def place(
-        self, data: mujoco.MjData, position: np.ndarray, rotation: np.ndarray, offset: np.ndarray
-    ) -> None:
-        """There is nothing to place."""
 
     def script(self, rng: np.random.Generator) -> ReachScript:
         """Draw a random reach."""

@@ -38,11 +38,11 @@ class PracticeSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    budget: int = Field(ge=1, le=100_000)  # a year of practice
+    budget: int = Field(default=60, ge=1, le=100_000)  # a year of practice
     minutes: int = Field(default=0, ge=0, le=1_000_000)
-    mean_every: int = Field(ge=0, le=100_000)
-    confirm: int = Field(ge=0, le=1000)
-    retests: int = Field(ge=0, le=100_000)
+    mean_every: int = Field(default=5, ge=0, le=100_000)
+    confirm: int = Field(default=29, ge=0, le=1000)  # a success rate of 0.9
+    retests: int = Field(default=10, ge=0, le=100_000)
     attempts: int = Field(default=3, ge=1, le=100)
     return_noise: float = Field(default=0.1, ge=0.0, le=10.0, allow_inf_nan=False)
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from simulated import LEVEL, holding_torque, run
 
+from hardware_sim.contact import body_contact
 from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth
-from hardware_sim.scene import body_contact
 from hardware_sim.scenes import scene_type
 from hardware_sim.scenes.flip import Flip, add_pan, wrist_flick
 from hardware_sim.scenes.reach import Reach
