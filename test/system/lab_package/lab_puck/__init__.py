@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A laboratory's own task: carry a ball in a cup to a goal, without letting it roll."""
+"""A laboratory's own task: push a puck, by a tool of its own, so that it stops at a mark."""

@@ -1,44 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The scene of `carry`: a ball in the cup of the URDF, which is led from right to left."""
-
-from __future__ import annotations
-
-import mujoco
 import numpy as np
+from mujoco import mjtGeom
 
-from hardware_sim import scene
-from hardware_sim.scenes import reach
+from hardware_sim.scenes import Scene
+from hardware_sim.scenes.reach import ReachScript
 
 
-class Carry:
-    """See `hardware_sim.scenes.Scene`."""
+class Table(Scene):
+    """A table with the puck in front of the fork, whose shapes are those of its URDF."""
 
-    body = "ball"
-    home = reach.HOME
-    home_sd = 0.008
+    body, at = "puck", (0.0, 0.09, -0.035)  # [m] from the tool, which is level
 
-    def __init__(self, settings) -> None:
-        self._friction = settings.friction
-
-    def build(self, spec: mujoco.MjSpec, tool: mujoco.MjsBody) -> None:
-        for shape in tool.geoms:  # floor and walls of the cup hold the ball
-            for name, value in scene.tool_contact(self._friction).items():
+    def build(self, spec, tool):
+        table = {"type": mjtGeom.mjGEOM_BOX, "size": [0.4, 0.7, 0.01], "pos": [0.8, 0.2, 0.54]}
+        spec.worldbody.add_geom(**table, **self.contact)
+        for shape in tool.geoms:
+            for name, value in self.contact.items():
                 setattr(shape, name, value)
-        ball = spec.worldbody.add_body(name="ball", pos=[0.0, 0.0, 2.0])
-        ball.add_freejoint(name="ball")
-        ball.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_SPHERE,
-            size=[0.02, 0.0, 0.0],
-            mass=0.03,
-            **scene.body_contact(self._friction),
-        )
+        self.add_body(spec, type=mjtGeom.mjGEOM_CYLINDER, size=[0.04, 0.015, 0.0], mass=0.1)
 
-    def place(self, data, position, rotation, offset) -> None:
-        data.joint("ball").qpos[:3] = position + rotation @ [*offset, 0.021]
-        data.joint("ball").qpos[3] = 1.0
+    def script(self, rng):
+        end = [0.78, 0.05, 0.6] + 0.03 * rng.standard_normal(3) * [1.0, 1.0, 0.0]
+        return ReachScript(end, arc=np.zeros(3), duration=0.8, warp=0.0)
 
-    def script(self, rng: np.random.Generator) -> reach.ReachScript:
-        return reach.reach(rng)
-
-    def truth(self, log, now) -> dict:
-        return {"off": float(np.linalg.norm(now.body[:3] - now.position))}
+    def truth(self, log, now):
+        return {"stopped": now.body[:2].tolist()}
