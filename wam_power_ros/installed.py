@@ -48,7 +48,7 @@ def task_type(name: str) -> type[Task]:
     module, _, own = name.partition(":")
     found = getattr(sys.modules.get(module), own, None) if own else find("task", name)
     if not (isinstance(found, type) and issubclass(found, Task) and (own or found.name == name)):
-        raise ValueError(f"task {name!r}: {found} must derive from Task and be named {name!r}")
+        raise ValueError(f"task {name!r}: {found} is not an imported subclass of Task so named")
     return found
 
 
