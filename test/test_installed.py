@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import importlib
+import math
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -17,33 +18,26 @@ from wam_power_ros import installed
 from wam_power_ros.cli.launcher import Devices
 from wam_power_ros.cli.session_options import method_words
 from wam_power_ros.learning.power import Power
+from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.params import overlay
 from wam_power_ros.practice.settings import preset
+from wam_power_ros.tasks.errors import Effect, Error
 from wam_power_ros.tasks.flip.task import Flip
 from wam_power_ros.tasks.task import Task
 
 Lab = Callable[..., Path]
 SCENE = "class Stack:\n    body = 'block'\n"
 MODULE = """
-from pydantic import BaseModel, ConfigDict
 from wam_power_ros.tasks.flip.task import Flip
-from wam_power_ros.tasks.reach.settings import REACH_FIT
 from wam_power_ros.tasks.task import Task
 
-class Settings(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-    settle_time: float = 0.5
-
 class Stack(Task):
-    name, body, single_policy, fit_settings, Settings = "stack", "block", False, REACH_FIT, Settings
-    presets = {"own": {"budget": 9, "mean_every": 3, "confirm": 5, "retests": 2}}
-    parametrization = assess = outcome = None
+    name, body = "stack", "block"
+    presets = {"own": {"budget": 9}}
+    assess = None
 
 class HighFlip(Flip):
     name = "high_flip"
-
-class Unfinished(Stack):
-    name, outcome = "unfinished", Task.outcome
 
 class Nameless(Flip):
     pass
@@ -179,15 +173,12 @@ def test_a_task_that_is_derived_from_another_has_its_set_up_unless_it_brings_one
 @pytest.mark.parametrize(
     ("point", "says"),
     [
-        ("a = LAB.task:Stack", "must derive from Task and be named 'a'"),
-        ("a = LAB.scene:Stack", "must derive from Task and be named 'a'"),
-        ("nameless = LAB.task:Nameless", "must derive from Task and be named 'nameless'"),
-        ("unfinished = LAB.task:Unfinished", "does not define outcome"),
+        ("a = LAB.task:Stack", "is not an imported subclass of Task so named"),
+        ("a = LAB.scene:Stack", "is not an imported subclass of Task so named"),
+        ("nameless = LAB.task:Nameless", "is not an imported subclass of Task so named"),
     ],
 )
-def test_an_entry_point_must_lead_to_a_complete_task_of_its_name(
-    point: str, says: str, lab: Lab
-) -> None:
+def test_an_entry_point_must_lead_to_a_task_of_its_name(point: str, says: str, lab: Lab) -> None:
     lab(tasks=(point,))
     with pytest.raises(ValueError, match=says):
         overlay.setup(task=point.partition(" ")[0])
@@ -214,25 +205,57 @@ class Loose(BaseModel):
     settle_time: float = 0.5
 
 
+def nothing(self: Task, rollout: Rollout) -> dict[str, float]:
+    """A rollout tells nothing."""
+    return {}
+
+
+LIMITED = Error("miss", "m", 0.01, limit=0.03)
 STATED = {
-    name: getattr(Flip, name)
-    for name in ("name", "body", "single_policy", "fit_settings", "Settings", "presets")
+    "name": "mine",
+    "errors": (LIMITED,),
+    "effects": (Effect("vigour", 0.2, {"miss": 0.5}),),
+    "observe": nothing,
 }
 
 
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        *(({name: None}, f"task Mine does not state {name}") for name in STATED),
+        ({"name": ""}, "task Mine does not state name"),
+        ({"presets": {}}, "task Mine does not state presets"),
         ({"body": "my body"}, "body = 'my body' of task Mine"),
         ({"Settings": Loose}, "Loose'> must refuse unknown fields"),
-        ({"presets": {}}, "task Mine does not state presets"),
+        ({"observe": Task.observe}, "task Mine has no return: define observe, .*or define assess"),
+        ({"errors": ()}, "task Mine has no return"),
+        ({"errors": (LIMITED._replace(limit=math.inf),)}, "task Mine has no return"),
+        (
+            {"effects": (Effect("vigor", 0.2, {"miss": 0.5}),)},
+            "Mine: effect 'vigor' is not one of shift_x, shift_y, shift_z, vigour, tempo",
+        ),
     ],
 )
 def test_a_task_is_checked_when_its_class_is_defined(changes: dict, says: str) -> None:
-    stated = {k: v for k, v in (STATED | changes).items() if v is not None}
+    assert type("Mine", (Task,), STATED).body == ""
     with pytest.raises(TypeError, match=says):
-        type("Mine", (Task,), stated)
+        type("Mine", (Task,), STATED | changes)
+
+
+class Tossed(Flip):
+    """The flip by another name."""
+
+    name = "tossed"
+
+
+def test_a_task_that_this_program_has_imported_needs_no_package(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(sys.modules, "my_script", sys.modules[Tossed.__module__])
+    settings = preset("my_script:Tossed", "paper")
+    assert settings.make_task({}).name == "tossed" and settings.practice.budget == 50
+    for wrong in ("my_script:Loose", "my_script:Tosed", "not_imported:Tossed"):
+        with pytest.raises(ValueError, match=f"task '{wrong}': .* is not an imported subclass"):
+            preset(wrong)
 
 
 def test_a_preset_needs_no_learner_and_may_not_misspell_a_setting(
@@ -284,4 +307,4 @@ def test_the_budget_is_checked_also_where_a_task_knows_no_made_up_movement(
 
 def test_settings_of_a_task_that_forbid_what_they_do_not_know_are_accepted() -> None:
     strict = type("Strict", (Loose,), {"model_config": ConfigDict(extra="forbid")})
-    assert type("Mine", (Task,), STATED | {"Settings": strict}).body == "pancake"
+    assert type("Mine", (Task,), STATED | {"Settings": strict}).Settings is strict

@@ -41,8 +41,7 @@ def start(module: str, interrupted: int = 0) -> int:
     main = importlib.import_module(module).main
     for number in SIGNALS:
         signal.signal(number, before[number])
-    status: int = main()
-    return status
+    return main()
 
 
 torque_controller = partial(start, "wam_power_ros.nodes.torque_controller")

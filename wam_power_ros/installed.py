@@ -51,14 +51,16 @@ def find(kind: str, name: str) -> Any:  # noqa: ANN401 - a class
 
 
 def task_type(name: str) -> type[Task]:
-    """Class of a task; raises a ValueError as `find`, or if it is no complete task of this name."""
+    """Class of a task; raises a ValueError as `find`, or if it is no task of this name.
+
+    "package.module:Class" is one that this program has imported, such as a script's own.
+    """
     from wam_power_ros.tasks.task import Task
 
-    found = find("task", name)
-    if not (isinstance(found, type) and issubclass(found, Task) and found.name == name):
-        raise ValueError(f"task {name!r}: {found} must derive from Task and be named {name!r}")
-    if missing := sorted(found.__abstractmethods__):
-        raise ValueError(f"task {name!r}: {found} does not define {', '.join(missing)}")
+    module, _, own = name.partition(":")
+    found = getattr(sys.modules.get(module), own, None) if own else find("task", name)
+    if not (isinstance(found, type) and issubclass(found, Task) and (own or found.name == name)):
+        raise ValueError(f"task {name!r}: {found} is not an imported subclass of Task so named")
     return found
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 from collections.abc import Iterable
 
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -20,8 +21,6 @@ CYCLE = (BLUE, ORANGE, GREEN, "#9b3fe0", "#8a1c1c")
 
 def svg(figure: Figure) -> bytes:
     """Content of an SVG file of a figure, the same bytes for the same figure."""
-    from matplotlib import rc_context
-
     buffer = io.BytesIO()
     with rc_context({"svg.hashsalt": "wam_power_ros"}):
         figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})

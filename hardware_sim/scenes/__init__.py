@@ -10,21 +10,25 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from hardware_sim.contact import body_contact, tool_contact
 from hardware_sim.demonstrator import Script
 from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth
 from hardware_sim.settings import WorldSettings
 from wam_power_ros import installed
 
+HOME = np.deg2rad([-29.5, 27.2, 0.0, 116.3, -35.3, -58.9, 20.1])  # [rad] tool level, right
+HOME.setflags(write=False)
+
 
 class Scene:
     """Bodies around the arm, shapes of the tool, demonstrations, and ground truth of a rollout.
 
-    What a scene does not define stays as here: nothing is tracked, added, placed or demonstrated,
-    and a rollout has no outcome.
+    Derive from it; by default nothing is around the arm, and nothing is demonstrated.
 
     Attributes:
         body: Name of the tracked MuJoCo body, on a free joint unless it is mounted; "" for none.
             Topics and services are named after it. A class attribute.
+        at: Where the body is put, in the frame of the tool [m].
         home: Posture of the WAM in which demonstrations begin [rad], shape (7,); that of another
             arm is a parameter of `wam_sim`.
         home_sd: Standard deviation of that posture, per joint [rad].
@@ -34,12 +38,26 @@ class Scene:
     """
 
     body: str = ""
-    home: np.ndarray
+    at: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    home: np.ndarray = HOME
     home_sd: float = 0.0
     mounted: tuple[np.ndarray, np.ndarray] | None = None
 
     def __init__(self, settings: WorldSettings) -> None:
         self.settings = settings
+
+    @property
+    def contact(self) -> dict[str, object]:
+        """Geom arguments of a shape, of the tool or the surroundings, that touches the body."""
+        return tool_contact(self.settings.friction)
+
+    def add_body(self, spec: mujoco.MjSpec, **shape: object) -> mujoco.MjsBody:
+        """Add the tracked body, which air slows down, to a model; `shape`: of its geom."""
+        body = spec.worldbody.add_body(name=self.body, pos=[0.0, 0.0, 2.0])
+        body.add_freejoint(name=self.body)
+        shape |= body_contact(self.settings.friction)
+        body.add_geom(name=self.body, fluid_ellipsoid=1, **shape)
+        return body
 
     def build(self, spec: mujoco.MjSpec, tool: mujoco.MjsBody) -> None:
         """Add bodies to the model of the arm, and shapes that touch them to its tool.
@@ -56,15 +74,19 @@ class Scene:
     ) -> None:
         """Put the bodies to their initial positions; they settle before a rollout begins.
 
+        By default the body is put to `at`, displaced by `offset`, upright in the base frame.
+
         Args:
             data: State to change, just reset, the arm in its start posture.
             position: Position of the tool [m]. Shape (3,).
             rotation: Rotation of the tool. Shape (3, 3).
             offset: Random offset in the x-y plane of the tool [m]. Shape (2,).
         """
+        if self.body and self.mounted is None:
+            data.joint(self.body).qpos[:3] = position + rotation @ np.add(self.at, [*offset, 0.0])
 
     def script(self, rng: np.random.Generator) -> Script:
-        """Draw a random demonstration; raises a ValueError where nothing is demonstrated."""
+        """Draw a random demonstration; a ValueError if there are none."""
         raise ValueError(f"the scene {type(self).__name__} has no demonstrations")
 
     def truth(self, log: RolloutLog, now: Snapshot) -> Truth:

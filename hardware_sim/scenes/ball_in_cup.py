@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from scipy.interpolate import BSpline
 
-from hardware_sim import scene
+from hardware_sim.contact import WALL, WALLS, add_vessel
 from hardware_sim.demonstrator import PAUSE, Target
 from hardware_sim.ground_truth import TOOL_SITE, RolloutLog, Snapshot, Truth
 from hardware_sim.scenes import Scene
@@ -49,24 +49,21 @@ SWING.setflags(write=False)
 
 
 class BallInCup(Scene):
-    """Scene of ball-in-a-cup. String and forearm do not touch."""
+    """Scene of ball-in-a-cup, see `Scene`. String and forearm do not touch."""
 
     body = BODY
     home = HOME
 
     def build(self, spec: mujoco.MjSpec, tool: mujoco.MjsBody) -> None:
         """Add the cup, and the ball on its string."""
-        settings, radius = self.settings, CUP_RADIUS + scene.WALL
-        width = radius * np.tan(np.pi / scene.WALLS)
-        contact = scene.tool_contact(settings.friction) | {"rgba": [0.75, 0.75, 0.78, 0.5]}
-        scene.add_vessel(tool, "cup", radius, RIM, width, **contact)
-        ball = scene.add_body(
+        radius = CUP_RADIUS + WALL
+        contact = self.contact | {"rgba": [0.75, 0.75, 0.78, 0.5]}
+        add_vessel(tool, "cup", radius, RIM, radius * np.tan(np.pi / WALLS), **contact)
+        ball = self.add_body(
             spec,
-            BODY,
-            settings.friction,
             type=mujoco.mjtGeom.mjGEOM_SPHERE,
-            size=[BALL_RADIUS * settings.body_size, 0.0, 0.0],
-            mass=MASS * settings.body_mass,
+            size=[BALL_RADIUS * self.settings.body_size, 0.0, 0.0],
+            mass=MASS * self.settings.body_mass,
             rgba=[0.86, 0.35, 0.12, 1.0],
         )
         ball.add_site(name=BODY, group=4)

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from hardware_sim import scene
+from hardware_sim.contact import WALLS, add_vessel, tool_contact
 from hardware_sim.demonstrator import PAUSE, Target
 from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth, rotation_of
 from hardware_sim.scenes import Scene
@@ -36,7 +36,7 @@ RIM_FLARE = 0.6  # [rad] outward: as of a real pan; a catch tolerates some centi
 
 
 class Flip(Scene):
-    """Scene of pancake flipping."""
+    """Scene of pancake flipping, see `Scene`."""
 
     body = BODY
 
@@ -48,10 +48,8 @@ class Flip(Scene):
         """Add the pan, and the pancake, white above and yellow below as in the paper."""
         add_pan(tool, self.settings.friction)
         radius = PANCAKE_RADIUS * self.settings.body_size
-        body = scene.add_body(
+        body = self.add_body(
             spec,
-            BODY,
-            self.settings.friction,
             type=mujoco.mjtGeom.mjGEOM_CYLINDER,
             size=[radius, HALF_HEIGHT, 0.0],
             mass=MASS * self.settings.body_mass,
@@ -117,9 +115,9 @@ class Flip(Scene):
 def add_pan(tool: mujoco.MjsBody, friction: float) -> None:
     """Add a pan without mass to the tool: a floor, and a flared rim of boxes."""
     colour = [0.13, 0.13, 0.14, 1.0]
-    width = np.pi * (PAN_RADIUS + RIM_HEIGHT * np.tan(RIM_FLARE)) / scene.WALLS
-    contact = scene.tool_contact(friction) | {"rgba": colour}
-    scene.add_vessel(tool, "pan", PAN_RADIUS, RIM_HEIGHT, width, RIM_FLARE, 0.004, **contact)
+    width = np.pi * (PAN_RADIUS + RIM_HEIGHT * np.tan(RIM_FLARE)) / WALLS
+    contact = tool_contact(friction) | {"rgba": colour}
+    add_vessel(tool, "pan", PAN_RADIUS, RIM_HEIGHT, width, RIM_FLARE, 0.004, **contact)
 
 
 def _caught_flipped(now: Snapshot, start: Snapshot) -> tuple[bool, bool]:

@@ -17,15 +17,12 @@ from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth
 from hardware_sim.scenes import Scene
 from hardware_sim.settings import REACH_GOAL
 
-HOME = np.deg2rad([-29.5, 27.2, 0.0, 116.3, -35.3, -58.9, 20.1])  # [rad] pan level, right
-HOME.setflags(write=False)
 TOUCH_TOLERANCE = 0.001  # [m]; the controller stops at the obstacle by its encoders
 
 
 class Reach(Scene):
-    """Scene of reaching: nothing is tracked."""
+    """Scene of reaching, see `Scene`: nothing is tracked."""
 
-    home = HOME
     home_sd = 0.008
 
     def build(self, spec: mujoco.MjSpec, tool: mujoco.MjsBody) -> None:

@@ -171,7 +171,8 @@ def test_feedback_takes_a_bag_only_for_a_demonstration(
 
 
 def test_the_obstacle_of_reaching_is_half_way_along_the_nominal_demonstration() -> None:
-    from hardware_sim.scenes.reach import HOME, reach
+    from hardware_sim.scenes import HOME
+    from hardware_sim.scenes.reach import reach
     from wam_power_ros.control.arm import Arm
 
     setup = overlay.setup(task="reach")

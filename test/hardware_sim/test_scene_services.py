@@ -7,7 +7,7 @@ import numpy as np
 from conftest import Probe, Processes, lift
 from stand_ins import TICK, Hardware, arm_model
 
-from hardware_sim.scenes.reach import HOME
+from hardware_sim.scenes import HOME
 from hardware_sim.settings import REACH_GOAL
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.ros import interface

@@ -56,9 +56,7 @@ def own_success(task: type[Task]) -> type[Task]:
 
 def own_errors(task: type[Task], **more: object) -> type[Task]:
     """A task with other errors, which its return may be of as well."""
-    effects = (
-        Effect(task.effects[0].group if task.effects else "stiffness", 0.1, {"height": 1.0}),
-    )
+    effects = (Effect(task.effects[0].group if task.effects else "shift_x", 0.1, {"height": 1.0}),)
     members = {"errors": OWN, "effects": effects, "measure": lambda self, seen: seen}
     return type("Own", (task,), {**members, **more})
 

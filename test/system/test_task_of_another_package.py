@@ -2,7 +2,7 @@
 """A laboratory's own task, in a package of its own: taught, practised, reported.
 
 `lab_package` is built and installed here, and found by its entry points: nothing of it is named in
-this repository outside this folder. Its tool is a cup in a URDF of its own, its body a ball with
+this repository outside this folder. Its tool is a fork in a URDF of its own, its body a puck with
 one marker.
 """
 
@@ -20,16 +20,10 @@ from conftest import python_path
 
 from wam_power_ros.params.resources import share
 
-HERE = Path(__file__).parent
+PACKAGE = Path(__file__).parent / "lab_package"
 SHAPE = '<collision><origin xyz="%s"/><geometry><box size="%s"/></geometry></collision>'
-SHAPES = (  # floor and walls
-    ("0 0 -0.004", "0.1 0.1 0.008"),
-    ("0.05 0 0.02", "0.008 0.1 0.05"),
-    ("-0.05 0 0.02", "0.008 0.1 0.05"),
-    ("0 0.05 0.02", "0.1 0.008 0.05"),
-    ("0 -0.05 0.02", "0.1 0.008 0.05"),
-)
-CUP = f"""<link name="cup">
+SHAPES = (("0.03 0.03 -0.04", "0.02 0.04 0.03"), ("-0.03 0.03 -0.04", "0.02 0.04 0.03"))  # prongs
+FORK = f"""<link name="fork">
     <inertial><origin xyz="-0.07 0 0.01"/><mass value="0.3"/>
       <inertia ixx="0.0006" iyy="0.002" izz="0.002" ixy="0" ixz="0" iyz="0"/></inertial>
     {"".join(SHAPE % shape for shape in SHAPES)}
@@ -58,10 +52,10 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """Environment in which the package is installed, beside those of this one."""
     place = tmp_path_factory.mktemp("installed")
     command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index"]
-    source = shutil.copytree(HERE / "lab_package", tmp_path_factory.mktemp("source") / "package")
+    source = shutil.copytree(PACKAGE, tmp_path_factory.mktemp("source") / "package")
     arm, _, _ = share("urdf/wam7.urdf").read_text().partition('<link name="pan">')
-    urdf = arm.replace('<child link="pan"/>', '<child link="cup"/>') + CUP
-    (source / "lab_carry/wam_cup.urdf").write_text(urdf)
+    urdf = arm.replace('<child link="pan"/>', '<child link="fork"/>') + FORK
+    (source / "lab_puck/wam_fork.urdf").write_text(urdf)
     command += ["--no-build-isolation", "--target", str(place), str(source)]
     subprocess.run(command, check=True, cwd=place)
     path = python_path(place)
@@ -83,15 +77,17 @@ def test_it_is_taught_practised_and_reported_through_its_entry_points(
     output = wam_power(
         environment,
         tmp_path,
-        *("learn", "--task", "carry", "--seed", "3", "--demonstrations", "1"),
-        *("--trials", "2", "--session", "s"),
+        *("learn", "--task", "puck", "--seed", "3", "--demonstrations", "1"),
+        *("--trials", "3", "--session", "s"),
     )
+    assert "learner model_based: learns from beside, beyond" in output
     rows = [json.loads(line) for line in (tmp_path / "s/rollouts.jsonl").read_text().splitlines()]
-    assert [row["kind"] for row in rows] == ["reproduction", "explore"]
-    assert all(0.0 < row["ret"] < 1.0 and set(row["terms"]) == {"calm", "goal"} for row in rows)
-    assert all(row["truth"]["off"] < 0.2 for row in rows)  # of its own scene
-    assert "mm off" in output and "calm in" in output
-    # in one process it is the same rollout, with the cup of the URDF and no pan
+    misses = [row["observation"]["beyond"] for row in rows[:3]]
+    assert abs(misses[2]) < 0.5 * abs(misses[0]) and "mm, beyond " in output
+    for row in rows:
+        stopped = row["truth"]["stopped"]  # of its own scene
+        assert row["observation"]["beyond"] == pytest.approx(stopped[1] - 0.3, abs=0.005)
+    # in one process it is the same rollout, with the fork of the URDF and no pan
     best = json.loads((tmp_path / "s/policy.json").read_text())["id"]
     command = [sys.executable, "-c", IN_PROCESS, str(tmp_path / "s")]
     ended = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120.0)
@@ -103,16 +99,22 @@ def test_it_is_taught_practised_and_reported_through_its_entry_points(
     assert all(quat == [0.0, 0.0, 0.0, 1.0] for quat in found["turned"])  # one marker
 
     report = (tmp_path / "s/report.html").read_text()
-    assert "mm off" in report and "carry" in report
-    assert "The ball follows the pan." in report and "kept the ball in the middle" in report
+    assert "mm, beyond " in report and "task puck" in report
+    assert "The puck slides on." in report and "stopped the puck at the mark" in report
     (tmp_path / "s/report.html").unlink()
     wam_power(environment, tmp_path, "report", "s")
     assert (tmp_path / "s/report.html").read_text() == report
 
 
+def test_a_package_with_a_task_and_its_scene_has_at_most_80_lines() -> None:
+    files = [path for path in PACKAGE.rglob("*") if path.suffix in (".py", ".toml", ".yaml")]
+    assert len(files) == 5
+    assert sum(len(path.read_text().splitlines()) for path in files) <= 80
+
+
 def test_without_the_package_the_task_is_unknown_and_nothing_starts(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "wam_power_ros.cli", "learn", "--task", "carry"]
+    command = [sys.executable, "-m", "wam_power_ros.cli", "learn", "--task", "puck"]
     ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60.0)
     assert ended.returncode == 2
-    assert "task 'carry' is not one of ball_in_cup, flip, reach" in ended.stderr
+    assert "task 'puck' is not one of ball_in_cup, flip, reach" in ended.stderr
     assert list(tmp_path.iterdir()) == []

@@ -370,18 +370,15 @@ class Parametrization:
         return arrays
 
 
-def parametrization_of(policy0: Policy, variant: str, noise: NoiseScales) -> Parametrization:
-    """Stiffness and attractors in all directions, as in the paper.
+def parametrization_of(
+    policy0: Policy, variant: str, noise: NoiseScales, others: Sequence[Group] = ()
+) -> Parametrization:
+    """Stiffness and attractors in all directions, as in the paper, and `others`.
 
-    Args:
-        policy0: Policy at z = 0.
-        variant: Form of the stiffness, one of `FORMS`; "diagonal" sets the other entries of
-            `policy0` to zero. "attractors": the attractors alone.
-        noise: Standard deviation of the exploration noise.
+    The variant is the form of the stiffness, one of `FORMS`, of which "diagonal" sets the other
+    entries of `policy0` to zero; or "attractors", by which no stiffness is learnt.
     """
-    attractors = Attractors(noise.attractor)
-    if variant == "attractors":
-        return Parametrization(policy0, [attractors])
     if variant == "diagonal":
         policy0 = replace(policy0, stiffness=policy0.stiffness * np.eye(3))
-    return Parametrization(policy0, [Stiffness(noise.stiffness, variant), attractors])
+    stiffness = [] if variant == "attractors" else [Stiffness(noise.stiffness, variant)]
+    return Parametrization(policy0, [*stiffness, Attractors(noise.attractor), *others])

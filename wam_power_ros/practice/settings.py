@@ -27,16 +27,17 @@ class PracticeSettings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     # Number of usable rollouts, including reproductions and excluding re-tests
-    budget: int = Field(ge=1, le=100_000)  # a year of practice
+    budget: int = Field(default=60, ge=1, le=100_000)  # a year of practice
     # Time of all rollouts, with what is done and waited for between them, after which learning ends
     # [min]; 0: no limit. With a limit, the course depends on the clock.
     minutes: int = Field(default=0, ge=0, le=1_000_000)
     # Every n-th trial of the practice runs the mean; 0 runs it only to confirm a success
-    mean_every: int = Field(ge=0, le=100_000)
+    mean_every: int = Field(default=5, ge=0, le=100_000)
     # Number of successes of one mean in a row that stop the session; 0 disables the rule. They show
     # a success rate, see `stopping_rule.rate_shown`; fewer do if their margins show the same.
-    confirm: int = Field(ge=0, le=1000)
-    retests: int = Field(ge=0, le=100_000)  # runs of the final answer, which are not learnt from
+    confirm: int = Field(default=29, ge=0, le=1000)
+    # Runs of the final answer, which are not learnt from
+    retests: int = Field(default=10, ge=0, le=100_000)
     # Number of times a policy is executed while its rollouts have no return
     attempts: int = Field(default=3, ge=1, le=100)
     # Standard deviation of the return of one policy, for `Practice.best`

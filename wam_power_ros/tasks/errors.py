@@ -10,9 +10,12 @@ from typing import NamedTuple
 import numpy as np
 
 from wam_power_ros.learning.learner import Prediction
-from wam_power_ros.learning.parametrization import Parametrization
+from wam_power_ros.learning.parametrization import Direction, Group, Parametrization, Tempo
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Foreseen
+
+KNOWN = ("shift_x", "shift_y", "shift_z", "vigour", "tempo")  # see `direction`
+SHOWN_IN = {"m": (1000.0, ".1f", " mm"), "rad": (math.degrees(1.0), ".1f", "°")}  # by unit
 
 
 class Error(NamedTuple):
@@ -34,12 +37,19 @@ class Error(NamedTuple):
     limit: float = math.inf
     scatter: float = 0.0
 
+    def shown(self, value: float | None) -> str:
+        """Name and value, such as "miss x 12 mm", for a person."""
+        factor, digits, unit = SHOWN_IN.get(self.unit, (1.0, ".3g", f" {self.unit}"))
+        number = "unknown" if value is None else f"{factor * value:{digits}}{unit}"
+        return f"{self.name.replace('_', ' ')} {number}"
+
 
 class Effect(NamedTuple):
     """What a learnt parameter does to the errors, roughly.
 
     Attributes:
-        group: Group of one parameter in the parametrization.
+        group: Group of one parameter in the parametrization; one of `KNOWN` needs no
+            parametrization of the task's own.
         step: Largest change of it that is made at once, in its unit.
         moves: Change of errors by name, in their units, per unit of the parameter.
     """
@@ -47,6 +57,28 @@ class Effect(NamedTuple):
     group: str
     step: float
     moves: Mapping[str, float]
+
+    def direction(self, policy: Policy) -> Group:
+        """The group of `KNOWN`, explored with a fifth of the step."""
+        return direction(policy, self.group, self.step / 5.0)
+
+
+def direction(policy: Policy, name: str, noise: float) -> Group:
+    """Group of one parameter of any movement, by its name in `KNOWN`.
+
+    * vigour: Scales the movement, mu_i - mu_1 and r_i - r_1, by 1 + vigour [1].
+    * tempo: Logarithm of the tempo [1].
+    * shift_x, shift_y, shift_z: Moves the end of the movement along an axis of the base, what is
+      before it in proportion to its place [m].
+    """
+    if name == "tempo":
+        return Tempo(noise)
+    moved = np.zeros((policy.basis.count, 3))
+    if name == "vigour":
+        turned = policy.rotation_attractors - policy.rotation_attractors[0]
+        return Direction(noise, name, policy.attractors - policy.attractors[0], turned)
+    moved[:, KNOWN.index(name)] = np.arange(1, len(moved) + 1) / len(moved)
+    return Direction(noise, name, moved, np.zeros_like(moved))
 
 
 class RoughErrors:

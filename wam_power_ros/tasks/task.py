@@ -10,7 +10,6 @@ and nowhere else.
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
@@ -22,16 +21,19 @@ from wam_power_ros.faults import Fault
 from wam_power_ros.learning.demonstration import Demonstration, ToolPose, from_joint_samples
 from wam_power_ros.learning.dmp import FitSettings, fit
 from wam_power_ros.learning.learner import ErrorModel
-from wam_power_ros.learning.parametrization import Parametrization
+from wam_power_ros.learning.model_based import UNKNOWN_ERROR
+from wam_power_ros.learning.parametrization import Parametrization, parametrization_of
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Foreseen, Rollout
 from wam_power_ros.regions import Region
-from wam_power_ros.tasks.errors import Effect, Error, ForeseenErrors, RoughErrors, learnt
+from wam_power_ros.tasks.errors import KNOWN, Effect, Error, ForeseenErrors, RoughErrors, learnt
 from wam_power_ros.tasks.reset import Action, BodyState
+from wam_power_ros.tasks.settings import FIT, TaskSettings
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+UNSEEN_MAX = 0.25  # time at the end of a rollout in which the body must have been seen [s]
 MISSING_MAX = 0.05  # largest missing part at the end of a path that counts as complete [s]
 
 
@@ -139,8 +141,11 @@ class Published:
     stiffness: Curve
 
 
-class Task(ABC):
-    """One skill under one set of settings; derive from it. What has a default may be left out.
+class Task:
+    """One skill under one set of settings; derive from it.
+
+    A task has a `name`, and says what is learnt: `errors`, the `effects` that move them, and
+    `observe`, which measures them; or `assess` alone, the return. All else has a default.
 
     Class attributes:
         name: Name of the task, as in `--task NAME`.
@@ -151,8 +156,8 @@ class Task(ABC):
         Settings: Model of the task's settings; frozen, unknown fields refused.
         presets: Name -> settings of a session: fields of `Settings`, fields of
             `practice.settings.PracticeSettings`, and `learner`, a mapping with a learner's name and
-            settings. The first preset is the default.
-        errors: Errors that a rollout measures, see `measure`, each with unit and tolerance; empty
+            settings. What is left out has its default. The first preset is the default.
+        errors: Errors that a rollout measures, see `observe`, each with unit and tolerance; empty
             for a task that is learnt from returns alone. A class that overrides `assess` alone has
             another return than the errors of its base class: it is learnt from returns, too.
         effects: Rough change of the errors by a learnt parameter, each with its largest step, by
@@ -172,11 +177,11 @@ class Task(ABC):
     """
 
     name: ClassVar[str]
-    body: ClassVar[str]
-    single_policy: ClassVar[bool]
-    fit_settings: ClassVar[FitSettings]
-    Settings: ClassVar[type[BaseModel]]
-    presets: ClassVar[Mapping[str, Mapping[str, Any]]]
+    body: ClassVar[str] = ""
+    single_policy: ClassVar[bool] = False
+    fit_settings: ClassVar[FitSettings] = FIT
+    Settings: ClassVar[type[BaseModel]] = TaskSettings
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {"default": {}}
     errors: ClassVar[Sequence[Error]] = ()
     effects: ClassVar[Sequence[Effect]] = ()
     rest_time: ClassVar[float] = 0.0
@@ -187,14 +192,25 @@ class Task(ABC):
 
     def __init_subclass__(cls) -> None:
         """Refuse an incomplete class, and an error that does nothing, when it is defined."""
-        stated = ("name", "body", "single_policy", "fit_settings", "Settings", "presets")
-        if missing := [name for name in stated if getattr(cls, name, None) in (None, {})]:
+        if missing := [each for each in ("name", "presets") if not getattr(cls, each, None)]:
             raise TypeError(f"task {cls.__qualname__} does not state {', '.join(missing)}")
+        limits = [error.limit for error in cls.errors if error.limit < math.inf]
+        if cls.assess is Task.assess and (cls.observe is Task.observe or not limits):
+            raise TypeError(
+                f"task {cls.__qualname__} has no return: define observe, and errors of which one "
+                "has a limit; or define assess"
+            )
         if not f"a{cls.body}".isidentifier():  # its topics are named after it
             raise TypeError(f"body = {cls.body!r} of task {cls.__qualname__} must be a name or ''")
         if cls.Settings.model_config.get("extra") != "forbid":
             raise TypeError(
                 f"{cls.Settings} must refuse unknown fields: ConfigDict(extra='forbid')"
+            )
+        groups = [each.group for each in cls.effects if each.group not in KNOWN]
+        if groups and cls.parametrization is Task.parametrization:
+            raise TypeError(
+                f"{cls.__name__}: effect {groups[0]!r} is not one of {', '.join(KNOWN)}, and the "
+                "task has no parametrization of its own"
             )
         moved = learnt(cls.errors, cls.effects)
         for error in cls.errors:
@@ -278,18 +294,24 @@ class Task(ABC):
         """Goal that a rollout would have met, `goal_values` by name; None if it tells of none."""
         return None
 
-    @abstractmethod
     def parametrization(self, policy: Policy) -> Parametrization:
-        """Learnt parameters of a policy and their exploration noise."""
+        """Learnt parameters of a policy and their exploration noise.
+
+        By default those of the settings, and one for each of `effects`.
+        """
+        directions = [effect.direction(policy) for effect in self.effects]
+        return parametrization_of(policy, self.settings.variant, self.settings.noise, directions)
 
     def ready(self, body: BodyState | None, tool: Pose) -> str:
         """Reason why a rollout must not begin yet, for the operator; empty if it may.
+
+        By default it may once the body is seen.
 
         Args:
             body: State of the tracked body, None if it is not seen or there is none.
             tool: Pose of the tool at the start of the policy.
         """
-        return ""
+        return f"the {self.body} is not seen" if self.body and body is None else ""
 
     def reset(self, body: BodyState | None, arm: ToolPose, q_start: np.ndarray) -> Action:
         """What puts back a body that is not `ready`, where no stand-in resets the scene.
@@ -304,9 +326,45 @@ class Task(ABC):
         """
         return "person"
 
-    @abstractmethod
+    def observe(self, rollout: Rollout) -> Mapping[str, Any]:
+        """Measure a rollout that ran to its end, at which the body was seen.
+
+        Returns:
+            Values of `errors` by name, in their units, and whatever else is to be logged, as JSON
+            data. What is left out or not finite is unknown; empty if the rollout tells nothing.
+        """
+        return {}
+
     def assess(self, policy: Policy, rollout: Rollout) -> Assessment:
-        """Return and success of a rollout of `policy`."""
+        """Return and success of a rollout of `policy`.
+
+        By default the return is 1 / (1 + r), with the root mean square r of `errors` in tolerances,
+        `UNKNOWN_ERROR` where unknown: 1 for none, a half at the tolerances, and of two far misses
+        more for the nearer one. A success is within all limits.
+        """
+        if rollout.fault is not None:
+            return fault_assessment(rollout.fault)
+        if why := cut_short(policy, rollout, self.settle_time) or self._unseen(rollout):
+            return Assessment(None, why=why)
+        seen = self.observe(rollout)
+        measured = self.measure(seen)
+        if not measured:
+            return Assessment(None, observation=seen, why="no error was measured")
+        sizes = [
+            measured.get(e.name, UNKNOWN_ERROR * e.tolerance) / e.tolerance for e in self.errors
+        ]
+        ret = 1.0 / (1.0 + math.hypot(*sizes) / math.sqrt(len(sizes)))
+        limited = [error for error in self.errors if error.limit < math.inf]
+        success = all(abs(measured.get(e.name, math.inf)) < e.limit for e in limited)
+        return Assessment(ret, {"errors": ret}, seen, success)
+
+    def _unseen(self, rollout: Rollout) -> str:
+        """Why a rollout does not tell where the body ended; empty if it does."""
+        if not self.body:
+            return ""
+        last = -math.inf if rollout.body is None or not len(rollout.body.t) else rollout.body.t[-1]
+        late = rollout.tool.t[-1] - last > UNSEEN_MAX
+        return f"the {self.body} was not seen at the end" if late else ""
 
     def hindsight(
         self, assessment: Assessment, parametrization: Parametrization
@@ -358,9 +416,12 @@ class Task(ABC):
     def measure(self, observation: Mapping[str, Any]) -> Mapping[str, float] | None:
         """Values of `errors` by name, in their units, from what was observed in a rollout.
 
-        What is left out is unknown; None if the rollout tells nothing.
+        What is left out is unknown; None if the rollout tells nothing. By default those of
+        `observe`, as they are.
         """
-        return None
+        values = {error.name: observation.get(error.name) for error in self.errors}
+        known = {k: v for k, v in values.items() if v is not None and math.isfinite(v)}
+        return known or None
 
     def error(self, observation: Mapping[str, Any] | None) -> np.ndarray | None:
         """Measured `learnt_errors` [tolerances], NaN where unknown, shape (m,); None for none."""
@@ -405,9 +466,17 @@ class Task(ABC):
         """
         return ()
 
-    @abstractmethod
     def outcome(self, record: LoggedRollout) -> str:
-        """Outcome of a logged rollout in a few words, for one cell of a table."""
+        """Outcome of a logged rollout in a few words, for one cell of a table.
+
+        By default the errors; of a task without errors, whether it was a success.
+        """
+        if record.fault:
+            return f"fault: {record.fault}"
+        if record.observation is None or not self.errors:
+            return record.why or ("success" if record.success else "no success")
+        measured = self.measure(record.observation) or {}
+        return ", ".join(error.shown(measured.get(error.name)) for error in self.errors)
 
     def summary(self, records: Sequence[LoggedRollout]) -> list[str]:
         """Lines that summarise a session, printed at its end and in its report."""

@@ -9,8 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hardware_sim.demonstrator import PAUSE, Demonstrator
+from hardware_sim.scenes import HOME
 from hardware_sim.scenes.flip import Flip
-from hardware_sim.scenes.reach import HOME, Reach, reach
+from hardware_sim.scenes.reach import Reach, reach
 from hardware_sim.settings import REACH_GOAL, WorldSettings
 from hardware_sim.wam import JOINTS
 from hardware_sim.world import World

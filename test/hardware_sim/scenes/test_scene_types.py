@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from simulated import LEVEL, holding_torque, run
 
+from hardware_sim.contact import body_contact
 from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth
-from hardware_sim.scene import body_contact
 from hardware_sim.scenes import Scene, scene_type
 from hardware_sim.scenes.flip import Flip, add_pan, wrist_flick
 from hardware_sim.scenes.reach import Reach
@@ -61,6 +61,30 @@ class Ball(Scene):
 @pytest.fixture(scope="module")
 def world() -> World:
     return World(Ball, WorldSettings(body_offset_sd=0.0))
+
+
+class Stone(Scene):
+    """A stone that rests in the pan, and nothing else."""
+
+    body, at = "stone", (0.03, -0.02, 0.05)
+
+    def build(self, spec: mujoco.MjSpec, tool: mujoco.MjsBody) -> None:
+        """Add the pan and the stone, which cannot roll."""
+        add_pan(tool, self.settings.friction)
+        self.add_body(spec, type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.02] * 3, mass=0.05)
+
+    def truth(self, log: RolloutLog, now: Snapshot) -> Truth:
+        """Where the stone is, in the frame of the tool."""
+        return {"at": now.rotation.T @ (now.body[:3] - now.position)}
+
+
+def test_a_scene_leaves_out_what_it_lacks() -> None:
+    settings = WorldSettings(body_offset_sd=0.0)
+    assert World(Stone, settings).truth()["at"] == pytest.approx([0.03, -0.02, 0.02], abs=0.002)
+    empty = World(Scene, settings)
+    assert empty.truth().keys() == {"id", *empty._log.arm_truth(empty.motors)}
+    with pytest.raises(ValueError, match="the scene Scene has no demonstrations"):
+        empty.scene.script(np.random.default_rng(0))
 
 
 def test_the_scenes_of_this_package_are_found_by_name() -> None:

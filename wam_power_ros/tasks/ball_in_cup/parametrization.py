@@ -13,6 +13,7 @@ from wam_power_ros.learning.parametrization import (
 )
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.tasks.ball_in_cup.settings import CupNoise
+from wam_power_ros.tasks.errors import direction
 
 SWING_PLANE = (0, 2)  # axes of the movement: outward and up
 SIDEWAYS_PROFILE = (0.5, 1.0)  # of the last attractors, at the catch, per unit of the shift [1]
@@ -37,11 +38,9 @@ def cup_parametrization(policy: Policy, variant: str, noise: CupNoise) -> Parame
         raise ValueError(f"{text}, policy {policy.id!r} has {n}")
     sideways, still = np.zeros((2, n, 3))
     sideways[-last:, 1] = SIDEWAYS_PROFILE
-    swing = policy.attractors - policy.attractors[0]
-    turn = policy.rotation_attractors - policy.rotation_attractors[0]
     groups = (
         Attractors(noise.attractor, SWING_PLANE),
-        Direction(noise.vigour, "vigour", attractors=swing, rotation=turn),
+        direction(policy, "vigour", noise.vigour),
         Direction(noise.sideways, "sideways", attractors=sideways, rotation=still),
     )
     return Parametrization(policy, groups)

@@ -76,7 +76,6 @@ class BallInCup(Task):
 
     name: ClassVar[str] = "ball_in_cup"
     body: ClassVar[str] = "ball"
-    single_policy: ClassVar[bool] = False
     fit_settings = CUP_FIT
     Settings: ClassVar[type[CupSettings]] = CupSettings
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = PRESETS

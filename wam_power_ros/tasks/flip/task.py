@@ -61,7 +61,6 @@ class Flip(Task):
 
     name: ClassVar[str] = "flip"
     body: ClassVar[str] = "pancake"
-    single_policy: ClassVar[bool] = False
     fit_settings = FLIP_FIT
     errors, effects = ERRORS, EFFECTS
     Settings: ClassVar[type[FlipSettings]] = FlipSettings

@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from wam_power_ros.learning.dmp import FitSettings
-from wam_power_ros.learning.parametrization import NoiseScales
+from wam_power_ros.tasks.settings import TaskSettings
 
 # 2 spring-dampers as in the paper; stiffness and damping of Calinon's public example code. Its
 # variance of 0.08 duration / count is a width of 0.28 for a movement of 2 s. A width of 0.5 gave
@@ -19,22 +19,14 @@ REACH_FIT = FitSettings(
 )
 
 
-class ReachSettings(BaseModel):
+class ReachSettings(TaskSettings):
     """Settings of the task.
 
     Attributes:
-        variant: Learnt parameters, see `Parametrization`.
-        noise: Standard deviation of the exploration noise of each group of parameters.
         goal_tolerance: Largest final distance of the tool from the goal in a success [m].
-        settle_time: Time that a rollout continues after the movement [s].
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    variant: Literal["full", "diagonal", "symmetric", "attractors"]
-    noise: NoiseScales
     goal_tolerance: float = Field(default=0.05, gt=0.0, le=1.0)
-    settle_time: float = Field(default=1.0, ge=0.0, le=10.0)
 
 
 _COMMON: Mapping[str, Any] = {

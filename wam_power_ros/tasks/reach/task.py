@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from wam_power_ros.learning.demonstration import Demonstration
-from wam_power_ros.learning.parametrization import Parametrization, parametrization_of
+from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.regions import Region, region_of
@@ -43,7 +43,6 @@ class Reach(Task):
     """
 
     name: ClassVar[str] = "reach"
-    body: ClassVar[str] = ""
     single_policy: ClassVar[bool] = True
     fit_settings = REACH_FIT
     Settings: ClassVar[type[ReachSettings]] = ReachSettings
@@ -94,10 +93,6 @@ class Reach(Task):
         if record.fault or seen is None or seen["touched"] or "end" not in seen:
             return None
         return dict(zip(AXES, seen["end"], strict=True))
-
-    def parametrization(self, policy: Policy) -> Parametrization:
-        """Learnt parameters of a policy; see `Task`."""
-        return parametrization_of(policy, self.settings.variant, self.settings.noise)
 
     def assess(self, policy: Policy, rollout: Rollout) -> Assessment:
         """Return (Eq. 4) and success of a rollout of `policy`."""
