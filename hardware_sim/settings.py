@@ -21,6 +21,7 @@ from wam_power_ros.params.torque_controller_params import (
     require_same_joints,
 )
 from wam_power_ros.regions import Region, region_of
+from wam_power_ros.tasks.ball_in_cup.swing import STRING
 from wam_power_ros.tracking.tracker import WorldToBase
 
 REACH_GOAL = (0.78, 0.25, 0.6)  # [m] half a metre to the left of the WAM's tool at its home
@@ -74,6 +75,7 @@ class WorldSettings(BaseModel):
         goal: Where a demonstrated reach ends [m].
         spread: Scale of the differences between demonstrations of one movement: 0 for the intended
             one, see the scene.
+        string: Length of the string of ball-in-a-cup [m].
         pitch_rate: Intended pitch rate of a demonstrated toss at the release [rad/s].
         level: True if a demonstrated toss begins with the tool level, the body in its middle.
 
@@ -111,6 +113,7 @@ class WorldSettings(BaseModel):
     guarded_region: tuple[Length, Length, Length, Radius] = (0.0, 0.0, 0.0, 0.0)
     goal: tuple[Length, Length, Length] = REACH_GOAL
     spread: Spread = 1.0
+    string: Scale = Field(STRING, description="in m")
     pitch_rate: Scale = Field(PITCH_RATE, description="in rad/s: 10 is faster than any wrist")
     level: bool = False
 

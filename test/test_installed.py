@@ -123,7 +123,7 @@ def test_a_learner_that_cannot_be_loaded_hinders_no_session_of_another_one(lab: 
     lab(learners=("broken = no_such_package:Learner", "pi2_bb = LAB.task:Stack"))
     preset("reach").check(1)
     with pytest.raises(ValueError, match=r"a model of .* that work: adaptive") as refused:
-        preset("reach", None, {"name": "model_based"}).check(1)
+        preset("flip", "paper", {"name": "model_based"}).check(1)
     assert not {"broken", "pi2_bb"} & set(str(refused.value).rpartition(": ")[2].split(", "))
 
 

@@ -118,6 +118,7 @@ def with_origin(asked: SessionOptions, devices: Devices) -> SessionOptions:
             raise UsageError("--goal needs the session to predict from: add --from SESSION")
         return asked
     from wam_power_ros.practice import session
+    from wam_power_ros.practice.new_goal import context_for
 
     folder = existing_session(asked.origin)
     known = session.read(folder)
@@ -130,7 +131,7 @@ def with_origin(asked: SessionOptions, devices: Devices) -> SessionOptions:
     if asked.bags:
         raise UsageError("--from brings its own demonstrations: omit --bags")
     if asked.goal:
-        known.task.with_goal(known.context, dict(asked.goal))  # refuses what is none
+        context_for(header.settings, known.context, dict(asked.goal))  # refuses what is none
     if (arm := devices.parameters(task).arm()) is not None:
         session.read_policy(policy, arm.identity())
     return replace(asked, task=task, bags=[*map(Path, header.demonstrations)], origin=folder)

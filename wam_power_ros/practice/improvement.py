@@ -13,9 +13,8 @@ from typing import Protocol
 
 import numpy as np
 
-from wam_power_ros import installed
 from wam_power_ros.faults import Fault
-from wam_power_ros.learning.learner import Learner, MeasuringLearner, check_errors
+from wam_power_ros.learning.learner import Learner, MeasuringLearner
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Foreseen
@@ -150,7 +149,6 @@ class Improvement:
         self.parametrization = parametrization
         self.practised = practised
         self._settings, self._task, self._arm, self._rng = settings, task, arm, rng
-        check_errors(installed.find("learner", settings.learner), task.name, task.corrections)
         margins = task.margins if task.declares("errors", "margins") else lambda record: ()
         self._rule = StoppingRule(settings.practice, margins, task.margin_scatter)
         self._error_model = task.error_model(parametrization, arm.foresee)
@@ -180,6 +178,7 @@ class Improvement:
             self._rng,
             task.model(parametrization, start) if task.declares("model") else None,
             self._error_model,
+            bool(task.corrections),
         )
         for record in records:
             if record.demonstration == self.demonstration:

@@ -115,7 +115,7 @@ class SessionSettings(BaseModel):
         except Exception:  # of any task, at what is none of its movements: demonstrations will tell
             return
         rng = np.random.Generator(np.random.PCG64(0))
-        self.make_learner(parametrization.size, rng, model, errors)
+        self.make_learner(parametrization.size, rng, model, errors, bool(task.corrections))
 
     def make_learner(
         self,
@@ -123,6 +123,7 @@ class SessionSettings(BaseModel):
         rng: np.random.Generator,
         task_model: Model | None,
         error_model: ErrorModel | None = None,
+        corrects: bool = False,
     ) -> Learner:
         """Create a learner.
 
@@ -131,6 +132,7 @@ class SessionSettings(BaseModel):
             rng: Random generator of the exploration.
             task_model: Model of the task for a learner that needs one.
             error_model: Model of the vector error of the task for a learner that needs one.
+            corrects: Whether the task corrects rollouts, for a learner of corrections alone.
 
         Raises:
             ValueError: The learner needs a model and the task has none; names those that work.
@@ -140,8 +142,6 @@ class SessionSettings(BaseModel):
             "needs_error_model": ("the vector error", error_model),
         }
 
-        errors = installed.task_type(self.task).learnt_errors()
-
         def given(name: str) -> list[Model | ErrorModel | None]:
             kind = installed.find("learner", name)
             needed = [need for need in models if getattr(kind, need, False)]
@@ -149,7 +149,7 @@ class SessionSettings(BaseModel):
                 if model is None:
                     text = f"learner {name!r} needs a model of {what}, which task {self.task!r}"
                     raise ValueError(f"{text} with these settings does not have")
-            check_errors(kind, self.task, errors)
+            check_errors(kind, self.task, corrects)
             return [models[need][1] for need in needed]
 
         def works(name: str) -> bool:
@@ -193,7 +193,7 @@ def preset(
     if name not in kind.presets:
         raise ValueError(f"preset {name!r} of {task!r} is not one of {', '.join(kind.presets)}")
     values = dict(kind.presets[name])
-    errors = kind.learnt_errors()
+    errors = kind.learns_from_errors()
     learning = {"name": "model_based" if errors else "power", **values.pop("learner", {})}
     if learning["name"] == "model_based" and not errors:  # a return of its own is learnt from
         learning = {"name": "power", **ModelBased.Settings().fallback.model_dump()}

@@ -13,6 +13,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
@@ -26,7 +27,7 @@ from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Foreseen, Rollout
 from wam_power_ros.regions import Region
-from wam_power_ros.tasks.errors import Effect, Error, ForeseenErrors, RoughErrors, learnt
+from wam_power_ros.tasks.errors import Effect, Error, ForeseenErrors, RoughErrors, learnt, told
 from wam_power_ros.tasks.reset import Action, BodyState
 
 if TYPE_CHECKING:
@@ -157,12 +158,15 @@ class Task(ABC):
             another return than the errors of its base class: it is learnt from returns, too.
         effects: Rough change of the errors by a learnt parameter, each with its largest step, by
             which learners correct and plan.
+        targets: Numbers that a session's goal may state, by name. An error of that name is measured
+            from its target; NaN: it does not count unless the goal states one.
         rest_time: Time for which the body must have been `ready` before a rollout [s].
         goal: What is to be achieved, in the words of the reports.
         published: What a publication reports on the task, None for nothing.
 
     Attributes:
         settings: Settings of the task.
+        targets: Those of the class, with those that `context` states under the key "goal".
         settle_time: Time that a rollout continues after the movement [s].
         gain: Share of a measured error by which a rollout is corrected in hindsight; 0 for none.
         region: Guarded region at which the controller ends its rollouts, None for none.
@@ -179,7 +183,8 @@ class Task(ABC):
     presets: ClassVar[Mapping[str, Mapping[str, Any]]]
     errors: ClassVar[Sequence[Error]] = ()
     effects: ClassVar[Sequence[Effect]] = ()
-    rest_time: ClassVar[float] = 0.0
+    targets: Mapping[str, float] = MappingProxyType({})
+    rest_time: float = 0.0
     goal: ClassVar[Goal] = Goal()
     published: ClassVar[Published | None] = None
     gain: float = 0.5
@@ -206,9 +211,10 @@ class Task(ABC):
                 )
 
     def __init__(self, settings: Any, context: Mapping[str, Any]) -> None:  # noqa: ANN401
-        """Construct the task from `Settings`, which include `settle_time`; no context is used."""
+        """Construct the task from `Settings`, which include `settle_time`, and a goal if any."""
         self.settings = settings
         self.settle_time: float = settings.settle_time
+        self.targets = {**self.targets, **context.get("goal", {})}
 
     @classmethod
     def declares(cls, *names: str) -> bool:
@@ -217,9 +223,18 @@ class Task(ABC):
         return bool(vars(last).keys() & set(names))
 
     @classmethod
-    def learnt_errors(cls) -> list[Error]:
+    def learns_from_errors(cls) -> bool:
+        """Whether an effect moves an error, and the errors are of its return."""
+        return cls.declares("errors") and bool(learnt(cls.errors, cls.effects))
+
+    def wanted_errors(self) -> list[Error]:
+        """`errors` that count with these `targets`, each with its own."""
+        errors = [e._replace(target=self.targets.get(e.name, 0.0)) for e in self.errors]
+        return [error for error in errors if not math.isnan(error.target)]
+
+    def learnt_errors(self) -> list[Error]:
         """Errors that are learnt from: those that an effect moves, if they are of its return."""
-        return learnt(cls.errors, cls.effects) if cls.declares("errors") else []
+        return learnt(self.wanted_errors(), self.effects) if self.declares("errors") else []
 
     @classmethod
     def demonstration_of(
@@ -249,34 +264,12 @@ class Task(ABC):
         """
         return {}
 
-    @property
-    def goal_values(self) -> Mapping[str, float]:
-        """Numbers that are the goal of a rollout, by name; empty if the goal cannot be changed."""
-        return {}
+    def carried(self, policy: Policy, former: Mapping[str, float]) -> Policy:
+        """Change a policy of other `targets` as far as physics says how, by default not at all.
 
-    def with_goal(self, context: Mapping[str, Any], values: Mapping[str, float]) -> dict[str, Any]:
-        """Context of the same skill with another goal.
-
-        Args:
-            context: Context of this task.
-            values: New ones of `goal_values`, by name.
-
-        Raises:
-            ValueError: A goal cannot be changed, or cannot have these values.
+        What its errors, measured from the new targets, tell is corrected then.
         """
-        raise ValueError(f"task {self.name} has no goal that can be changed")
-
-    def goal_slope(self, parametrization: Parametrization) -> np.ndarray:
-        """Rough change of what a rollout attains per unit of z; 0 where a new goal is to keep z.
-
-        Returns:
-            Slope of each of `goal_values`, in their order. Shape (g, size).
-        """
-        return np.zeros((len(self.goal_values), parametrization.size))
-
-    def attained(self, record: LoggedRollout) -> Mapping[str, float] | None:
-        """Goal that a rollout would have met, `goal_values` by name; None if it tells of none."""
-        return None
+        return policy
 
     @abstractmethod
     def parametrization(self, policy: Policy) -> Parametrization:
@@ -341,10 +334,10 @@ class Task(ABC):
             that successes are counted alone. By default those of `errors` that have a limit.
         """
         seen = None if record.observation is None else self.measure(record.observation)
-        limited = [error for error in self.errors if error.limit < math.inf]
+        limited = [error for error in self.wanted_errors() if error.limit < math.inf]
         if seen is None or any(error.name not in seen for error in limited):
             return ()
-        return [error.limit - abs(seen[error.name]) for error in limited]
+        return [error.limit - abs(seen[error.name] - error.target) for error in limited]
 
     @property
     def margin_scatter(self) -> Sequence[float]:
@@ -352,7 +345,7 @@ class Task(ABC):
 
         In doubt larger ones: the stopping rule counts them as four observations.
         """
-        limited = [error.scatter for error in self.errors if error.limit < math.inf]
+        limited = [error.scatter for error in self.wanted_errors() if error.limit < math.inf]
         return limited if all(limited) else ()
 
     def model(self, parametrization: Parametrization, start: np.ndarray) -> Model | None:
@@ -378,7 +371,7 @@ class Task(ABC):
             measured = self.measure(observation)
         if measured is None:
             return None
-        return np.array([measured.get(each.name, math.nan) / each.tolerance for each in errors])
+        return told(errors, measured)
 
     def error_model(
         self,

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -15,10 +17,10 @@ from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.tasks.ball_in_cup.parametrization import cup_parametrization
 from wam_power_ros.tasks.ball_in_cup.put_back import (
-    SWING_RATE,
     emptying,
     stilling,
     swing_phasor,
+    swing_rate,
 )
 from wam_power_ros.tasks.ball_in_cup.settings import CUP_FIT, PRESETS, CupSettings
 from wam_power_ros.tasks.ball_in_cup.swing import (
@@ -45,6 +47,7 @@ if TYPE_CHECKING:
 
 HANGING_TOLERANCE = 0.05  # [m] of the ball from below the cup before a rollout
 REST_SPEED = 0.03  # [m/s] of a ball at rest: a swing of 6 mm, or less and the noise of the cameras
+STRINGS = (0.2, 0.6)  # [m] shortest and longest string of a goal
 TAUT = 0.03  # [m] by which a ball on a taut string may be nearer or farther than its length
 SWING_MIN = 0.005  # [m] amplitude of a swing that is stilled; a smaller one is noise
 SWING_MAX = 0.3  # [m] the same; a larger one loses height by itself
@@ -81,7 +84,7 @@ class BallInCup(Task):
     Settings: ClassVar[type[CupSettings]] = CupSettings
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = PRESETS
     errors, effects = ERRORS, EFFECTS
-    rest_time = math.pi / SWING_RATE  # half a swing: at its ends the ball is slow, too
+    targets = MappingProxyType({"string": STRING})
     goal = Goal(
         achieved="caught the ball",
         first="first catch",
@@ -94,6 +97,27 @@ class BallInCup(Task):
     def __init__(self, settings: CupSettings, context: Mapping[str, Any]) -> None:
         super().__init__(settings, context)
         self.gain = settings.gain
+        self.string = self.targets["string"]
+        if not STRINGS[0] <= self.string <= STRINGS[1]:
+            raise ValueError(f"string = {self.string} m must be {STRINGS[0]} to {STRINGS[1]} m")
+        self.rest_time = math.pi / swing_rate(self.string)  # half a swing: the ball is slow there
+
+    def carried(self, policy: Policy, former: Mapping[str, float]) -> Policy:
+        """Scale the path with the string, and time with its root: accelerations stay, see `Task`.
+
+        A ball on a string of any length swings alike then. The stiffness stays, too: the damping is
+        scaled so that the tool lags behind the attractors by its share of the path.
+        """
+        size = self.string / former["string"]
+        basis, start = policy.basis, policy.attractors[0]
+        return replace(
+            policy,
+            basis=replace(
+                basis, duration=math.sqrt(size) * basis.duration, variance=size * basis.variance
+            ),
+            attractors=start + size * (policy.attractors - start),
+            damping=math.sqrt(size) * policy.damping,
+        )
 
     def parametrization(self, policy: Policy) -> Parametrization:
         """Learnt parameters of a policy; see `Task`."""
@@ -106,12 +130,12 @@ class BallInCup(Task):
         offset = body.position - tool.position
         if in_cup(tool.rotation.T @ offset):
             return "the ball is in the cup: empty it"
-        beside = float(np.linalg.norm(offset + np.array([0.0, 0.0, STRING])))
+        beside = float(np.linalg.norm(offset + np.array([0.0, 0.0, self.string])))
         speed = float(np.linalg.norm(body.velocity))
         if speed > REST_SPEED:
             return f"the ball swings at {speed:.2f} m/s"
         if beside > HANGING_TOLERANCE:
-            return f"the ball is {beside:.2f} m from where it hangs, {STRING} m below the cup"
+            return f"the ball is {beside:.2f} m from where it hangs, {self.string} m below the cup"
         return ""
 
     def reset(self, body: BodyState | None, arm: ToolPose, q_start: np.ndarray) -> Action:
@@ -122,12 +146,13 @@ class BallInCup(Task):
         offset = body.position - tool.position
         if in_cup(tool.rotation.T @ offset):
             return emptying(q_start)
-        taut = abs(float(np.linalg.norm(offset)) - STRING) < TAUT and offset[2] < 0.0
+        taut = abs(float(np.linalg.norm(offset)) - self.string) < TAUT and offset[2] < 0.0
         if not taut:
             return "person"
-        swing = swing_phasor(offset[:2], body.velocity[:2])
+        rate = swing_rate(self.string)
+        swing = swing_phasor(offset[:2], body.velocity[:2], rate)
         stills = SWING_MIN < np.abs(swing).max() < SWING_MAX
-        return stilling(arm, q_start, swing) if stills else "wait"
+        return stilling(arm, q_start, swing, rate) if stills else "wait"
 
     def assess(self, policy: Policy, rollout: Rollout) -> Assessment:
         """Return and success of a rollout of `policy`."""
@@ -140,7 +165,7 @@ class BallInCup(Task):
             return Assessment(None, why="the ball was not seen when it came down or at the end")
         distance, why = swing.distance, ""
         if swing.t_c is None:
-            distance = math.hypot(STRING, swing.apex)
+            distance = math.hypot(self.string, swing.apex)
             why = "the ball did not rise above the rim"
         ret = math.exp(-self.settings.sharpness * distance**2)
         success = swing.caught and swing.distance <= self.settings.success_distance
@@ -149,7 +174,7 @@ class BallInCup(Task):
     def measure(self, observation: Mapping[str, Any]) -> Mapping[str, float]:
         """Where the ball fell; one that stayed low: as if a string's length short, straight."""
         swing = swing_of(observation)
-        x, y = swing.miss or (STRING + MISS_OF_VIGOUR / APEX_OF_VIGOUR * swing.apex, 0.0)
+        x, y = swing.miss or (self.string + MISS_OF_VIGOUR / APEX_OF_VIGOUR * swing.apex, 0.0)
         return {"miss_x": x, "miss_y": y, "distance": swing.distance}
 
     def outcome(self, record: LoggedRollout) -> str:

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -66,6 +68,7 @@ class Flip(Task):
     single_policy: ClassVar[bool] = False
     fit_settings = FLIP_FIT
     errors, effects = ERRORS, EFFECTS
+    targets = MappingProxyType({"apex": math.nan})
     Settings: ClassVar[type[FlipSettings]] = FlipSettings
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = PRESETS
     goal = Goal(
@@ -82,6 +85,10 @@ class Flip(Task):
         """See `Task`."""
         super().__init__(settings, context)
         self.gain = settings.gain
+        if self.targets["apex"] <= settings.delta_h:
+            raise ValueError(
+                f"apex = {self.targets['apex']} m must be above delta_h = {settings.delta_h} m"
+            )
 
     def parametrization(self, policy: Policy) -> Parametrization:
         """Learnt parameters of a policy; see `Task`."""
@@ -107,8 +114,19 @@ class Flip(Task):
         return f"the pancake is not in the pan: {x:.3f}, {y:.3f}, {height:.3f} m in its frame"
 
     def assess(self, policy: Policy, rollout: Rollout) -> Assessment:
-        """Return and success of a rollout of `policy`."""
-        return flip_assessment.assess(policy, rollout, self.settings)
+        """Return and success of a rollout of `policy`, less far from a goal's apex."""
+        found = flip_assessment.assess(policy, rollout, self.settings)
+        apex, seen = self.targets["apex"], found.observation
+        if math.isnan(apex) or found.ret is None or seen is None:
+            return found
+        off = abs(seen["apex"] - apex) / ERRORS[-1].limit
+        share = math.exp(-off)
+        return replace(
+            found,
+            ret=share * found.ret,
+            terms={name: share * term for name, term in found.terms.items()},
+            success=found.success and off < 1.0,
+        )
 
     def margins(self, record: LoggedRollout) -> Sequence[float]:
         """Those of the errors, unless another rotation is a success, or none is needed."""
