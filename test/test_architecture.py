@@ -100,23 +100,23 @@ BUDGET = {
     "control": 4970,  # the reaction asks in every state what is believed, knows a mass, and a drift
     "commissioning": 1221,
     "tracking": 620,
-    "tasks": 3885,  # what follows from the errors of any task is written here once
+    "tasks": 3877,  # what follows from the errors of any task is written here once
     "practice": 2476,  # refusals by a person and pauses are in its log
     "conformance": 1123,
     "bags": 2660,
     "params": 1140,
     "ros": 2810,
     "client": 1450,
-    "nodes": 3298,
+    "nodes": 3297,
     "console": 983,
     "view": 1430,
     "reporting": 990,
     "in_process": 420,
     "cli": 3353,
-    "hardware_sim": 3365,
+    "hardware_sim": 3362,
     "launch": 260,
     "examples": 380,
-    "reproduction": 3976,
+    "reproduction": 3882,
     "benchmark": 5369,  # the matrix of the reaction has a plant of its own
 }
 PURE = (

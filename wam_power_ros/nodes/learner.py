@@ -370,11 +370,9 @@ class Learner(Node):
         """
         goal = plain_json.parse(self.params.goal, "goal")
         known = read(origin)
-        context = context_for(known.header.settings, known.context, goal)
-        task = known.header.settings.make_task(context)
-        policy, remark = policy_for(
-            task, known.task, known.policies, known.records, self._arm, "carried-over"
-        )
+        settings, of = known.header.settings, (known.task, known.policies, known.records)
+        context = context_for(settings, known.context, goal)
+        policy, remark = policy_for(settings.make_task(context), *of, self._arm, "carried-over")
         self.get_logger().info(f"goal {self.params.goal}: {remark}")
         return context, policy
 

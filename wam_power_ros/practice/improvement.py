@@ -173,12 +173,10 @@ class Improvement:
         """Start a new learner and feed it all rollouts of the demonstration, in their order."""
         parametrization, task = self.parametrization, self._task
         start = self._arm.tool_position(parametrization.policy0.q_start)
+        model = task.model(parametrization, start) if task.declares("model") else None
+        size, corrects = parametrization.size, bool(task.corrections)
         self.learner = self._settings.make_learner(
-            parametrization.size,
-            self._rng,
-            task.model(parametrization, start) if task.declares("model") else None,
-            self._error_model,
-            bool(task.corrections),
+            size, self._rng, model, self._error_model, corrects
         )
         for record in records:
             if record.demonstration == self.demonstration:

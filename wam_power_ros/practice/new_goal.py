@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Policy for a goal that was never tried, predicted from the rollouts of a session.
 
-A goal states targets of the task, see `Task.targets`. What physics says of them the task does to
-the session's answer (`Task.carried`). The errors of the rollouts without exploration, measured from
-the new targets, are then corrected by the task's effects; all else that made the answer succeed
-stays.
+A goal states targets of the task. `Task.carried` changes the session's answer as physics says. What
+the rollouts without exploration missed, measured from the new targets, the task's effects correct.
 """
 
 from __future__ import annotations
@@ -24,20 +22,15 @@ from wam_power_ros.tasks.task import Task
 def context_for(
     settings: SessionSettings, context: Mapping[str, Any], goal: Mapping[str, float]
 ) -> dict[str, Any]:
-    """Context of the same skill with another goal.
-
-    Args:
-        settings: Settings of the session.
-        context: Context of its task.
-        goal: New values of some of its `targets`, by name; the others stay.
+    """Context of a session's task with new values of some of its `targets`; the others stay.
 
     Raises:
         ValueError: The task has no such targets, or they cannot have these values.
     """
-    known = settings.make_task(context).targets
-    if unknown := goal.keys() - known.keys():
-        has = f"a goal of {settings.task} is {', '.join(known)}, not {min(unknown)!r}"
-        raise ValueError(has if known else f"task {settings.task} has no goal that can be changed")
+    targets = settings.make_task(context).targets
+    if unknown := goal.keys() - targets.keys():
+        known = ", ".join(targets) or "nothing that can be changed"
+        raise ValueError(f"a goal of {settings.task} is {known}, not {min(unknown)!r}")
     moved = {**context, "goal": {**context.get("goal", {}), **goal}}
     settings.make_task(moved)  # refuses values
     return moved
@@ -65,8 +58,7 @@ def policy_for(
         The policy, and a remark on what it was predicted from.
 
     Raises:
-        ValueError: No rollout without exploration tells all errors, or its policy cannot be changed
-            so far.
+        ValueError: No rollout without exploration tells all errors, or nothing learnt moves them.
     """
     runs = [record for record in records if record.kind != "explore" and not record.fault]
     errors = [(record, task.error(record.observation)) for record in runs]
@@ -78,12 +70,12 @@ def policy_for(
     demonstrated = next(p for p in candidates if p.id == last.demonstration)
     answer, _ = known.parametrization(demonstrated).policy(np.array(last.z), policy_id)
     parametrization = task.parametrization(task.carried(answer, known.targets))
-    rough = task.rough_errors(parametrization)
-    if rough is None:
+    if (rough := task.rough_errors(parametrization)) is None:
         raise ValueError(f"these settings of {task.name} learn nothing that moves its errors")
-    corrected = sum(rough.correction(np.mean(same, axis=0), 1.0), np.zeros(parametrization.size))
+    zero = np.zeros(parametrization.size)
+    corrected = sum(rough.correction(np.mean(same, axis=0), 1.0), zero)
     is_feasible = feasibility(parametrization, arm, 0, policy_id)
-    z, halvings = shrink(corrected, np.zeros(parametrization.size), is_feasible)
+    z, halvings = shrink(corrected, zero, is_feasible)
     remark = f"predicted from {len(same)} rollouts of {last.id}"
     remark += f", {0.5**halvings:.2g} of the way" if halvings else ""
     return parametrization.policy(z, policy_id)[0], remark

@@ -101,8 +101,6 @@ class Practice:
     * Ratings and demonstrations take effect on the next trial, not on the one being executed.
 
     Attributes:
-        settings: Settings of the session.
-        task: Task that is practised.
         choice: Current demonstration and the reason for its choice, empty before the choice.
         used: Number of rollouts used of the budget.
         seconds: Time that they and all others took [s].

@@ -67,14 +67,12 @@ class SessionHeader(BaseModel):
     """Contents of session.yaml.
 
     Attributes:
-        schema_: Version of this layout ("schema" in YAML).
-        seed: Seed of the exploration, and of the simulator in simulation.
+        seed: Seed of the exploration and the simulator.
         settings: Settings of practice, task and learner.
         candidates: Ids of the candidate policies, in their order.
         demonstrations: Bags that the candidates were fitted to, as given.
         versions: Versions of the software at the beginning, see `versions`.
         resumed: Versions at each resumption that changed them, oldest first.
-        clock: Wall-clock figures; empty.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
@@ -149,7 +147,6 @@ class Session:
     Close a locked one, or use it as a context manager.
 
     Attributes:
-        folder: Folder of the session.
         header: Contents of session.yaml.
         context: Contents of task.json.
         candidates: Policies that the session began with.

@@ -91,6 +91,8 @@ class Trial:
 
 
 class _Line(BaseModel):
+    """A line of the log; `schema_` is the version of its layout ("schema" in JSON)."""
+
     model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
 
     def to_json(self) -> str:
@@ -102,7 +104,6 @@ class Record(_Line):
     """One executed rollout, a line of the session's log.
 
     Attributes:
-        schema_: Version of this layout ("schema" in JSON).
         number, id, kind, demonstration, attempt, rejections: See `Trial`.
         z, theta: Executed parameters, as scaled coordinates and in physical units.
         learnt: Whether the rollout is learnt from.
@@ -180,12 +181,9 @@ class Rating(_Line):
     """A person's reward or punishment for a rollout.
 
     Attributes:
-        schema_: Version of this layout ("schema" in JSON).
         after: Number of recorded rollouts when it takes effect.
         rollout: Number of the rated rollout.
         amount: Amount added to the return.
-        note: Human-readable effect.
-        clock: Wall-clock figures.
     """
 
     schema_: Literal["wam_power_ros/rating/1"] = Field(
@@ -202,13 +200,9 @@ class NewDemonstration(_Line):
     """A demonstration added while learning.
 
     Attributes:
-        schema_: Version of this layout ("schema" in JSON).
         after: Number of recorded rollouts when it takes effect.
-        id: Id of the policy.
         policy: Policy fitted to the demonstration, as `policy.to_json` writes it.
         bag: Bag of the demonstration, as given.
-        note: Human-readable effect.
-        clock: Wall-clock figures.
     """
 
     schema_: Literal["wam_power_ros/demonstration/1"] = Field(
@@ -236,11 +230,7 @@ class Pause(_Line):
     """A pause of the session, or the end of one; takes effect at once.
 
     Attributes:
-        schema_: Version of this layout ("schema" in JSON).
-        after: Number of recorded rollouts.
         paused: Whether nothing moves from now on.
-        note: Human-readable reason.
-        clock: Wall-clock figures.
     """
 
     schema_: Literal["wam_power_ros/pause/1"] = Field(

@@ -59,9 +59,7 @@ class SessionSettings(BaseModel):
     """All settings of a session, as `session.yaml` holds them.
 
     Attributes:
-        task: Name of the task.
         task_settings: Settings of the task, of its class `Settings`.
-        learner: Name of the learner.
         learner_settings: Settings of the learner, of its class `Settings`.
         practice: Settings of the course of the session.
     """

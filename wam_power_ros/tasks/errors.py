@@ -14,6 +14,8 @@ from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Foreseen
 
+SHOWN_IN = {"m": (1000.0, ".1f", " mm"), "rad": (math.degrees(1.0), ".1f", "°")}  # by unit
+
 
 class Error(NamedTuple):
     """Something that a rollout measures and that is to become 0, or what a goal asks.
@@ -35,6 +37,12 @@ class Error(NamedTuple):
     limit: float = math.inf
     scatter: float = 0.0
     target: float = 0.0
+
+    def shown(self, value: float | None) -> str:
+        """Name and value, such as "miss x 12 mm", for a person."""
+        factor, digits, unit = SHOWN_IN.get(self.unit, (1.0, ".3g", f" {self.unit}"))
+        number = "unknown" if value is None else f"{factor * value:{digits}}{unit}"
+        return f"{self.name.replace('_', ' ')} {number}"
 
 
 class Effect(NamedTuple):

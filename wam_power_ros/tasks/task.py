@@ -420,8 +420,19 @@ class Task(ABC):
         return record.success
 
     def measured(self, retests: Sequence[LoggedRollout]) -> Mapping[str, str]:
-        """Values measured in the re-tests, by label, for the report and the terminal."""
-        return {}
+        """Values measured in the re-tests, by label, for the report and the terminal.
+
+        By default the medians of the errors that have a limit.
+        """
+        seen = [self.measure(r.observation) or {} for r in retests if r.observation]
+        found = {}
+        for error in self.wanted_errors():
+            off = [abs(each.get(error.name, math.nan) - error.target) for each in seen]
+            known = [value for value in off if math.isfinite(value)]
+            if error.limit < math.inf and known:
+                value = error.shown(float(np.median(known)))[len(error.name) + 1 :]
+                found[f"median error of the re-tests: {error.name.replace('_', ' ')}"] = value
+        return found
 
     def figure(self, rollout: Rollout) -> tuple[Figure, str] | None:
         """Figure of a rollout, and a sentence on it, which may be empty; None for no figure."""

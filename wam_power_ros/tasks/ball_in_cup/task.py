@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -12,10 +12,14 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from wam_power_ros.learning.demonstration import ToolPose
-from wam_power_ros.learning.parametrization import Parametrization
+from wam_power_ros.learning.parametrization import (
+    Attractors,
+    Direction,
+    Parametrization,
+    parametrization_of,
+)
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Rollout
-from wam_power_ros.tasks.ball_in_cup.parametrization import cup_parametrization
 from wam_power_ros.tasks.ball_in_cup.put_back import (
     emptying,
     stilling,
@@ -45,6 +49,8 @@ from wam_power_ros.tasks.task import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+SWING_PLANE = (0, 2)  # axes of the movement: outward and up
+SIDEWAYS_PROFILE = (0.5, 1.0)  # of the last attractors, at the catch, per unit of the shift [1]
 HANGING_TOLERANCE = 0.05  # [m] of the ball from below the cup before a rollout
 REST_SPEED = 0.03  # [m/s] of a ball at rest: a swing of 6 mm, or less and the noise of the cameras
 STRINGS = (0.2, 0.6)  # [m] shortest and longest string of a goal
@@ -56,15 +62,6 @@ SWING_MAX = 0.3  # [m] the same; a larger one loses height by itself
 MISS_OF_VIGOUR = -2.5  # [m] change of the miss along x per unit of vigour
 APEX_OF_VIGOUR = 1.0  # [m] change of the apex per unit of vigour
 MISS_OF_SHIFT = -0.9  # change of the miss along y per shift [1]
-ERRORS = (
-    Error("miss_x", "m", 0.015),
-    Error("miss_y", "m", 0.015),
-    Error("distance", "m", 0.015, limit=CUP_RADIUS),
-)
-EFFECTS = (
-    Effect("vigour", 0.05, {"miss_x": MISS_OF_VIGOUR}),
-    Effect("sideways", 0.05, {"miss_y": MISS_OF_SHIFT}),
-)
 
 
 class BallInCup(Task):
@@ -83,7 +80,15 @@ class BallInCup(Task):
     fit_settings = CUP_FIT
     Settings: ClassVar[type[CupSettings]] = CupSettings
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = PRESETS
-    errors, effects = ERRORS, EFFECTS
+    errors = (
+        Error("miss_x", "m", 0.015),
+        Error("miss_y", "m", 0.015),
+        Error("distance", "m", 0.015, limit=CUP_RADIUS),
+    )
+    effects = (
+        Effect("vigour", 0.05, {"miss_x": MISS_OF_VIGOUR}),
+        Effect("sideways", 0.05, {"miss_y": MISS_OF_SHIFT}),
+    )
     targets = MappingProxyType({"string": STRING})
     goal = Goal(
         achieved="caught the ball",
@@ -108,20 +113,43 @@ class BallInCup(Task):
         A ball on a string of any length swings alike then. The stiffness stays, too: the damping is
         scaled so that the tool lags behind the attractors by its share of the path.
         """
-        size = self.string / former["string"]
-        basis, start = policy.basis, policy.attractors[0]
+        size, basis, start = self.string / former["string"], policy.basis, policy.attractors[0]
+        slower = math.sqrt(size)
         return replace(
             policy,
-            basis=replace(
-                basis, duration=math.sqrt(size) * basis.duration, variance=size * basis.variance
-            ),
+            basis=replace(basis, duration=slower * basis.duration, variance=size * basis.variance),
             attractors=start + size * (policy.attractors - start),
-            damping=math.sqrt(size) * policy.damping,
+            damping=slower * policy.damping,
         )
 
     def parametrization(self, policy: Policy) -> Parametrization:
-        """Learnt parameters of a policy; see `Task`."""
-        return cup_parametrization(policy, self.settings.variant, self.settings.noise)
+        """Learnt parameters of a policy; see `Task`.
+
+        The variant "swing" has the attractors mu_x and mu_z, in the plane of the swing, and
+            vigour: Scales the demonstrated movement, mu_i - mu_1 and r_i - r_1, by 1 + vigour [1].
+            sideways: Moves the last attractors along y, out of the plane of the swing [m]. A shift
+                in the plane would throw the ball as far again.
+
+        Raises:
+            ValueError: If the variant is "swing" and there are fewer attractors than are shifted.
+        """
+        variant, noise = self.settings.variant, self.settings.noise
+        if variant != "swing":
+            return parametrization_of(policy, variant, noise)
+        n, last = policy.basis.count, len(SIDEWAYS_PROFILE)
+        if n < last:
+            text = f"variant {variant!r} shifts the last {last} attractors"
+            raise ValueError(f"{text}, policy {policy.id!r} has {n}")
+        sideways, still = np.zeros((2, n, 3))
+        sideways[-last:, 1] = SIDEWAYS_PROFILE
+        swing = policy.attractors - policy.attractors[0]
+        turn = policy.rotation_attractors - policy.rotation_attractors[0]
+        groups = (
+            Attractors(noise.attractor, SWING_PLANE),
+            Direction(noise.vigour, "vigour", attractors=swing, rotation=turn),
+            Direction(noise.sideways, "sideways", attractors=sideways, rotation=still),
+        )
+        return Parametrization(policy, groups)
 
     def ready(self, body: BodyState | None, tool: Pose) -> str:
         """Check that the ball hangs below the cup, at rest; see `Task`."""
@@ -181,37 +209,17 @@ class BallInCup(Task):
         """Distance from the cup and end of the ball, as tracked; see `Task`."""
         if record.fault:
             return f"fault: {record.fault}"
-        if record.observation is None:
+        if (seen := record.observation) is None:
             return record.why or "not seen"
-        swing = swing_of(record.observation)
+        swing = swing_of(seen)
         if swing.t_c is None:
             return f"{-100 * swing.apex:.0f} cm below the rim"
         end = "in the cup" if swing.caught else "missed"
         return f"{100 * swing.distance:.1f} cm beside, {end}"
 
-    def summary(self, records: Sequence[LoggedRollout]) -> list[str]:
-        """Catches and distances of the re-tests; see `Task`."""
-        retests = [record for record in records if record.kind == "retest"]
-        seen = [swing_of(r.observation) for r in retests if r.observation]
-        if not seen:
-            return []
-        caught = sum(swing.caught for swing in seen)
-        text = f"re-tests of the final policy: {caught} of {len(retests)} in the cup"
-        if missed := [swing.distance for swing in seen if swing.t_c is not None]:
-            text += f", at most {100 * max(missed):.1f} cm beside its middle"
-        return [text]
-
     def achieved(self, record: LoggedRollout) -> bool:
         """Whether the ball was in the cup at the end; see `Task`."""
         return bool(not record.fault and (record.observation or {}).get("caught"))
-
-    def measured(self, retests: Sequence[LoggedRollout]) -> Mapping[str, str]:
-        """Median distance of the re-tests; see `Task`."""
-        swings = [swing_of(record.observation) for record in retests if record.observation]
-        known = [swing.distance for swing in swings if swing.t_c is not None]
-        if not known:
-            return {}
-        return {"median distance of the re-tests": f"{100 * np.median(known):.1f} cm"}
 
     def figure(self, rollout: Rollout) -> tuple[Figure, str] | None:
         """Cup and ball from the side; see `Task`."""

@@ -32,9 +32,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 AXES = ("x", "y", "z")  # of the base frame
-# The end of the tool from the goal: the last attractor, which ends the movement, moves it.
-ERRORS = tuple(Error(axis, "m", 0.01) for axis in AXES)
-EFFECTS = tuple(Effect("attractors", 0.2, {axis: 1.0}, k - 3) for k, axis in enumerate(AXES))
 
 
 class Reach(Task):
@@ -55,7 +52,9 @@ class Reach(Task):
     fit_settings = REACH_FIT
     Settings: ClassVar[type[ReachSettings]] = ReachSettings
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = PRESETS
-    errors, effects = ERRORS, EFFECTS
+    # The end of the tool: the last attractor, which ends the movement, moves it.
+    errors = tuple(Error(axis, "m", 0.01) for axis in AXES)
+    effects = tuple(Effect("attractors", 0.2, {axis: 1.0}, k - 3) for k, axis in enumerate(AXES))
     gain = 0.0  # the return is learnt from as it is
     goal = Goal(question="whether the obstacle was touched", observed="touched", true="touched")
 
@@ -131,24 +130,11 @@ class Reach(Task):
         """Distance from the goal and contact with the obstacle; see `Task`."""
         if record.fault:
             return f"fault: {record.fault}"
-        seen = record.observation
-        if seen is None:
+        if (seen := record.observation) is None:
             return record.why or "not seen"
         if seen["touched"]:
             return f"touched the obstacle, {100 * seen['goal_distance']:.0f} cm from the goal"
         return f"{1000 * seen['goal_distance']:.0f} mm from the goal"
-
-    def summary(self, records: Sequence[LoggedRollout]) -> list[str]:
-        """Successes and clearance of the re-tests; see `Task`."""
-        seen = [r.observation for r in records if r.kind == "retest" and r.observation]
-        if not seen:
-            return []
-        clear = sum(not each["touched"] for each in seen)
-        clearance = min(each["clearance"] for each in seen)
-        return [
-            f"re-tests of the final policy: {clear} of {len(seen)} passed the obstacle, "
-            f"smallest clearance {1000 * clearance:.0f} mm"
-        ]
 
     def figure(self, rollout: Rollout) -> tuple[Figure, str]:
         """Demonstrated and executed path around the obstacle; see `Task`."""
