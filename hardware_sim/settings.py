@@ -12,11 +12,7 @@ from hardware_sim.sensors import MocapSettings
 from hardware_sim.wam import JOINTS, PERIOD
 from wam_power_ros.control.arm import GuardedPoint, guarded_points
 from wam_power_ros.params.node_params import Names, Params
-from wam_power_ros.params.torque_controller_params import (
-    JOINTS_MAX,
-    Joints,
-    require_same_joints,
-)
+from wam_power_ros.params.torque_controller_params import JOINTS_MAX, Joints, require_same_joints
 from wam_power_ros.regions import Region, region_of
 from wam_power_ros.tracking.tracker import WorldToBase
 
@@ -73,6 +69,7 @@ class WorldSettings(BaseModel):
     guarded_region: tuple[Length, Length, Length, Radius] = (0.0, 0.0, 0.0, 0.0)
     goal: tuple[Length, Length, Length] = REACH_GOAL
     spread: Spread = 1.0
+    string: Scale = Field(0.4, description="in m")
     pitch_rate: Scale = Field(PITCH_RATE, description="in rad/s: 10 is faster than any wrist")
     level: bool = False
 

@@ -118,7 +118,7 @@ def test_a_learner_that_cannot_be_loaded_hinders_no_session_of_another_one(lab: 
     lab(learners=("broken = no_such_package:Learner", "cma_es = LAB.task:Stack"))
     preset("reach").check(1)
     with pytest.raises(ValueError, match=r"a model of .* that work: power") as refused:
-        preset("reach", None, {"name": "model_based"}).check(1)
+        preset("flip", "paper", {"name": "model_based"}).check(1)
     assert not {"broken", "cma_es"} & set(str(refused.value).rpartition(": ")[2].split(", "))
 
 

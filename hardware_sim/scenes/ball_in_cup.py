@@ -19,7 +19,6 @@ from wam_power_ros.tasks.ball_in_cup.swing import (
     CUP_RADIUS,
     PLANE,
     RIM,
-    STRING,
     in_cup,
     landing,
 )
@@ -70,7 +69,7 @@ class BallInCup(Scene):
         string = spec.add_tendon(
             name="string",
             limited=True,
-            range=[0.0, STRING],
+            range=[0.0, self._settings.string],
             solref_limit=[0.004, 1.0],  # stiff, without a rebound
             width=0.001,
             rgba=[0.3, 0.3, 0.3, 1.0],
@@ -83,7 +82,7 @@ class BallInCup(Scene):
     ) -> None:
         """Let the ball hang below the cup."""
         data.joint(BODY).qpos[:] = [*position, 1.0, 0.0, 0.0, 0.0]
-        data.joint(BODY).qpos[2] -= STRING
+        data.joint(BODY).qpos[2] -= self._settings.string
 
     def script(self, rng: np.random.Generator) -> SwingScript:
         """Draw a random swing."""
@@ -103,7 +102,7 @@ class BallInCup(Scene):
             t_c, distance = (k + 1) * log.period, float(np.hypot(*relative[k, :2]))
         return {
             "caught": in_cup(now.rotation.T @ (now.body[:3] - now.position)),
-            "apex": float(relative[:, 2].max(initial=-STRING - PLANE)),
+            "apex": float(relative[:, 2].max(initial=-self._settings.string - PLANE)),
             "t_c": t_c,
             "distance": distance,
         }

@@ -162,7 +162,11 @@ def test_demonstrations_that_are_taught_already_count_against_the_trials(
 
 @pytest.mark.parametrize("command", ["learn", "plan sim"])
 @pytest.mark.parametrize(
-    "words", ["--task reach --learner model_based", "--preset paper --learner model_based"]
+    "words",
+    [
+        "--task ball_in_cup --preset kober --learner model_based",
+        "--preset paper --learner model_based",
+    ],
 )
 def test_a_learner_that_cannot_work_is_refused_before_anybody_teaches(
     command: str, words: str, refusal: Callable[..., str]

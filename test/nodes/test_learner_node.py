@@ -52,7 +52,7 @@ def test_a_learner_goes_on_with_no_session_of_another_arm(tmp_path: Path, domain
 @pytest.mark.parametrize(
     ("given", "says"),
     [
-        ({"task": "reach", "learner": "model_based"}, "learners that work: cma_es,"),
+        ({"preset": "paper", "learner": "model_based"}, "learners that work: cma_es,"),
         ({"trials": 2}, "a budget of 2 rollouts leaves none to practise after 2 reproductions"),
         ({"task": "tap"}, "task 'tap' is not one of ball_in_cup, flip, reach"),
     ],
@@ -119,8 +119,8 @@ def test_a_session_begins_with_the_policy_predicted_for_another_goal(
         goal='"{\\"y\\": 0.3}"',
         demonstrations=[str(bag) for bag in bags],
     )
-    assert begun.task.goal_values == {**known.task.goal_values, "y": pytest.approx(0.3)}
+    assert begun.task.targets == {**known.task.targets, "y": pytest.approx(0.3)}
     (carried,) = begun.policies
     moved = carried.attractors - policy.attractors
     assert not moved[:-1].any()
-    assert moved[-1].tolist() == pytest.approx([0.0, 0.3 - known.task.goal_values["y"], 0.0])
+    assert moved[-1].tolist() == pytest.approx([0.0, 0.3 - known.task.targets["y"], 0.0])

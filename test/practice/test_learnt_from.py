@@ -113,7 +113,7 @@ def test_what_the_tasks_themselves_learn_from_is_said(
     task: type[Task], name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     told, practised = said(monkeypatch, task, name)
-    errors = ", ".join(error.name.replace("_", " ") for error in task.learnt_errors())
+    errors = ", ".join(error.name.replace("_", " ") for error in practised.learnt_errors())
     plans = preset(task.name, name).learner in ("model_based", "corrections_only")
     corrected = f"the return, corrected by {errors}" if practised.corrections else "the return"
     assert told == (errors if plans else corrected)

@@ -9,6 +9,7 @@ from PIL import Image
 
 from wam_power_ros import plotting
 from wam_power_ros.reporting import figures
+from wam_power_ros.tasks.errors import Error
 from wam_power_ros.tasks.task import Curve
 
 PUBLISHED = Curve("published", np.array([[1.0, 0.2], [2.0, 0.4]]), "A remark.")
@@ -41,12 +42,23 @@ def test_each_kind_of_rollout_has_points_of_its_own_and_only_explorations_are_av
     assert (extent.x0, extent.x1) == (6.5, 9.5)
 
 
-def test_the_bars_of_the_terms_add_up_to_the_return() -> None:
-    axes = figures.terms([1, 2], {"angle": [0.2, 0.3], "landing": [0.1, None]}).axes[0]
-    tops = {}
-    for bar in axes.patches:
-        tops[round(bar.get_x() + bar.get_width() / 2)] = bar.get_y() + bar.get_height()
-    assert tops == pytest.approx({1: 0.3, 2: 0.3})
+def test_every_known_error_is_drawn_in_its_unit_with_its_tolerance_and_its_limit() -> None:
+    far = Error("miss", "m", tolerance=0.02, limit=0.05)
+    wanted = [far, Error("turn", "rad", 0.1, target=1.0)]
+    values = [{"miss": 9.0}, {"miss": 0.01, "turn": 1.1}, {"miss": np.inf, "turn": 0.9}, {}]
+    miss, turn = figures.errors(wanted, values, ["reproduction", "mean", "mean", "mean"]).axes
+    drawn = {line.get_label(): line for line in miss.lines}
+    assert drawn["limit"].get_ydata()[0] == pytest.approx(50.0)  # [mm]
+    assert list(drawn["reproductions"].get_xdata()) == [1]
+    assert drawn["reproductions"].get_markerfacecolor() == "none"  # beyond the edge
+    shown = {n: y for each in miss.lines[1:] for n, y in zip(*each.get_data(), strict=True)}
+    assert shown[2] == pytest.approx(10.0) and shown[1] == shown[3] == miss.get_ylim()[1]
+    assert miss.get_title() == "miss [mm]" and turn.get_title() == "turn [°]"
+    assert sum(turn.get_ylim()) / 2.0 == pytest.approx(np.degrees(1.0))
+    assert not [line for line in turn.lines if line.get_label() == "limit"]
+    (band,) = turn.patches
+    edges = band.get_path().transformed(band.get_patch_transform()).get_extents()
+    assert [edges.y0, edges.y1] == pytest.approx(np.degrees([0.9, 1.1]))
 
 
 def test_stiffness_about_its_own_mean_is_in_percent() -> None:

@@ -57,7 +57,7 @@ def test_a_report_needs_no_other_file_and_no_network(folder: Path) -> None:
     html = session_report.write(folder).read_text()
     assert not re.search(r'(src|href)="(?!data:)', html)
     assert "<script" not in html
-    assert html.count("data:image/svg+xml;base64,") == 4  # Eq. 5, own return, terms, stiffness
+    assert html.count("data:image/svg+xml;base64,") == 4  # Eq. 5, own return, errors, stiffness
 
 
 def test_a_report_lists_every_rollout_with_its_angle(folder: Path) -> None:
@@ -74,7 +74,14 @@ def test_a_report_has_the_first_flip_and_the_speeds_that_were_needed(folder: Pat
     html = session_report.write(folder).read_text()
     assert "Rollout 4 was the first that flipped the pancake" in html  # 100 degrees topple over
     assert "° turned over, caught" in html
-    assert "last guarded point 1.37 m/s" in html
+    known = session.read(folder)
+    truth = {"peak_qd": [1.0, 2.0], "beyond_no_load": False, "peak_pan_speed": 2.5}
+    tests = [
+        r.model_copy(update={"kind": "retest", "truth": {**r.truth, **truth}})
+        for r in known.records
+    ]
+    html = session_report.render(known.header, known.task, None, None, tests)
+    assert "Peak speeds: first guarded point 0.40 m/s, last guarded point 1.37 m/s" in html
 
 
 def test_a_report_says_what_is_learnt_from(folder: Path) -> None:
@@ -120,8 +127,9 @@ def test_page_and_terminal_say_the_same_of_the_retests(folder: Path) -> None:
     tests = [r.model_copy(update={"kind": "retest"}) if r.number > 3 else r for r in records]
     html = session_report.render(found.header, task, None, None, tests)
     assert re.search(r"after it: mean return \d\.\d{3}, \d of 3 re-tests succeeded", html)
-    shown = re.search(r"<b>(\d+°)</b><span>median angle of the re-tests", html)
-    assert f"median angle of the re-tests {shown.group(1)}" in terminal.summary(tests, task)
+    label = "median error of the re-tests: rotation"
+    shown = re.search(rf"<b>(\d+\.\d°)</b><span>{label}", html)
+    assert f"{label} {shown.group(1)}" in terminal.summary(tests, task)
 
 
 def test_the_same_session_gives_the_same_report(folder: Path) -> None:
@@ -174,7 +182,7 @@ def test_a_report_of_a_reach_speaks_of_the_obstacle_and_of_no_pancake(reach: Pat
     assert said in html
     assert (
         html.count("data:image/svg+xml;base64,") == 4
-    )  # the final policy, learning curve, terms, stiffness
+    )  # the final policy, learning curve, errors, stiffness
 
 
 def test_a_session_without_rollouts_has_a_report(tmp_path: Path) -> None:

@@ -8,22 +8,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from reproduction.studies import grounds, new_goals
-from wam_power_ros.practice.settings import preset
-from wam_power_ros.tasks.reach.task import Reach
+from reproduction.studies import new_goals
+from wam_power_ros.learning.policy import with_id
+from wam_power_ros.tasks.ball_in_cup.task import BallInCup
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def test_every_goal_is_begun_in_every_way_and_a_prediction_needs_fewer_rollouts(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(new_goals, "GOALS", new_goals.GOALS[:2])
-    result = new_goals.session(1)
-    found = {way: new_goals.line(result[way]) for way in new_goals.WAYS}
-    assert {each["sessions"] for each in found.values()} == {2}
-    assert found["predicted"]["confirmed"] == 2
-    assert found["predicted"]["rollouts"] < found["taught afresh"]["rollouts"]
+def test_a_session_that_predicts_begins_with_a_success_where_its_policy_as_it_is_does_not() -> None:
+    found = new_goals.session("reach", 1)
+    assert found["goal"] == {"y": 0.15} and set(found) == {"origin", "goal", *new_goals.WAYS}
+    assert found["origin"]["confirmed"]
+    assert found["predicted"]["first"] == 1 < found["carried over"]["first"]
+    assert found == new_goals.session("reach", 1)
 
 
 def test_a_session_without_a_success_counts_as_one_that_never_succeeded() -> None:
@@ -36,38 +33,20 @@ def test_a_session_without_a_success_counts_as_one_that_never_succeeded() -> Non
 
 
 def test_a_study_run_as_a_module_finds_its_sessions_in_every_worker(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "reproduction.studies.new_goals", "--folder", str(tmp_path)]
-    asked = ["--seeds", "1", "--ways", "predicted", "--workers", "2"]
+    command = [sys.executable, "-m", "reproduction.studies.new_goals", "reach", "--seeds", "2"]
+    asked = ["--folder", str(tmp_path), "--workers", "2"]
     said = subprocess.run([*command, *asked], cwd=ROOT, capture_output=True, text=True)
     assert said.returncode == 0, said.stderr
-    assert "predicted: {'sessions': 5" in said.stdout
+    assert "reach, predicted: {'sessions': 2" in said.stdout
 
 
-def test_on_the_arm_a_reach_is_taught_to_its_goal_and_executed_as_far_as_the_obstacle() -> None:
-    place = new_goals.SimulatedArm(2)
-    goal = (0.78, 0.35, 0.6)
-    shown = place.taught(2, goal)
-    ends = np.array([each.position[-1] for each in shown])
-    assert len(ends) == new_goals.DEMONSTRATIONS
-    np.testing.assert_allclose(ends.mean(axis=0), goal, atol=0.03)
-    task = Reach(preset("reach").task_settings, Reach.context_of(shown, place.obstacle))
-    policy = Reach.policy_of(shown, "demonstration-1")
-    rollout = place.executed(task, policy, np.random.default_rng(0))
-    assert rollout.fault is None and rollout.stopped_in == place.obstacle.name == "obstacle"
-    assert task.assess(policy, rollout).observation["touched"]
-
-
-def test_every_size_is_begun_in_every_way(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(grounds, "BUDGET", 2)
-    monkeypatch.setattr(grounds, "RETESTS", 1)
-    result = new_goals.pancakes(1, (0.08,))
-    found = new_goals.rows([result, result])
-    keys = {f"{way}, 0.08" for way in new_goals.WAYS[1:]}
-    assert set(result) == {"origin"} | keys
-    assert set(found) == set(result) | set(new_goals.WAYS[1:])
-    for way in new_goals.WAYS[1:]:
-        assert found[way] == found[f"{way}, 0.08"]
-        assert new_goals.line(found[way], 1)["sessions"] == 2
-        assert all(each["used"] == 2 for each in found[way])
-    carried, afresh = found["carried over"][0], found["taught afresh"][0]
-    assert carried != afresh
+def test_a_ball_hangs_on_the_string_of_the_goal_and_a_swing_is_scaled_to_it() -> None:
+    there = new_goals.place("ball_in_cup", 1, {"string": 0.3})
+    (shown,) = new_goals.taught("ball_in_cup", 1, there)
+    policy = BallInCup.policy_of([shown], "demonstration-1")
+    task = new_goals.preset("ball_in_cup").make_task({"goal": {"string": 0.3}})
+    scaled = with_id(task.carried(policy, {"string": 0.4}), "scaled")
+    rollout, _ = there.run(scaled)
+    hanging = rollout.body.position[0] - rollout.tool.position[0]
+    assert np.linalg.norm(hanging) == pytest.approx(0.3, abs=0.01)
+    assert task.assess(scaled, rollout).observation["apex"] > -0.3

@@ -136,5 +136,5 @@ def session_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--bags", type=Path, nargs="+", default=(), help=bags)
     origin = "begin with the policy of this session, such as one in simulation; record none"
     parser.add_argument("--from", type=Path, dest="origin", metavar="SESSION", help=origin)
-    goal = "with --from: another goal (reach: y=0.3); begin with the policy predicted for it"
+    goal = "with --from: another goal (y=0.3 of reach); begin with the policy predicted for it"
     parser.add_argument("--goal", type=goal_value, nargs="+", default=(), metavar="N=V", help=goal)

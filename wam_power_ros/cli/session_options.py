@@ -35,7 +35,7 @@ class SessionOptions:
         seed: Seed of exploration and simulation.
         demonstrations: Number of demonstrations to record.
         bags: Demonstrations to learn from instead.
-        origin: Folder of a session whose policy is where this one begins.
+        origin: Session whose policy is where this one begins.
         goal: New values of the goal of that session, by name.
     """
 
@@ -117,7 +117,7 @@ def with_origin(asked: SessionOptions, devices: Devices) -> SessionOptions:
         if asked.goal:
             raise UsageError("--goal needs the session to predict from: add --from SESSION")
         return asked
-    from wam_power_ros.practice import session
+    from wam_power_ros.practice import new_goal, session
 
     folder = existing_session(asked.origin)
     known = session.read(folder)
@@ -130,7 +130,7 @@ def with_origin(asked: SessionOptions, devices: Devices) -> SessionOptions:
     if asked.bags:
         raise UsageError("--from brings its own demonstrations: omit --bags")
     if asked.goal:
-        known.task.with_goal(known.context, dict(asked.goal))  # refuses what is none
+        new_goal.context_for(header.settings, known.context, dict(asked.goal))  # or refuses
     if (arm := devices.parameters(task).arm()) is not None:
         session.read_policy(policy, arm.identity())
     return replace(asked, task=task, bags=[*map(Path, header.demonstrations)], origin=folder)

@@ -10,7 +10,7 @@ generator and of the rollouts: to restore it, tell a new learner the same rollou
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -134,13 +134,13 @@ def needs_errors(learner: Any) -> bool:  # noqa: ANN401 - a `LearnerClass`
     return hasattr(learner, "measure") or getattr(learner, "needs_corrections", False)
 
 
-def check_errors(learner: Any, task: str, errors: Sequence[object]) -> None:  # noqa: ANN401
+def check_errors(learner: Any, task: str, errors: bool) -> None:  # noqa: ANN401
     """Check that a learner of corrections alone has some; others are refused without a model.
 
     Args:
         learner: Its class.
         task: Name of the task.
-        errors: Errors of the task that are learnt from.
+        errors: Whether it corrects rollouts by errors.
 
     Raises:
         ValueError: There are none.

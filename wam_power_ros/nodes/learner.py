@@ -46,7 +46,7 @@ from wam_power_ros.nodes.markers import Markers
 from wam_power_ros.nodes.simulated_arm import SimulatedArm
 from wam_power_ros.params.node_params import Names, Params, Timeout
 from wam_power_ros.params.torque_controller_params import require_same_joints
-from wam_power_ros.practice.new_goal import policy_for
+from wam_power_ros.practice.new_goal import context_for, policy_for
 from wam_power_ros.practice.practice import GO_ON, RATING_MAX, Practice
 from wam_power_ros.practice.session import Session, read, read_policy
 from wam_power_ros.practice.session_log import KIND_NAMES, Event, Line, Pause, Record, Trial
@@ -370,10 +370,9 @@ class Learner(Node):
         """
         goal = plain_json.parse(self.params.goal, "goal")
         known = read(origin)
-        context = known.task.with_goal(known.context, goal)
-        policy, remark = policy_for(
-            known.task, known.policies, known.records, goal, self._arm, "carried-over"
-        )
+        settings, of = known.header.settings, (known.task, known.policies, known.records)
+        context = context_for(settings, known.context, goal)
+        policy, remark = policy_for(settings.make_task(context), *of, self._arm, "carried-over")
         self.get_logger().info(f"goal {self.params.goal}: {remark}")
         return context, policy
 

@@ -14,9 +14,8 @@ from typing import Protocol
 
 import numpy as np
 
-from wam_power_ros import installed
 from wam_power_ros.faults import Fault
-from wam_power_ros.learning.learner import Learner, MeasuringLearner, check_errors
+from wam_power_ros.learning.learner import Learner, MeasuringLearner
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Foreseen
@@ -143,7 +142,6 @@ class Improvement:
         self.practised = practised
         self._settings, self._task, self._arm, self._rng = settings, task, arm, rng
         self._records = records
-        check_errors(installed.find("learner", settings.learner), task.name, task.corrections)
         margins = task.margins if task.declares("errors", "margins") else lambda record: ()
         self.rule = StoppingRule(settings.practice, margins, task.margin_scatter)
         self._error_model = task.error_model(parametrization, arm.foresee)
@@ -157,7 +155,8 @@ class Improvement:
     def learn_again(self) -> None:
         """Start a new learner and feed it all rollouts of the demonstration, in their order."""
         size, model = self.parametrization.size, self._error_model
-        self.learner = self._settings.make_learner(size, self._rng, model)
+        corrects = bool(self._task.corrections)
+        self.learner = self._settings.make_learner(size, self._rng, model, corrects)
         for record in self._records:
             if record.demonstration == self.demonstration:
                 self._tell(record)

@@ -98,20 +98,22 @@ class SessionSettings(BaseModel):
         except Exception:  # of any task, at what is none of its movements: demonstrations will tell
             return
         rng = np.random.Generator(np.random.PCG64(0))
-        self.make_learner(parametrization.size, rng, errors)
+        self.make_learner(parametrization.size, rng, errors, bool(task.corrections))
 
     def make_learner(
         self,
         size: int,
         rng: np.random.Generator,
         model: ErrorModel | None = None,
+        corrects: bool = False,
     ) -> Learner:
         """Create a learner of z in R^size that explores by `rng`, with a model if it needs one.
+
+        `corrects`: whether the task corrects rollouts, for a learner of corrections alone.
 
         Raises:
             ValueError: The learner needs a model and the task has none; names those that work.
         """
-        errors = installed.task_type(self.task).learnt_errors()
 
         def given(name: str) -> list[ErrorModel]:
             kind = installed.find("learner", name)
@@ -119,7 +121,7 @@ class SessionSettings(BaseModel):
             if needed and model is None:
                 text = f"learner {name!r} needs a model of the vector error, which task"
                 raise ValueError(f"{text} {self.task!r} with these settings does not have")
-            check_errors(kind, self.task, errors)
+            check_errors(kind, self.task, corrects)
             return [model] if needed and model is not None else []
 
         kind = installed.find("learner", self.learner)
@@ -160,7 +162,7 @@ def preset(
     if name not in kind.presets:
         raise ValueError(f"preset {name!r} of {task!r} is not one of {', '.join(kind.presets)}")
     values = dict(kind.presets[name])
-    errors = kind.learnt_errors()
+    errors = kind.learns_from_errors()
     learning = {"name": "model_based" if errors else "power", **values.pop("learner", {})}
     if learning["name"] == "model_based" and not errors:  # a return of its own is learnt from
         learning = {"name": "power", **ModelBased.Settings().fallback.model_dump()}

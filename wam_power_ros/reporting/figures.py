@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from itertools import cycle
 from pathlib import Path
@@ -20,10 +21,10 @@ from wam_power_ros.plotting import (
     ORANGE,
     STEEL,
     dress,
-    legend,
     shared_legend,
     side_by_side,
 )
+from wam_power_ros.tasks.errors import SHOWN_IN, Error
 from wam_power_ros.tasks.task import Curve
 
 Limits = tuple[np.ndarray, np.ndarray, np.ndarray]  # lowest, highest [rad], fastest [rad/s]
@@ -85,23 +86,45 @@ def learning_curve(
     return figure
 
 
-def terms(numbers: Sequence[int], values: Mapping[str, Sequence[float | None]]) -> Figure:
-    """Terms of the returns, one stacked bar per rollout.
+def errors(
+    wanted: Sequence[Error], values: Sequence[Mapping[str, float]], kinds: Sequence[str]
+) -> Figure:
+    """Measured errors over the rollouts of a session, each in its unit.
+
+    What is far outside is drawn hollow at the edge; what is unknown is not drawn.
 
     Args:
-        numbers: Numbers of the rollouts. Length n.
-        values: Name of a term -> its values, None where unknown. Lengths n.
+        wanted: The errors, see `Task.wanted_errors`; at least one.
+        values: Their values by name in each rollout, in their units. Length n.
+        kinds: Kind of each rollout, see `session_log.Kind`. Length n.
     """
-    figure, (axes,) = side_by_side(7.2, 2.8, 1.0)
-    bottom = np.zeros(len(numbers))
-    for place, (name, given) in enumerate(values.items()):
-        heights = np.nan_to_num(np.array(given, dtype=float))
-        color = CYCLE[place % len(CYCLE)]
-        axes.bar(numbers, heights, bottom=bottom, width=0.85, color=color, label=name)
-        bottom += heights
-    axes.set(xlabel="rollout", ylabel="return")
-    axes.xaxis.get_major_locator().set_params(integer=True)
-    legend(axes)
+    columns, rows = min(len(wanted), 2), math.ceil(len(wanted) / 2)
+    figure = Figure(figsize=(7.2, 1.7 * rows + 0.4), layout="constrained")
+    for place, error in enumerate(wanted, start=1):
+        axes = figure.add_subplot(rows, columns, place)
+        dress(axes)
+        factor, _, unit = SHOWN_IN.get(error.unit, (1.0, "", error.unit))
+        given = [each.get(error.name, math.nan) - error.target for each in values]
+        off, middle = factor * np.array(given, dtype=float), factor * error.target
+        tolerance, limit = factor * error.tolerance, factor * error.limit
+        usual = np.quantile([0.0, *np.abs(off[np.isfinite(off)])], 0.75)
+        top = 1.2 * max(3.0 * tolerance, limit if math.isfinite(limit) else 0.0, usual)
+        bottom = -0.06 * top if not (off < -0.04 * top).any() else -top
+        useful = {"color": GREEN, "alpha": 0.15, "lw": 0, "label": "as good as is useful"}
+        axes.axhspan(middle + max(-tolerance, bottom), middle + tolerance, **useful)
+        for edge in (each for each in (-limit, limit) if bottom < each < top):
+            axes.axhline(middle + edge, color=STEEL, lw=0.9, ls="--", label="limit")
+        for kind, (label, marker, color) in POINTS.items():
+            shown = np.clip(off, bottom, top)
+            of_kind = (np.array(kinds) == kind) & ~np.isnan(off)
+            for at, fill in ((of_kind & (shown == off), color), (of_kind & (shown != off), "none")):
+                style = {"color": color, "mfc": fill, "ms": 4.0, "clip_on": False, "label": label}
+                if at.any():
+                    axes.plot(np.flatnonzero(at) + 1, middle + shown[at], marker, **style)
+        axes.set(xlabel="rollout", ylim=(middle + bottom, middle + top))
+        axes.set_title(f"{error.name.replace('_', ' ')} [{unit.strip()}]", fontsize=9)
+        axes.xaxis.get_major_locator().set_params(integer=True)
+    shared_legend(figure, figure.axes, 6)
     return figure
 
 

@@ -29,19 +29,16 @@ from wam_power_ros.practice.session import SessionHeader
 from wam_power_ros.practice.session_log import KIND_NAMES, Record
 from wam_power_ros.reporting import figures, html_page
 from wam_power_ros.reporting.terminal import (
-    FIRST_POINT,
-    LAST_POINT,
     before_and_after,
     counted,
     method,
     number,
+    peaks,
     resets,
     returned,
     term_names,
 )
 from wam_power_ros.tasks.task import Curve, Task
-
-VL2 = 1.0  # factory fault speed of the WAM's safety board, elbow and forearm [m/s]
 
 
 @dataclass(frozen=True)
@@ -50,7 +47,6 @@ class ShownRollout:
 
     Attributes:
         caption: Outcome of the rollout.
-        rollout: The rollout.
         film: Animated .webp image, None without a film.
     """
 
@@ -83,7 +79,7 @@ def render(
     if shown is not None:
         parts.append(_shown(task, shown, why_no_film))
     if records:
-        parts.append(_curves(task, records))
+        parts += [_curves(task, records), _errors(task, records)]
     if answer is not None:
         profiles = {} if start is None else {"start": vertical_stiffness(start)}
         profiles[answer.id] = vertical_stiffness(answer)
@@ -93,7 +89,7 @@ def render(
             text += f" {published.remark}"
         drawn = figures.stiffness(profiles, published)
         parts.append(html_page.section("Stiffness", [text], _svg(drawn, text)))
-    parts += [_speeds(records), _table(task, records), _settings(header)]
+    parts += [_table(task, records), _settings(header)]
     return html_page.page(f"Session of seed {header.seed}, task {task.name}", parts)
 
 
@@ -183,6 +179,7 @@ def _verdict(header: SessionHeader, task: Task, records: Sequence[Record]) -> st
             f"ground truth agree in {agree} of {counted(len(answers), 'rollout')}."
         )
     lines = [*before_and_after(records, task), *task.summary(records), *resets(records)]
+    lines += peaks(records)
     text += [f"{line[0].upper()}{line[1:]}." for line in lines]
     if decisions := [record.note for record in records if record.note]:
         text.append(f"Last decision: {decisions[-1]}.")
@@ -211,7 +208,7 @@ def _curves(task: Task, records: Sequence[Record]) -> str:
     own = [math.nan if record.ret is None else record.ret for record in records]
     text = "The session's return of every rollout, without ratings."
     if (published := task.published) is None:
-        return _curve("Learning curve", text, own, kinds, marks) + _terms(records)
+        return _curve("Learning curve", text, own, kinds, marks)
     theirs = [published.ret(record) for record in records]
     if np.array_equal(own, theirs, equal_nan=True):
         html = _curve("Learning curve", text, own, kinds, marks, published.returns)
@@ -220,7 +217,7 @@ def _curves(task: Task, records: Sequence[Record]) -> str:
         title = f"Return of the paper, {published.name}"
         text = f"{published.name} of every rollout; this session did not learn from it."
         html += _curve(title, text, theirs, kinds, marks, published.returns)
-    return html + _terms(records)
+    return html
 
 
 def _curve(
@@ -240,32 +237,15 @@ def _curve(
     return html_page.section(title, [text], _svg(drawn, alt))
 
 
-def _terms(records: Sequence[Record]) -> str:
-    values = {name: [record.terms.get(name) for record in records] for name in term_names(records)}
-    drawn = figures.terms([record.number for record in records], values)
-    alt = f"Terms of the return of each rollout, stacked: {', '.join(values)}."
-    return html_page.section("Terms", content=_svg(drawn, alt))
-
-
-def _speeds(records: Sequence[Record]) -> str:
-    """Speeds that the safety system of a real arm would have to allow, from the ground truth."""
-    names = {FIRST_POINT: "peak_elbow_speed", LAST_POINT: "peak_forearm_speed"}
-    tests = [r.truth for r in records if r.kind == "retest" and r.truth]
-    known = tests or [record.truth for record in records if record.truth]
-    peaks = {
-        place: max(truth[key] for truth in known)
-        for place, key in names.items()
-        if known and all(truth.get(key) is not None for truth in known)
-    }
-    if not peaks:
+def _errors(task: Task, records: Sequence[Record]) -> str:
+    """Errors of every rollout; empty if the task measures none."""
+    values = [task.measure(r.observation or {}) or {} if r.observation else {} for r in records]
+    wanted = [error for error in task.wanted_errors() if any(error.name in one for one in values)]
+    if not wanted:
         return ""
-    rows = "; ".join(f"{place} {speed:.2f} m/s" for place, speed in peaks.items())
-    which = "re-tests" if tests else "rollouts"
-    advice = (
-        f"The safety board of a WAM idles the arm above {VL2} m/s, as delivered: the owner of an "
-        "arm decides which limit it has."
-    )
-    return html_page.section("Speeds", [f"Highest in the {which}: {rows}. {advice}"])
+    drawn = figures.errors(wanted, values, [record.kind for record in records])
+    text = "What every rollout measured; hollow points are far outside, at the edge."
+    return html_page.section("Errors", [text], _svg(drawn, text))
 
 
 def _table(task: Task, records: Sequence[Record]) -> str:

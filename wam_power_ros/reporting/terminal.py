@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import shutil
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from rich.console import Console, Group, RenderableType
@@ -24,8 +23,6 @@ from wam_power_ros.tasks.task import Task
 
 ROLLOUTS_SHOWN = 14  # newest rollouts in the table
 SILENCE_MAX = 5.0  # longest time without a line in a file [s]
-# Points of the truth's `peak_elbow_speed` and `peak_forearm_speed`; elbow and forearm of the WAM.
-FIRST_POINT, LAST_POINT = "first guarded point", "last guarded point"
 OUTCOME_MIN = 24  # width of the column [characters]
 BARS = "▁▂▃▄▅▆▇█"
 STYLES = {"reproduction": "cyan", "explore": "", "mean": "magenta", "retest": "green"}
@@ -120,7 +117,7 @@ def summary(records: Sequence[Record], task: Task) -> str:
         *task.summary(records),
         *resets(records),
         *(f"  {label} {value}" for label, value in task.measured(retests).items()),
-        *_peaks([record.truth for record in retests if record.truth]),
+        *(f"  {line}" for line in peaks(retests)),
     ]
     if notes := [record.note for record in records if record.note]:
         lines.append(f"last decision: {notes[-1]}")
@@ -173,8 +170,9 @@ def before_and_after(records: Sequence[Record], task: Task) -> list[str]:
     return [line]
 
 
-def _peaks(truths: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Peak speeds of the arm in the ground truth of some rollouts."""
+def peaks(records: Sequence[Record]) -> list[str]:
+    """Peak speeds of the arm in the ground truth of re-tests; empty if unknown."""
+    truths = [record.truth for record in records if record.kind == "retest" and record.truth]
     if not truths or not all("peak_qd" in truth for truth in truths):
         return []
     points = ("peak_elbow_speed", "peak_forearm_speed", "peak_pan_speed")
@@ -182,9 +180,9 @@ def _peaks(truths: Sequence[Mapping[str, Any]]) -> list[str]:
     qd = np.max([truth["peak_qd"] for truth in truths], axis=0)
     beyond = sum(bool(truth["beyond_no_load"]) for truth in truths)
     return [
-        f"  peak joint speeds {' '.join(f'{v:.1f}' for v in qd)} rad/s; beyond a motor's no-load "
+        f"peak joint speeds {' '.join(f'{v:.1f}' for v in qd)} rad/s; beyond a motor's no-load "
         f"speed in {beyond} of {len(truths)}",
-        f"  peak speeds: {FIRST_POINT} {elbow:.2f} m/s, {LAST_POINT} {forearm:.2f} m/s, "
+        f"peak speeds: first guarded point {elbow:.2f} m/s, last guarded point {forearm:.2f} m/s, "
         f"tool {tool:.2f} m/s",
     ]
 

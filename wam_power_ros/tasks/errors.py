@@ -19,7 +19,7 @@ SHOWN_IN = {"m": (1000.0, ".1f", " mm"), "rad": (math.degrees(1.0), ".1f", "°")
 
 
 class Error(NamedTuple):
-    """Something that a rollout measures and that is to become 0.
+    """Something that a rollout measures and that is to become 0, or what a goal asks.
 
     One that no effect moves is not learnt from: its limit alone counts.
 
@@ -29,6 +29,7 @@ class Error(NamedTuple):
         tolerance: Size up to which a rollout is as good as is useful.
         limit: Size from which a rollout is no success; infinite if it does not decide that.
         scatter: Its standard deviation over rollouts of one policy, in doubt a larger one.
+        target: Value from which it is measured, see `Task.targets`.
     """
 
     name: str
@@ -36,6 +37,7 @@ class Error(NamedTuple):
     tolerance: float
     limit: float = math.inf
     scatter: float = 0.0
+    target: float = 0.0
 
     def shown(self, value: float | None) -> str:
         """Name and value, such as "miss x 12 mm", for a person."""
@@ -48,15 +50,17 @@ class Effect(NamedTuple):
     """What a learnt parameter does to the errors, roughly.
 
     Attributes:
-        group: Group of one parameter in the parametrization; one of `KNOWN` needs no
+        group: Group of the parameter in the parametrization; one of `KNOWN` needs no
             parametrization of the task's own.
         step: Largest change of it that is made at once, in its unit.
         moves: Change of errors by name, in their units, per unit of the parameter.
+        place: Place of the parameter in its group, negative from the end.
     """
 
     group: str
     step: float
     moves: Mapping[str, float]
+    place: int = 0
 
     def direction(self, policy: Policy) -> Group:
         """The group of `KNOWN`, explored with a fifth of the step."""
@@ -85,9 +89,9 @@ class RoughErrors:
     """A `learner.ErrorModel` of the effects alone.
 
     Attributes:
+        errors: The errors, m of them.
         directions: A step along each effect, in coordinates z. Shape (d, size).
         slopes: Change of each error by it [tolerances]. Shape (m, d).
-        tolerances: Those of the errors, in their units. Shape (m,).
     """
 
     predict: Callable[[np.ndarray], Prediction | None] | None = None
@@ -95,20 +99,16 @@ class RoughErrors:
     def __init__(
         self, errors: Sequence[Error], effects: Sequence[Effect], parametrization: Parametrization
     ) -> None:
-        self._names = [error.name for error in errors]
-        effects = [each for each in effects if set(self._names) & each.moves.keys()]
-        self.tolerances = np.array([error.tolerance for error in errors])
+        self.errors = errors
+        names, tolerances = [e.name for e in errors], np.array([e.tolerance for e in errors])
+        effects = [each for each in effects if set(names) & each.moves.keys()]
         self.directions = np.zeros((len(effects), parametrization.size))
         self.slopes = np.zeros((len(errors), len(effects)))
-        for k, (group, step, moves) in enumerate(effects):
-            index = parametrization.groups[group].start
+        for k, (group, step, moves, place) in enumerate(effects):
+            index = range(parametrization.size)[parametrization.groups[group]][place]
             self.directions[k, index] = step / parametrization.scale[index]
-            moved = np.array([moves.get(name, 0.0) for name in self._names])
-            self.slopes[:, k] = step * moved / self.tolerances
-
-    def told(self, measured: Mapping[str, float]) -> np.ndarray:
-        """Errors [tolerances], NaN where unknown, shape (m,), from values by name."""
-        return np.array([measured.get(name, math.nan) for name in self._names]) / self.tolerances
+            moved = np.array([moves.get(name, 0.0) for name in names])
+            self.slopes[:, k] = step * moved / tolerances
 
     def correction(self, error: np.ndarray, gain: float) -> list[np.ndarray]:
         """Shifts of z (size,), one for each effect, that would have reduced an error.
@@ -142,12 +142,19 @@ class ForeseenErrors(RoughErrors):
         foreseen = self._foresee(self._parametrization.policy(z, "predicted")[0])
         if foreseen is None:
             return None
-        error, *others = (self.told(each) for each in self._predicted(foreseen))
+        error, *others = (told(self.errors, each) for each in self._predicted(foreseen))
         changes = [each - error for each in others]
         # A number that decides which parts have a value tells nothing of the others.
         known = [np.where(np.isfinite(each).all(), each, 0.0) for each in changes]
         uncertain = np.stack(known, axis=1) if known else np.empty((1, 0))
         return Prediction(error, foreseen.excess, uncertain)
+
+
+def told(errors: Sequence[Error], measured: Mapping[str, float]) -> np.ndarray:
+    """Errors from their targets [tolerances], NaN where unknown, shape (m,), of values by name."""
+    return np.array(
+        [(measured.get(e.name, math.nan) - e.target) / e.tolerance for e in errors], dtype=float
+    )
 
 
 def learnt(errors: Sequence[Error], effects: Sequence[Effect]) -> list[Error]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
@@ -26,7 +27,15 @@ from wam_power_ros.learning.parametrization import Parametrization, parametrizat
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Foreseen, Rollout
 from wam_power_ros.regions import Region
-from wam_power_ros.tasks.errors import KNOWN, Effect, Error, ForeseenErrors, RoughErrors, learnt
+from wam_power_ros.tasks.errors import (
+    KNOWN,
+    Effect,
+    Error,
+    ForeseenErrors,
+    RoughErrors,
+    learnt,
+    told,
+)
 from wam_power_ros.tasks.reset import Action, BodyState
 from wam_power_ros.tasks.settings import FIT, TaskSettings
 
@@ -162,12 +171,15 @@ class Task:
             another return than the errors of its base class: it is learnt from returns, too.
         effects: Rough change of the errors by a learnt parameter, each with its largest step, by
             which learners correct and plan.
+        targets: Numbers that a session's goal may state, by name. An error of that name is measured
+            from its target; NaN: it does not count unless the goal states one.
         rest_time: Time for which the body must have been `ready` before a rollout [s].
         goal: What is to be achieved, in the words of the reports.
         published: What a publication reports on the task, None for nothing.
 
     Attributes:
         settings: Settings of the task.
+        targets: Those of the class, with those that `context` states under the key "goal".
         settle_time: Time that a rollout continues after the movement [s].
         gain: Share of a measured error by which a rollout is corrected in hindsight; 0 for none.
         region: Guarded region at which the controller ends its rollouts, None for none.
@@ -184,7 +196,8 @@ class Task:
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {"default": {}}
     errors: ClassVar[Sequence[Error]] = ()
     effects: ClassVar[Sequence[Effect]] = ()
-    rest_time: ClassVar[float] = 0.0
+    targets: Mapping[str, float] = MappingProxyType({})
+    rest_time: float = 0.0
     goal: ClassVar[Goal] = Goal()
     published: ClassVar[Published | None] = None
     gain: float = 0.5
@@ -222,9 +235,10 @@ class Task:
                 )
 
     def __init__(self, settings: Any, context: Mapping[str, Any]) -> None:  # noqa: ANN401
-        """Construct the task from `Settings`, which include `settle_time`; no context is used."""
+        """Construct the task from `Settings`, which include `settle_time`, and a goal if any."""
         self.settings = settings
         self.settle_time: float = settings.settle_time
+        self.targets = {**self.targets, **context.get("goal", {})}
 
     @classmethod
     def declares(cls, *names: str) -> bool:
@@ -233,9 +247,18 @@ class Task:
         return bool(vars(last).keys() & set(names))
 
     @classmethod
-    def learnt_errors(cls) -> list[Error]:
+    def learns_from_errors(cls) -> bool:
+        """Whether an effect moves an error, and the errors are of its return."""
+        return cls.declares("errors") and bool(learnt(cls.errors, cls.effects))
+
+    def wanted_errors(self) -> list[Error]:
+        """`errors` that count with these `targets`, each with its own."""
+        errors = [e._replace(target=self.targets.get(e.name, 0.0)) for e in self.errors]
+        return [error for error in errors if not math.isnan(error.target)]
+
+    def learnt_errors(self) -> list[Error]:
         """Errors that are learnt from: those that an effect moves, if they are of its return."""
-        return learnt(cls.errors, cls.effects) if cls.declares("errors") else []
+        return learnt(self.wanted_errors(), self.effects) if self.declares("errors") else []
 
     @classmethod
     def demonstration_of(
@@ -265,34 +288,12 @@ class Task:
         """
         return {}
 
-    @property
-    def goal_values(self) -> Mapping[str, float]:
-        """Numbers that are the goal of a rollout, by name; empty if the goal cannot be changed."""
-        return {}
+    def carried(self, policy: Policy, former: Mapping[str, float]) -> Policy:
+        """Change a policy of other `targets` as far as physics says how, by default not at all.
 
-    def with_goal(self, context: Mapping[str, Any], values: Mapping[str, float]) -> dict[str, Any]:
-        """Context of the same skill with another goal.
-
-        Args:
-            context: Context of this task.
-            values: New ones of `goal_values`, by name.
-
-        Raises:
-            ValueError: A goal cannot be changed, or cannot have these values.
+        What its errors, measured from the new targets, tell is corrected then.
         """
-        raise ValueError(f"task {self.name} has no goal that can be changed")
-
-    def goal_slope(self, parametrization: Parametrization) -> np.ndarray:
-        """Rough change of what a rollout attains per unit of z; 0 where a new goal is to keep z.
-
-        Returns:
-            Slope of each of `goal_values`, in their order. Shape (g, size).
-        """
-        return np.zeros((len(self.goal_values), parametrization.size))
-
-    def attained(self, record: LoggedRollout) -> Mapping[str, float] | None:
-        """Goal that a rollout would have met, `goal_values` by name; None if it tells of none."""
-        return None
+        return policy
 
     def parametrization(self, policy: Policy) -> Parametrization:
         """Learnt parameters of a policy and their exploration noise.
@@ -350,12 +351,12 @@ class Task:
         measured = self.measure(seen)
         if not measured:
             return Assessment(None, observation=seen, why="no error was measured")
-        sizes = [
-            measured.get(e.name, UNKNOWN_ERROR * e.tolerance) / e.tolerance for e in self.errors
-        ]
-        ret = 1.0 / (1.0 + math.hypot(*sizes) / math.sqrt(len(sizes)))
-        limited = [error for error in self.errors if error.limit < math.inf]
-        success = all(abs(measured.get(e.name, math.inf)) < e.limit for e in limited)
+        wanted = self.wanted_errors()
+        error = told(wanted, measured)
+        rms = np.sqrt(np.mean(np.nan_to_num(error, nan=UNKNOWN_ERROR) ** 2))
+        limits = np.array([each.limit / each.tolerance for each in wanted])
+        success = bool(((np.abs(error) < limits) | np.isinf(limits)).all())
+        ret = float(1.0 / (1.0 + rms))
         return Assessment(ret, {"errors": ret}, seen, success)
 
     def _unseen(self, rollout: Rollout) -> str:
@@ -399,10 +400,10 @@ class Task:
             that successes are counted alone. By default those of `errors` that have a limit.
         """
         seen = None if record.observation is None else self.measure(record.observation)
-        limited = [error for error in self.errors if error.limit < math.inf]
+        limited = [error for error in self.wanted_errors() if error.limit < math.inf]
         if seen is None or any(error.name not in seen for error in limited):
             return ()
-        return [error.limit - abs(seen[error.name]) for error in limited]
+        return [error.limit - abs(seen[error.name] - error.target) for error in limited]
 
     @property
     def margin_scatter(self) -> Sequence[float]:
@@ -410,7 +411,7 @@ class Task:
 
         In doubt larger ones: the stopping rule counts them as four observations.
         """
-        limited = [error.scatter for error in self.errors if error.limit < math.inf]
+        limited = [error.scatter for error in self.wanted_errors() if error.limit < math.inf]
         return limited if all(limited) else ()
 
     def measure(self, observation: Mapping[str, Any]) -> Mapping[str, float] | None:
@@ -430,7 +431,7 @@ class Task:
             measured = self.measure(observation)
         if measured is None:
             return None
-        return np.array([measured.get(each.name, math.nan) / each.tolerance for each in errors])
+        return told(errors, measured)
 
     def error_model(
         self,
@@ -487,8 +488,19 @@ class Task:
         return record.success
 
     def measured(self, retests: Sequence[LoggedRollout]) -> Mapping[str, str]:
-        """Values measured in the re-tests, by label, for the report and the terminal."""
-        return {}
+        """Values measured in the re-tests, by label, for the report and the terminal.
+
+        By default the medians of the errors that have a limit.
+        """
+        seen = [self.measure(r.observation) or {} for r in retests if r.observation]
+        found = {}
+        for error in self.wanted_errors():
+            off = [abs(each.get(error.name, math.nan) - error.target) for each in seen]
+            known = [value for value in off if math.isfinite(value)]
+            if error.limit < math.inf and known:
+                value = error.shown(float(np.median(known)))[len(error.name) + 1 :]
+                found[f"median error of the re-tests: {error.name.replace('_', ' ')}"] = value
+        return found
 
     def figure(self, rollout: Rollout) -> tuple[Figure, str] | None:
         """Figure of a rollout, and a sentence on it, which may be empty; None for no figure."""

@@ -15,12 +15,10 @@ from wam_power_ros.learning.dmp import fit
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
 from wam_power_ros.practice.settings import preset
-from wam_power_ros.tasks.ball_in_cup.parametrization import cup_parametrization
 from wam_power_ros.tasks.ball_in_cup.settings import CUP_FIT
 from wam_power_ros.tasks.ball_in_cup.swing import CUP_RADIUS, GRAVITY, PLANE, STRING, Swing
 from wam_power_ros.tasks.ball_in_cup.task import (
     APEX_OF_VIGOUR,
-    EFFECTS,
     MISS_OF_SHIFT,
     MISS_OF_VIGOUR,
     BallInCup,
@@ -191,8 +189,8 @@ def test_a_ball_that_stayed_low_is_swung_with_more_vigour_and_no_correction_exce
     assert lower["vigour"] - low["vigour"] == pytest.approx(0.1 * 0.1 / APEX_OF_VIGOUR)
     assert low["sideways"] == 0.0
     far = corrected(Swing(0.3, 2.0, (-0.39, 0.5), False))
-    assert far["vigour"] == pytest.approx(-EFFECTS[0].step)
-    assert abs(far["sideways"]) == pytest.approx(EFFECTS[1].step)
+    assert far["vigour"] == pytest.approx(-BallInCup.effects[0].step)
+    assert abs(far["sideways"]) == pytest.approx(BallInCup.effects[1].step)
 
 
 def test_nothing_is_corrected_without_a_gain_or_an_observation() -> None:
@@ -216,7 +214,7 @@ def test_settings_of_a_stored_session_are_read_and_other_limits_refused() -> Non
 
 def moved(group: str, amount: float) -> tuple[Parametrization, np.ndarray]:
     """Change of the attractors by one parameter."""
-    parametrization = cup_parametrization(POLICY, "swing", SETTINGS.noise)
+    parametrization = task().parametrization(POLICY)
     z = np.zeros(parametrization.size)
     z[parametrization.groups[group]] = amount / parametrization.scale[parametrization.groups[group]]
     policy, _ = parametrization.policy(z, "moved")
@@ -252,11 +250,8 @@ def test_reports_say_how_far_beside_the_cup_and_whether_in_it() -> None:
     assert practised.outcome(record(observation=low)) == "12 cm below the rim"
     assert practised.outcome(record(observation=None, why="not seen")) == "not seen"
     assert "too fast" in practised.outcome(record(fault="too fast"))
-    (line,) = practised.summary([record(), record(observation=missed)])
-    assert "1 of 2 in the cup" in line and "20.0 cm" in line
-    assert practised.summary([record(kind="mean")]) == []
     assert practised.measured([record(), record(observation=missed)]) == {
-        "median distance of the re-tests": "11.5 cm"
+        "median error of the re-tests: distance": "115.0 mm"
     }
     assert practised.measured([record(observation=low)]) == {}
     assert [practised.achieved(r) for r in (record(), record(fault="x"))] == [True, False]

@@ -18,14 +18,16 @@ from wam_power_ros.params.resources import robot_description
 from wam_power_ros.tasks.ball_in_cup.put_back import (
     REQUEST_TIME,
     STEP_MAX,
-    SWING_RATE,
     VELOCITY_LAG,
     emptying,
     stilling,
     swing_phasor,
+    swing_rate,
 )
+from wam_power_ros.tasks.ball_in_cup.swing import STRING
 
 ARM = Arm(robot_description("urdf/wam7_cup.urdf"), JOINTS, "cup", guarded=())
+SWING_RATE = swing_rate(STRING)
 
 
 def seen(amplitude: complex) -> tuple[float, float]:
@@ -40,7 +42,7 @@ def test_a_swing_is_known_from_one_state_although_its_velocity_is_late(
 ) -> None:
     amplitude = size * np.exp(1j * phase)
     beside, velocity = seen(amplitude)
-    found = swing_phasor(np.array([beside, 0.0]), np.array([velocity, 0.0]))
+    found = swing_phasor(np.array([beside, 0.0]), np.array([velocity, 0.0]), SWING_RATE)
     assert found[0] == pytest.approx(amplitude, abs=1e-9) and found[1] == 0.0
 
 
@@ -63,18 +65,18 @@ def test_a_movement_stills_most_of_a_swing_whatever_its_phase_and_direction(
     x: float, phase_x: float, y: float, phase_y: float
 ) -> None:
     swing = np.array([x, y]) * np.exp(1j * np.array([phase_x, phase_y]))
-    move = stilling(ARM, HOME, swing)
+    move = stilling(ARM, HOME, swing, SWING_RATE)
     assert left(move, swing).max() <= 0.25 * np.abs(swing).max() + 0.003
 
 
 @given(st.floats(0.2, 0.3), st.floats(-3.1, 3.1))
 def test_a_large_swing_is_reduced_by_twice_the_largest_step(size: float, phase: float) -> None:
     swing = np.array([size * np.exp(1j * phase), 0.0])
-    assert left(stilling(ARM, HOME, swing), swing)[0] < size - 1.5 * STEP_MAX
+    assert left(stilling(ARM, HOME, swing, SWING_RATE), swing)[0] < size - 1.5 * STEP_MAX
 
 
 def test_movements_begin_and_end_at_the_start_at_rest_with_an_upright_cup_on_its_way() -> None:
-    still = stilling(ARM, HOME, np.array([0.1 + 0.05j, -0.1j]))
+    still = stilling(ARM, HOME, np.array([0.1 + 0.05j, -0.1j]), SWING_RATE)
     for move in (still, emptying(HOME)):
         np.testing.assert_allclose(move.q[[0, -1]], [HOME, HOME], atol=1e-9)
         assert (np.diff(move.t) > 0.0).all() and len(move.t) == len(move.q)

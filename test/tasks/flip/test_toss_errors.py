@@ -12,6 +12,7 @@ from pan_paths import path, thrown
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Foreseen
 from wam_power_ros.practice.settings import preset
+from wam_power_ros.tasks.errors import told
 from wam_power_ros.tasks.flip import task as flip_task
 from wam_power_ros.tasks.flip.pan_toss import PANCAKE, Pancake, predict_toss
 from wam_power_ros.tasks.flip.task import Flip
@@ -68,11 +69,11 @@ def test_the_model_of_the_task_predicts_the_toss_of_the_foreseen_path_and_its_ex
     pan, excess = thrown(2.5, rate=4.0), np.array([-0.3, 0.2])
     model = task.error_model(parametrization, lambda policy: Foreseen(pan, excess))
     prediction = model.predict(np.zeros(parametrization.size))
-    np.testing.assert_allclose(prediction.error, model.told(predict_toss(pan)))
+    np.testing.assert_allclose(prediction.error, told(task.learnt_errors(), predict_toss(pan)))
     assert np.isfinite(prediction.error).all()
     np.testing.assert_array_equal(prediction.excess, excess)
     assert prediction.uncertain.shape == (4, 1)
-    slowed = model.told(predict_toss(pan, pancake=SLOWED))
+    slowed = told(task.learnt_errors(), predict_toss(pan, pancake=SLOWED))
     assert slowed[0] < prediction.error[0]
     np.testing.assert_allclose(prediction.uncertain[:, 0], slowed - prediction.error)
     none = task.error_model(parametrization, lambda policy: None)

@@ -14,11 +14,10 @@ import numpy as np
 
 from wam_power_ros import rotations
 from wam_power_ros.learning.demonstration import ToolPose
-from wam_power_ros.tasks.ball_in_cup.swing import GRAVITY, STRING
+from wam_power_ros.tasks.ball_in_cup.swing import GRAVITY
 from wam_power_ros.tasks.reset import Move
 
 ROLL, ROLL_TIME = 2.8, 2.1  # of the last joint [rad], there and back again [s each]
-SWING_RATE = math.sqrt(GRAVITY / STRING)  # [rad/s] of a small swing
 STEP_MAX, STEP_TIME = 0.08, 0.5  # [m], [s] of a step of the cup
 STEP_SHARE = 0.85  # part of a step by which it leaves the ball behind [1]
 REQUEST_TIME = 0.15  # [s] from a request until the arm has begun the movement
@@ -36,34 +35,41 @@ def emptying(q_start: np.ndarray) -> Move:
     return Move(t, q)
 
 
-def swing_phasor(beside: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+def swing_rate(string: float) -> float:
+    """Rate of a small swing on a string [m], in rad/s."""
+    return math.sqrt(GRAVITY / string)
+
+
+def swing_phasor(beside: np.ndarray, velocity: np.ndarray, rate: float) -> np.ndarray:
     """Swing as complex numbers a, with a ball at Re(a exp(i w t)) from where it hangs [m].
 
     Args:
         beside: Ball from where it hangs, along x and y [m]. Shape (2,).
         velocity: Its tracked velocity, `VELOCITY_LAG` old [m/s]. Shape (2,).
+        rate: w, see `swing_rate` [rad/s].
     """
-    turned = SWING_RATE * VELOCITY_LAG
-    velocity = (velocity - SWING_RATE * math.sin(turned) * beside) / math.cos(turned)
-    return beside - 1j * velocity / SWING_RATE
+    turned = rate * VELOCITY_LAG
+    velocity = (velocity - rate * math.sin(turned) * beside) / math.cos(turned)
+    return beside - 1j * velocity / rate
 
 
-def stilling(arm: ToolPose, q_start: np.ndarray, swing: np.ndarray) -> Move:
+def stilling(arm: ToolPose, q_start: np.ndarray, swing: np.ndarray, rate: float) -> Move:
     """Step the cup along x and y so that a swing is stilled, as far as `STEP_MAX` allows.
 
     Args:
         arm: Kinematics of the arm, at rest at `q_start`.
         q_start: Posture in which the ball hangs below the cup [rad]. Shape (n,).
         swing: See `swing_phasor`. Shape (2,).
+        rate: See `swing_rate` [rad/s].
     """
-    half_period = math.pi / SWING_RATE
+    half_period = math.pi / rate
     lead = REQUEST_TIME + 0.5 * STEP_TIME  # the middle of the first step is not earlier
     t = np.arange(0.0, 2.0 * half_period + STEP_TIME + KNOT, KNOT)
     q = np.tile(q_start, (len(t), 1))
     joints = _joints_of_steps(arm, q_start)
     for amplitude, turn in zip(swing, joints, strict=True):
-        phase = -float(np.angle(amplitude)) - SWING_RATE * lead  # until it is farthest along +
-        waits = (phase % math.pi) / SWING_RATE  # until it is farthest on either side
+        phase = -float(np.angle(amplitude)) - rate * lead  # until it is farthest along +
+        waits = (phase % math.pi) / rate  # until it is farthest on either side
         side = 1.0 if (phase % (2.0 * math.pi)) < math.pi else -1.0
         step = side * min(float(abs(amplitude)) / (2.0 * STEP_SHARE), STEP_MAX)
         course = _rise((t - waits) / STEP_TIME) - _rise((t - waits - half_period) / STEP_TIME)

@@ -45,7 +45,7 @@ class CupSettings(BaseModel):
     """Settings of the task.
 
     Attributes:
-        variant: Learnt parameters, see `cup_parametrization`.
+        variant: Learnt parameters, see `task.BallInCup.parametrization`.
         noise: Standard deviation of the exploration noise of each group of parameters.
         sharpness: alpha of the return exp(-alpha d^2) [1/m^2]; 100 in [Kober2011].
         gain: Fraction of the miss for which a rollout is corrected in hindsight [1]; 0: no

@@ -4,21 +4,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import replace
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from wam_power_ros.learning.demonstration import ToolPose
-from wam_power_ros.learning.parametrization import Parametrization
+from wam_power_ros.learning.parametrization import (
+    Attractors,
+    Direction,
+    Parametrization,
+    parametrization_of,
+)
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Rollout
-from wam_power_ros.tasks.ball_in_cup.parametrization import cup_parametrization
 from wam_power_ros.tasks.ball_in_cup.put_back import (
-    SWING_RATE,
     emptying,
     stilling,
     swing_phasor,
+    swing_rate,
 )
 from wam_power_ros.tasks.ball_in_cup.settings import CUP_FIT, PRESETS, CupSettings
 from wam_power_ros.tasks.ball_in_cup.swing import (
@@ -43,8 +49,11 @@ from wam_power_ros.tasks.task import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+SWING_PLANE = (0, 2)  # axes of the movement: outward and up
+SIDEWAYS_PROFILE = (0.5, 1.0)  # of the last attractors, at the catch, per unit of the shift [1]
 HANGING_TOLERANCE = 0.05  # [m] of the ball from below the cup before a rollout
 REST_SPEED = 0.03  # [m/s] of a ball at rest: a swing of 6 mm, or less and the noise of the cameras
+STRINGS = (0.2, 0.6)  # [m] shortest and longest string of a goal
 TAUT = 0.03  # [m] by which a ball on a taut string may be nearer or farther than its length
 SWING_MIN = 0.005  # [m] amplitude of a swing that is stilled; a smaller one is noise
 SWING_MAX = 0.3  # [m] the same; a larger one loses height by itself
@@ -53,15 +62,6 @@ SWING_MAX = 0.3  # [m] the same; a larger one loses height by itself
 MISS_OF_VIGOUR = -2.5  # [m] change of the miss along x per unit of vigour
 APEX_OF_VIGOUR = 1.0  # [m] change of the apex per unit of vigour
 MISS_OF_SHIFT = -0.9  # change of the miss along y per shift [1]
-ERRORS = (
-    Error("miss_x", "m", 0.015),
-    Error("miss_y", "m", 0.015),
-    Error("distance", "m", 0.015, limit=CUP_RADIUS),
-)
-EFFECTS = (
-    Effect("vigour", 0.05, {"miss_x": MISS_OF_VIGOUR}),
-    Effect("sideways", 0.05, {"miss_y": MISS_OF_SHIFT}),
-)
 
 
 class BallInCup(Task):
@@ -79,8 +79,16 @@ class BallInCup(Task):
     fit_settings = CUP_FIT
     Settings: ClassVar[type[CupSettings]] = CupSettings
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = PRESETS
-    errors, effects = ERRORS, EFFECTS
-    rest_time = math.pi / SWING_RATE  # half a swing: at its ends the ball is slow, too
+    errors = (
+        Error("miss_x", "m", 0.015),
+        Error("miss_y", "m", 0.015),
+        Error("distance", "m", 0.015, limit=CUP_RADIUS),
+    )
+    effects = (
+        Effect("vigour", 0.05, {"miss_x": MISS_OF_VIGOUR}),
+        Effect("sideways", 0.05, {"miss_y": MISS_OF_SHIFT}),
+    )
+    targets = MappingProxyType({"string": STRING})
     goal = Goal(
         achieved="caught the ball",
         first="first catch",
@@ -93,10 +101,54 @@ class BallInCup(Task):
     def __init__(self, settings: CupSettings, context: Mapping[str, Any]) -> None:
         super().__init__(settings, context)
         self.gain = settings.gain
+        self.string = self.targets["string"]
+        if not STRINGS[0] <= self.string <= STRINGS[1]:
+            raise ValueError(f"string = {self.string} m must be {STRINGS[0]} to {STRINGS[1]} m")
+        self.rest_time = math.pi / swing_rate(self.string)  # half a swing: the ball is slow there
+
+    def carried(self, policy: Policy, former: Mapping[str, float]) -> Policy:
+        """Scale the path with the string, and time with its root: accelerations stay, see `Task`.
+
+        A ball on a string of any length swings alike then. The stiffness stays, too: the damping is
+        scaled so that the tool lags behind the attractors by its share of the path.
+        """
+        size, basis, start = self.string / former["string"], policy.basis, policy.attractors[0]
+        slower = math.sqrt(size)
+        return replace(
+            policy,
+            basis=replace(basis, duration=slower * basis.duration, variance=size * basis.variance),
+            attractors=start + size * (policy.attractors - start),
+            damping=slower * policy.damping,
+        )
 
     def parametrization(self, policy: Policy) -> Parametrization:
-        """Learnt parameters of a policy; see `Task`."""
-        return cup_parametrization(policy, self.settings.variant, self.settings.noise)
+        """Learnt parameters of a policy; see `Task`.
+
+        The variant "swing" has the attractors mu_x and mu_z, in the plane of the swing, and
+            vigour: Scales the demonstrated movement, mu_i - mu_1 and r_i - r_1, by 1 + vigour [1].
+            sideways: Moves the last attractors along y, out of the plane of the swing [m]. A shift
+                in the plane would throw the ball as far again.
+
+        Raises:
+            ValueError: If the variant is "swing" and there are fewer attractors than are shifted.
+        """
+        variant, noise = self.settings.variant, self.settings.noise
+        if variant != "swing":
+            return parametrization_of(policy, variant, noise)
+        n, last = policy.basis.count, len(SIDEWAYS_PROFILE)
+        if n < last:
+            text = f"variant {variant!r} shifts the last {last} attractors"
+            raise ValueError(f"{text}, policy {policy.id!r} has {n}")
+        sideways, still = np.zeros((2, n, 3))
+        sideways[-last:, 1] = SIDEWAYS_PROFILE
+        swing = policy.attractors - policy.attractors[0]
+        turn = policy.rotation_attractors - policy.rotation_attractors[0]
+        groups = (
+            Attractors(noise.attractor, SWING_PLANE),
+            Direction(noise.vigour, "vigour", attractors=swing, rotation=turn),
+            Direction(noise.sideways, "sideways", attractors=sideways, rotation=still),
+        )
+        return Parametrization(policy, groups)
 
     def ready(self, body: BodyState | None, tool: Pose) -> str:
         """Check that the ball hangs below the cup, at rest; see `Task`."""
@@ -105,12 +157,12 @@ class BallInCup(Task):
         offset = body.position - tool.position
         if in_cup(tool.rotation.T @ offset):
             return "the ball is in the cup: empty it"
-        beside = float(np.linalg.norm(offset + np.array([0.0, 0.0, STRING])))
+        beside = float(np.linalg.norm(offset + np.array([0.0, 0.0, self.string])))
         speed = float(np.linalg.norm(body.velocity))
         if speed > REST_SPEED:
             return f"the ball swings at {speed:.2f} m/s"
         if beside > HANGING_TOLERANCE:
-            return f"the ball is {beside:.2f} m from where it hangs, {STRING} m below the cup"
+            return f"the ball is {beside:.2f} m from where it hangs, {self.string} m below the cup"
         return ""
 
     def reset(self, body: BodyState | None, arm: ToolPose, q_start: np.ndarray) -> Action:
@@ -121,12 +173,13 @@ class BallInCup(Task):
         offset = body.position - tool.position
         if in_cup(tool.rotation.T @ offset):
             return emptying(q_start)
-        taut = abs(float(np.linalg.norm(offset)) - STRING) < TAUT and offset[2] < 0.0
+        taut = abs(float(np.linalg.norm(offset)) - self.string) < TAUT and offset[2] < 0.0
         if not taut:
             return "person"
-        swing = swing_phasor(offset[:2], body.velocity[:2])
+        rate = swing_rate(self.string)
+        swing = swing_phasor(offset[:2], body.velocity[:2], rate)
         stills = SWING_MIN < np.abs(swing).max() < SWING_MAX
-        return stilling(arm, q_start, swing) if stills else "wait"
+        return stilling(arm, q_start, swing, rate) if stills else "wait"
 
     def assess(self, policy: Policy, rollout: Rollout) -> Assessment:
         """Return and success of a rollout of `policy`."""
@@ -139,7 +192,7 @@ class BallInCup(Task):
             return Assessment(None, why="the ball was not seen when it came down or at the end")
         distance, why = swing.distance, ""
         if swing.t_c is None:
-            distance = math.hypot(STRING, swing.apex)
+            distance = math.hypot(self.string, swing.apex)
             why = "the ball did not rise above the rim"
         ret = math.exp(-self.settings.sharpness * distance**2)
         success = swing.caught and swing.distance <= self.settings.success_distance
@@ -148,44 +201,24 @@ class BallInCup(Task):
     def measure(self, observation: Mapping[str, Any]) -> Mapping[str, float]:
         """Where the ball fell; one that stayed low: as if a string's length short, straight."""
         swing = swing_of(observation)
-        x, y = swing.miss or (STRING + MISS_OF_VIGOUR / APEX_OF_VIGOUR * swing.apex, 0.0)
+        x, y = swing.miss or (self.string + MISS_OF_VIGOUR / APEX_OF_VIGOUR * swing.apex, 0.0)
         return {"miss_x": x, "miss_y": y, "distance": swing.distance}
 
     def outcome(self, record: LoggedRollout) -> str:
         """Distance from the cup and end of the ball, as tracked; see `Task`."""
         if record.fault:
             return f"fault: {record.fault}"
-        if record.observation is None:
+        if (seen := record.observation) is None:
             return record.why or "not seen"
-        swing = swing_of(record.observation)
+        swing = swing_of(seen)
         if swing.t_c is None:
             return f"{-100 * swing.apex:.0f} cm below the rim"
         end = "in the cup" if swing.caught else "missed"
         return f"{100 * swing.distance:.1f} cm beside, {end}"
 
-    def summary(self, records: Sequence[LoggedRollout]) -> list[str]:
-        """Catches and distances of the re-tests; see `Task`."""
-        retests = [record for record in records if record.kind == "retest"]
-        seen = [swing_of(r.observation) for r in retests if r.observation]
-        if not seen:
-            return []
-        caught = sum(swing.caught for swing in seen)
-        text = f"re-tests of the final policy: {caught} of {len(retests)} in the cup"
-        if missed := [swing.distance for swing in seen if swing.t_c is not None]:
-            text += f", at most {100 * max(missed):.1f} cm beside its middle"
-        return [text]
-
     def achieved(self, record: LoggedRollout) -> bool:
         """Whether the ball was in the cup at the end; see `Task`."""
         return bool(not record.fault and (record.observation or {}).get("caught"))
-
-    def measured(self, retests: Sequence[LoggedRollout]) -> Mapping[str, str]:
-        """Median distance of the re-tests; see `Task`."""
-        swings = [swing_of(record.observation) for record in retests if record.observation]
-        known = [swing.distance for swing in swings if swing.t_c is not None]
-        if not known:
-            return {}
-        return {"median distance of the re-tests": f"{100 * np.median(known):.1f} cm"}
 
     def figure(self, rollout: Rollout) -> tuple[Figure, str] | None:
         """Cup and ball from the side; see `Task`."""

@@ -77,7 +77,7 @@ def predict_toss(
         along = math.copysign(PAN_RADIUS - radius, -tilt)
     x, z, u, vx, vz, vu = px + along * c, pz + along * s, gyration * tilt, 0.0, 0.0, 0.0
     pushed: dict[_Name, list[float]] = {}  # impulses along normal and surface, for a mass of 1
-    tossed = False
+    tossed, start, highest = False, pz, 0.0
     for px, pz, pitch, py, pvx, pvz, rate, c, s in path[1:]:
         slowed = 1.0 - dt * drag * math.hypot(vx, vz)
         vx, vz = vx * slowed, vz * slowed - dt * GRAVITY
@@ -108,11 +108,12 @@ def predict_toss(
                 impulse[:] = normal, tangent
         pushed = {name: each for name, each in pushed.items() if each[0] > 0.0}
         x, z, u = x + dt * vx, z + dt * vz, u + dt * vu
+        highest = max(highest, z - start)
         y = py if pushed else y
         if z - pz > delta_h:
             tossed = True
         elif tossed:
-            landing = {"landing_x": x - px, "landing_y": y - py}
+            landing = {"landing_x": x - px, "landing_y": y - py, "apex": highest}
             return {"rotation": u / gyration - tilt - math.pi, **landing, "catch_pitch": pitch}
     return None
 

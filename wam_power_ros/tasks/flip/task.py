@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -63,6 +65,7 @@ class Flip(Task):
     body: ClassVar[str] = "pancake"
     fit_settings = FLIP_FIT
     errors, effects = ERRORS, EFFECTS
+    targets = MappingProxyType({"apex": math.nan})
     Settings: ClassVar[type[FlipSettings]] = FlipSettings
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = PRESETS
     goal = Goal(
@@ -79,6 +82,8 @@ class Flip(Task):
         """See `Task`."""
         super().__init__(settings, context)
         self.gain = settings.gain
+        if (apex := self.targets["apex"]) <= settings.delta_h:
+            raise ValueError(f"apex = {apex} m must be above delta_h = {settings.delta_h} m")
 
     def parametrization(self, policy: Policy) -> Parametrization:
         """Learnt parameters of a policy; see `Task`."""
@@ -104,8 +109,15 @@ class Flip(Task):
         return f"the pancake is not in the pan: {x:.3f}, {y:.3f}, {height:.3f} m in its frame"
 
     def assess(self, policy: Policy, rollout: Rollout) -> Assessment:
-        """Return and success of a rollout of `policy`."""
-        return flip_assessment.assess(policy, rollout, self.settings)
+        """Return and success of a rollout of `policy`, less far from a goal's apex."""
+        found = flip_assessment.assess(policy, rollout, self.settings)
+        apex, seen = self.targets["apex"], found.observation
+        if math.isnan(apex) or found.ret is None or seen is None:
+            return found
+        off = abs(seen["apex"] - apex) / ERRORS[-1].limit
+        share, success = math.exp(-off), found.success and off < 1.0
+        terms = {name: share * term for name, term in found.terms.items()}
+        return replace(found, ret=share * found.ret, terms=terms, success=success)
 
     def margins(self, record: LoggedRollout) -> Sequence[float]:
         """Those of the errors, unless another rotation is a success, or none is needed."""
@@ -127,8 +139,7 @@ class Flip(Task):
         """Rotation and end state of the pancake, as tracked; see `Task`."""
         if record.fault:
             return f"fault: {record.fault}"
-        flight = record.observation
-        if flight is None:
+        if (flight := record.observation) is None:
             return record.why or "not seen"
         caught = "caught" if flight.get("resting") else "dropped"
         if not flight.get("tossed"):
@@ -167,12 +178,6 @@ class Flip(Task):
         turned_over = not record.fault and seen.get("flipped") and seen.get("resting")
         low, high = FLIP_ANGLES
         return bool(turned_over and low <= abs(seen.get("angle", 0.0)) <= high)
-
-    def measured(self, retests: Sequence[LoggedRollout]) -> Mapping[str, str]:
-        """Median rotation of the pancake at t_f; see `Task`."""
-        angles = [(record.observation or {}).get("angle") for record in retests]
-        known = [abs(math.degrees(angle)) for angle in angles if angle is not None]
-        return {"median angle of the re-tests": f"{np.median(known):.0f}°"} if known else {}
 
     def figure(self, rollout: Rollout) -> tuple[Figure, str] | None:
         """Pan and pancake from the side; see `Task`."""

@@ -22,10 +22,12 @@ ERRORS = (
     Error("miss", "m", 0.03, limit=0.08, scatter=0.015),
     # One that climbs the rim after its fall is nearly thrown out, or stays there.
     Error("climb", "m", 0.01, limit=0.025, scatter=0.004),
+    Error("apex", "m", 0.025, limit=0.05, scatter=0.012),  # counts if a goal asks for one
 )
+APEX_OF_VIGOUR = 0.7  # [m] per unit of vigour, or of log tempo, measured on tosses of tuning seeds
 EFFECTS = (
-    Effect("vigour", 0.3, {"rotation": TURN_OF_VIGOUR}),
-    Effect("tempo", 0.15, {"rotation": TURN_OF_TEMPO}),
+    Effect("vigour", 0.3, {"rotation": TURN_OF_VIGOUR, "apex": APEX_OF_VIGOUR}),
+    Effect("tempo", 0.15, {"rotation": TURN_OF_TEMPO, "apex": APEX_OF_VIGOUR}),
     Effect("flick", 0.3, {"rotation": TURN_OF_FLICK}),
     Effect("catch_shift", 0.25, {"landing_x": -1.0}),
     Effect("side_shift", 0.25, {"landing_y": -1.0}),
@@ -44,4 +46,4 @@ def measured_errors(flight: Mapping[str, Any]) -> dict[str, float] | None:
     x, y = flight["landing_error"][:2]
     found = {"rotation": flight["angle"] - math.pi, "landing_x": x, "landing_y": y}
     found |= {"catch_pitch": flight["catch_pitch"], "miss": math.hypot(x, y)}
-    return found | ({"climb": flight["climb"]} if "climb" in flight else {})
+    return found | {name: flight[name] for name in ("climb", "apex") if name in flight}

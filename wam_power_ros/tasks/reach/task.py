@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from wam_power_ros.learning.demonstration import Demonstration
-from wam_power_ros.learning.parametrization import Parametrization
+from wam_power_ros.learning.parametrization import Parametrization, parametrization_of
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.regions import Region, region_of
+from wam_power_ros.tasks.errors import Effect, Error
 from wam_power_ros.tasks.reach.returns import reaching_terms
 from wam_power_ros.tasks.reach.scenario import Scenario, resampled
 from wam_power_ros.tasks.reach.settings import PRESETS, REACH_FIT, ReachSettings
@@ -38,7 +39,8 @@ class Reach(Task):
     which stays at its last sample before the obstacle (Eq. 4).
 
     Attributes:
-        demonstrated: x_D, the mean demonstration [m]. Shape (T, 3).
+        targets: Position of the goal [m].
+        demonstrated: x_D, the mean demonstration, towards the goal [m]. Shape (T, 3).
         region: Obstacle, a guarded region of the controller; None for none.
     """
 
@@ -47,11 +49,19 @@ class Reach(Task):
     fit_settings = REACH_FIT
     Settings: ClassVar[type[ReachSettings]] = ReachSettings
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = PRESETS
+    # The end of the tool: the last attractor, which ends the movement, moves it.
+    errors = tuple(Error(axis, "m", 0.01) for axis in AXES)
+    effects = tuple(Effect("attractors", 0.2, {axis: 1.0}, k - 3) for k, axis in enumerate(AXES))
+    gain = 0.0  # the return is learnt from as it is
     goal = Goal(question="whether the obstacle was touched", observed="touched", true="touched")
 
     def __init__(self, settings: ReachSettings, context: Mapping[str, Any]) -> None:
-        super().__init__(settings, context)
         self.demonstrated = np.array(context["demonstrated"], dtype=float)  # (T, 3)
+        self.targets = dict(zip(AXES, self.demonstrated[-1].tolist(), strict=True))
+        super().__init__(settings, context)
+        moved = np.array([self.targets[axis] for axis in AXES]) - self.demonstrated[-1]
+        way = np.linalg.norm(np.diff(self.demonstrated, axis=0), axis=1).cumsum() + 1e-9  # (T-1,)
+        self.demonstrated[1:] += (way / way[-1])[:, np.newaxis] * moved
         self.region = region_of("obstacle", context["obstacle"])
 
     @classmethod
@@ -64,35 +74,9 @@ class Reach(Task):
             "obstacle": [0.0] * 4 if region is None else [*region.centre, region.radius],
         }
 
-    @property
-    def goal_values(self) -> Mapping[str, float]:
-        """Position of the goal [m]; see `Task`."""
-        return dict(zip(AXES, self.demonstrated[-1].tolist(), strict=True))
-
-    def with_goal(self, context: Mapping[str, Any], values: Mapping[str, float]) -> dict[str, Any]:
-        """Move the goal, and the demonstration towards it along its way; see `Task`."""
-        if unknown := set(values) - set(AXES):
-            raise ValueError(f"a goal of {self.name} is {', '.join(AXES)}, not {min(unknown)!r}")
-        new = {**self.goal_values, **values}
-        moved = np.array([new[axis] for axis in AXES]) - self.demonstrated[-1]
-        way = np.linalg.norm(np.diff(self.demonstrated, axis=0), axis=1).cumsum() + 1e-9  # (T-1,)
-        demonstrated = self.demonstrated.copy()
-        demonstrated[1:] += (way / way[-1])[:, np.newaxis] * moved
-        return {**context, "demonstrated": demonstrated.tolist()}
-
-    def goal_slope(self, parametrization: Parametrization) -> np.ndarray:
-        """Move the last attractor, which is where the tool ends; see `Task`."""
-        last = parametrization.groups["attractors"].stop - len(AXES)
-        slope = np.zeros((len(AXES), parametrization.size))
-        slope[:, last : last + len(AXES)] = np.diag(parametrization.scale[last : last + len(AXES)])
-        return slope
-
-    def attained(self, record: LoggedRollout) -> Mapping[str, float] | None:
-        """Where the tool ended, unless the obstacle stopped it; see `Task`."""
-        seen = record.observation
-        if record.fault or seen is None or seen["touched"] or "end" not in seen:
-            return None
-        return dict(zip(AXES, seen["end"], strict=True))
+    def parametrization(self, policy: Policy) -> Parametrization:
+        """Learnt parameters of a policy; see `Task`."""
+        return parametrization_of(policy, self.settings.variant, self.settings.noise)
 
     def assess(self, policy: Policy, rollout: Rollout) -> Assessment:
         """Return (Eq. 4) and success of a rollout of `policy`."""
@@ -121,6 +105,12 @@ class Reach(Task):
             why="stopped at the obstacle" if touched else "",
         )
 
+    def measure(self, observation: Mapping[str, Any]) -> Mapping[str, float] | None:
+        """Where the tool ended, unless the obstacle stopped it; see `Task`."""
+        if observation["touched"] or "end" not in observation:
+            return None
+        return dict(zip(AXES, observation["end"], strict=True))
+
     def margins(self, record: LoggedRollout) -> Sequence[float]:
         """Distance from the goal within its tolerance, and clearance of the obstacle [m]."""
         seen = record.observation
@@ -133,24 +123,11 @@ class Reach(Task):
         """Distance from the goal and contact with the obstacle; see `Task`."""
         if record.fault:
             return f"fault: {record.fault}"
-        seen = record.observation
-        if seen is None:
+        if (seen := record.observation) is None:
             return record.why or "not seen"
         if seen["touched"]:
             return f"touched the obstacle, {100 * seen['goal_distance']:.0f} cm from the goal"
         return f"{1000 * seen['goal_distance']:.0f} mm from the goal"
-
-    def summary(self, records: Sequence[LoggedRollout]) -> list[str]:
-        """Successes and clearance of the re-tests; see `Task`."""
-        seen = [r.observation for r in records if r.kind == "retest" and r.observation]
-        if not seen:
-            return []
-        clear = sum(not each["touched"] for each in seen)
-        clearance = min(each["clearance"] for each in seen)
-        return [
-            f"re-tests of the final policy: {clear} of {len(seen)} passed the obstacle, "
-            f"smallest clearance {1000 * clearance:.0f} mm"
-        ]
 
     def figure(self, rollout: Rollout) -> tuple[Figure, str]:
         """Demonstrated and executed path around the obstacle; see `Task`."""
