@@ -69,7 +69,7 @@ class BallInCup(Scene):
         string = spec.add_tendon(
             name="string",
             limited=True,
-            range=[0.0, self._settings.string],
+            range=[0.0, self.settings.string],
             solref_limit=[0.004, 1.0],  # stiff, without a rebound
             width=0.001,
             rgba=[0.3, 0.3, 0.3, 1.0],
@@ -82,7 +82,7 @@ class BallInCup(Scene):
     ) -> None:
         """Let the ball hang below the cup."""
         data.joint(BODY).qpos[:] = [*position, 1.0, 0.0, 0.0, 0.0]
-        data.joint(BODY).qpos[2] -= self._settings.string
+        data.joint(BODY).qpos[2] -= self.settings.string
 
     def script(self, rng: np.random.Generator) -> SwingScript:
         """Draw a random swing."""
@@ -102,7 +102,7 @@ class BallInCup(Scene):
             t_c, distance = (k + 1) * log.period, float(np.hypot(*relative[k, :2]))
         return {
             "caught": in_cup(now.rotation.T @ (now.body[:3] - now.position)),
-            "apex": float(relative[:, 2].max(initial=-self._settings.string - PLANE)),
+            "apex": float(relative[:, 2].max(initial=-self.settings.string - PLANE)),
             "t_c": t_c,
             "distance": distance,
         }
