@@ -342,9 +342,12 @@ def recorder(lab: Lab, repeats: int, rng: Rng) -> Found:
         folder = lab.folder / str(number)
         command = node_command("demonstration_recorder", directory=str(folder))
         running = lab.processes.start("demonstration_recorder", command)
-        begun = lab._threads.submit(lab.link.insist, interface.RECORD, True)
-        driver.wait(begun.done, "recording")
-        path = Path(begun.result().text)
+        answer = None
+        while answer is None:  # a request that went to the killed recorder alone is lost
+            begun = lab.ask(interface.RECORD, True, timeout=10.0)
+            driver.wait(begun.done, "recording")
+            answer = begun.result()
+        path = Path(answer.text)
         driver.play(rng.uniform(1.0, 3.0))
         full = number % 5 == 4
         if full:  # a limit of the file size stands for the size of the disk

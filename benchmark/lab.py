@@ -155,9 +155,9 @@ class Lab:
             self.spin(2.0, lambda: self.label == "hold")
             self.processes.check()
 
-    def ask(self, name: str, data: Data = None) -> Future[Answer | None]:
+    def ask(self, name: str, data: Data = None, **options: float) -> Future[Answer | None]:
         """Call a service in another thread: this one may have to play the arm meanwhile."""
-        return self._threads.submit(self.link.call, name, data)
+        return self._threads.submit(self.link.call, name, data, **options)
 
     def request(self, do: str, policy: Policy) -> Future[Asked]:
         """Send a request about a policy, in another thread; done once it has begun or not."""

@@ -28,7 +28,6 @@ from benchmark.false_states import FALSIFIED, NO_JOINT, OF_JOINT, PERIOD, N
 from benchmark.loop import A_FAULT, AFTER, Loop, Outcome
 from benchmark.nodes import JOINTS
 from benchmark.terminal import options, table_head, table_row
-from hardware_sim.hidden_arm import HiddenArm
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.controller_settings import ControllerSettings
@@ -47,25 +46,34 @@ HAND = 35.0  # [N] of a hand that presses and lets go at the fault
 HOME = np.array([0.0, 0.349, 0.0, 2.129, 0.0, -0.471, 0.0])  # [rad]
 
 
-def drawn(seed: int) -> HiddenArm:
+class Deviation(NamedTuple):
+    """How an arm differs from the model of the controller."""
+
+    payload: float = 0.0  # [kg] at the tool
+    motors: tuple[float, ...] = (1.0,) * N  # true torque over commanded one
+    friction: tuple[float, ...] = (1.0,) * N  # factor on the Coulomb friction
+    links: tuple[float, ...] = (1.0,) * N  # factor on masses
+    zeros: tuple[float, ...] = (0.0,) * N  # reported minus true position [rad]
+
+
+def drawn(seed: int) -> Deviation:
     """Deviation of a laboratory's first day."""
     rng = np.random.default_rng([seed, 0x5AFE])
-    return HiddenArm.of(
-        N,
-        payload=0.6 * rng.uniform(-0.2, 0.2),
-        motors=rng.uniform(0.95, 1.05, N),
-        friction=2.0 ** rng.uniform(-1.0, 1.0, N),
-        links=rng.uniform(0.95, 1.05, N),
-        zeros=np.deg2rad(rng.uniform(1.0, 3.0, N)) * rng.choice([-1.0, 1.0], N),
+    return Deviation(
+        float(0.6 * rng.uniform(-0.2, 0.2)),
+        tuple(rng.uniform(0.95, 1.05, N)),
+        tuple(2.0 ** rng.uniform(-1.0, 1.0, N)),
+        tuple(rng.uniform(0.95, 1.05, N)),
+        tuple(np.deg2rad(rng.uniform(1.0, 3.0, N)) * rng.choice([-1.0, 1.0], N)),
     )
 
 
 ARMS = {
-    "model": HiddenArm.of(N),
-    "+0.5 kg": HiddenArm.of(N, payload=0.5),
-    "-0.5 kg": HiddenArm.of(N, payload=-0.5),
-    "motor 2 at 70 %": HiddenArm.of(N, motors=np.array([1.0, 0.7, 1.0, 1.0, 1.0, 1.0, 1.0])),
-    "friction halved": HiddenArm.of(N, friction=np.full(N, 0.5)),
+    "model": Deviation(),
+    "+0.5 kg": Deviation(payload=0.5),
+    "-0.5 kg": Deviation(payload=-0.5),
+    "motor 2 at 70 %": Deviation(motors=(1.0, 0.7) + (1.0,) * 5),
+    "friction halved": Deviation(friction=(0.5,) * N),
     **{f"drawn {k}": drawn(k) for k in range(6)},
 }
 
@@ -82,7 +90,7 @@ class Plant:
         driver: Share of g(q) that the driver adds.
     """
 
-    def __init__(self, deviation: HiddenArm) -> None:
+    def __init__(self, deviation: Deviation) -> None:
         tree = ElementTree.fromstring(share("urdf/wam7.urdf").read_text())
         compiler = ElementTree.SubElement(ElementTree.SubElement(tree, "mujoco"), "compiler")
         compiler.set("fusestatic", "false")
@@ -102,11 +110,11 @@ class Plant:
         self.data = mujoco.MjData(self.model)
         self.tool = self.model.body(TOOL).id
         self.model.body_mass[self.tool] += deviation.payload
-        self.motors = deviation.motors.copy()
+        self.motors = np.array(deviation.motors)
         self.hand: Callable[[float, np.ndarray], np.ndarray] | None = None
         self.seconds = 0.0
         self.driver = 0.0
-        self._zeros = deviation.zeros
+        self._zeros = np.array(deviation.zeros)
         self._acting = deque([np.zeros(N)] * DELAY)
         self.place(HOME)
 
