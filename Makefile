@@ -15,11 +15,11 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 # A sourced ROS 2 Jazzy or Kilted provides rclpy, NumPy 1 and Pinocchio; otherwise everything comes from PyPI.
 ifneq ($(filter jazzy kilted,$(ROS_DISTRO)),)
 VENV_FLAGS := --system-site-packages
-EXTRAS := sim,view,reproduce,cluster,completion,test,browser,dev
+EXTRAS := sim,view,reproduce,completion,test,browser,dev
 CONSTRAIN = echo 'numpy<2' > $(VENV)/constraints.txt
 else
 VENV_FLAGS :=
-EXTRAS := plain,sim,view,reproduce,cluster,completion,test,browser,dev
+EXTRAS := plain,sim,view,reproduce,completion,test,browser,dev
 CONSTRAIN = : > $(VENV)/constraints.txt
 endif
 

@@ -1,167 +1,180 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A driver over DDS that publishes the false joint states of `lies`.
-
-The arm is simulated in this process in real time. It keeps the last torque indefinitely, as
-ros2_control and libbarrett do, so only the controller can stop it.
-"""
+"""The table of false joint states: well formed, and not what the arm does."""
 
 from __future__ import annotations
 
-import time
-from collections import deque
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
-from rclpy.publisher import Publisher
-from sensor_msgs.msg import JointState
 
-from benchmark.hidden_arm import StandIn
-from benchmark.lab import TIMEOUT, Lab
-from benchmark.lies import Falsifier, N, Reading
-from benchmark.loop import MOMENTS, Outcome, outcome
-from benchmark.nodes import JOINTS, PERIOD_NS, taught
-from hardware_sim.hidden_arm import HiddenArm
-from wam_power_ros.ros import interface
-from wam_power_ros.ros.joint_messages import JointStateWriter
+from benchmark.nodes import JOINTS, PERIOD_NS
 
-WATCH_TIME = 1.2  # [s] of observation after false states began
+N, PERIOD = len(JOINTS), PERIOD_NS * 1e-9
+FALSIFIED = (1, 3, 5)  # joints 2, 4, 6
+SPEEDS = {1: 4.0, 3: 6.0, 5: 6.0}  # [rad/s] of a runaway encoder
 
 
-class Driver:
-    """The simulated arm as a driver in the lab's domain.
+class Reading(NamedTuple):
+    """One joint state."""
 
-    Attributes:
-        plant: The arm.
-        falsify: Changes a state before it is published.
-        relayed: States after which a second publisher repeats each one; 0 without a relay.
-        speeds: Speed of the tool in every period [m/s].
-        path: Position of the tool in every period [m].
+    stamp_ns: int
+    q: np.ndarray
+    qd: np.ndarray
+
+
+Falsifier = Callable[[Reading], Reading | None]  # None: nothing is published
+
+
+def from_past(report: Callable[[list[Reading]], Reading | None]) -> Falsifier:
+    """Report what a function makes of all true states so far, of which the last is the present."""
+    past: list[Reading] = []
+
+    def falsify(state: Reading) -> Reading | None:
+        past.append(state)
+        return report(past)
+
+    return falsify
+
+
+def frozen(*joints: int, still: bool = False) -> Falsifier:
+    """Freeze position and velocity of joints.
 
     Args:
-        lab: The lab.
-        hidden: Deviations of the arm from its model.
+        joints: Indices of the joints; all joints if none is given.
+        still: Set the velocity to zero instead of freezing it.
     """
+    at = list(joints) or list(range(N))
 
-    def __init__(self, lab: Lab, hidden: HiddenArm | None = None) -> None:
-        self._lab, self.plant = lab, StandIn(hidden)
-        self._write = JointStateWriter(JOINTS)
-        self.falsify: Falsifier = lambda state: state
-        self.speeds: list[float] = []
-        self.path: list[np.ndarray] = []
-        self._stamp_ns = time.time_ns()
-        self.policy = taught()
-        self._states, self._relay = (
-            lab.driver_node.create_publisher(
-                JointState, interface.JOINT_STATES, interface.STATE_OUT
-            )
-            for _ in range(2)
-        )
-        self.relayed = 0
-        self._published: deque[Reading] = deque(maxlen=100)
+    def report(past: list[Reading]) -> Reading:
+        q, qd = past[-1].q.copy(), past[-1].qd.copy()
+        q[at], qd[at] = past[0].q[at], 0.0 if still else past[0].qd[at]
+        return Reading(past[-1].stamp_ns, q, qd)
 
-    def play(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
-        """Run the arm for a time [s] or until a condition holds; return whether it holds."""
-        lab, deadline = self._lab, time.monotonic_ns()
-        end = deadline + round(seconds * 1e9)
-        while not (done := until()) and deadline < end:
-            torques = lab.torques
-            q, qd = self.plant.step(torques[-1][1].tau if torques else None)
-            self.speeds.append(self.plant.tool_speed())
-            self.path.append(self.plant.tool_position())
-            self._stamp_ns += PERIOD_NS
-            if (state := self.falsify(Reading(self._stamp_ns, q, qd))) is not None:
-                self._publish(self._states, state)
-                self._published.append(state)
-            if self.relayed and len(self._published) > self.relayed:
-                self._publish(self._relay, self._published[-1 - self.relayed])
-            deadline += PERIOD_NS
-            late = time.monotonic_ns() - deadline
-            if late > 5 * PERIOD_NS:  # this process was delayed
-                self._stamp_ns, deadline = self._stamp_ns + late, deadline + late
-            while (left := deadline - time.monotonic_ns()) > 0:
-                lab.spin(left * 1e-9)
-        return done
-
-    def _publish(self, publisher: Publisher, state: Reading) -> None:
-        publisher.publish(self._write(*state, np.zeros(N)))
-
-    def ready(self, enough: Callable[[], bool] = lambda: False) -> bool:
-        """Bring the arm to the start of the policy and hold, resetting a fault.
-
-        Returns:
-            True; False if it was `enough` before that.
-        """
-        self.falsify, self.relayed, lab = lambda state: state, 0, self._lab
-        self.plant.let_go()
-        while not enough():
-            self.play(0.5)
-            if lab.label == "fault":
-                self.call(interface.RESET)
-            elif lab.label == "gravity_compensation":
-                self.call(interface.GRAVITY_COMPENSATION, False)
-            elif lab.label == "hold":
-                if self.request("move_to_start"):
-                    return True
-        return False
-
-    def call(self, name: str, data: bool | None = None) -> bool:
-        """Call a service while the arm keeps running; return True on success."""
-        future = self._lab.ask(name, data)
-        done = self.play(TIMEOUT, future.done)
-        answer = future.result() if done else None
-        return answer is not None and answer.success
-
-    def request(self, do: str) -> bool:
-        """Request something about the policy while the arm keeps running; True on success."""
-        future = self._lab.request(do, self.policy)
-        asked = future.result() if self.play(TIMEOUT, future.done) else None
-        self.play(TIMEOUT, lambda: asked is None or asked.answer or not asked.answers)
-        return asked is not None and asked.answer is not None and asked.answer.success
-
-    def begin(self, phase: str) -> None:
-        """Bring the arm into a phase, to the moment at which false states begin."""
-        self.ready()
-        self.play(0.3)  # held so long, whatever comes
-        lab, moment = self._lab, MOMENTS.get(phase)
-        if moment is not None:
-            lab.request("execute", self.policy)
-            self.play(5.0, lambda: lab.label.startswith("rollout"))
-            self.play(moment * self.policy.basis.duration)
-        elif phase in ("move", "teaching"):
-            self.call(interface.GRAVITY_COMPENSATION, True)
-            self.plant.guide(0)
-            self.play(0.4)
-        if phase == "move":
-            self.plant.let_go()
-            self.call(interface.GRAVITY_COMPENSATION, False)
-            self.play(1.0)
-            lab.request("move_to_start", self.policy)
-            self.play(5.0, lambda: lab.label == "move_to_start")
-            self.play(0.2)
-
-    def observe(self, seconds: float) -> Outcome:
-        """Watch the arm for some time [s]; the person lets go at a fault.
-
-        The torques do not say of which kind it is, and `reset` is not known.
-        """
-        self.speeds.clear()
-        self.path.clear()
-        noticed: list[int] = []
-
-        def watch() -> bool:
-            if not noticed and self._lab.label == "fault":
-                noticed.append(len(self.speeds))
-                self.plant.let_go()
-            return len(self.speeds) * PERIOD_NS * 1e-9 >= seconds
-
-        self.play(2.0 * seconds, watch)
-        return outcome(None, noticed[0] if noticed else None, self.speeds, self.path)
+    return from_past(report)
 
 
-def inject(driver: Driver, lab: Lab, phase: str, falsify: Falsifier, relayed: int = 0) -> Outcome:
-    """Publish false states, or each again some states later, in one phase and observe the arm."""
-    driver.begin(phase)
-    while lab.label == "fault":  # a busy machine has delayed a process
-        driver.begin(phase)
-    driver.falsify, driver.relayed = falsify, relayed
-    return driver.observe(WATCH_TIME)
+def velocities(change: Callable[[np.ndarray], np.ndarray]) -> Falsifier:
+    """Change the velocities."""
+    return lambda state: state._replace(qd=change(state.qd))
+
+
+def stamps(rate: float) -> Falsifier:
+    """Let stamps advance at another rate; at rate 0 repeat the first state."""
+
+    def report(past: list[Reading]) -> Reading:
+        first, state = past[0], past[-1]
+        late = round(rate * (state.stamp_ns - first.stamp_ns))
+        return state._replace(stamp_ns=first.stamp_ns + late) if rate else first
+
+    return from_past(report)
+
+
+def moved(state: Reading, joint: int, offset: float, speed: float = 0.0) -> Reading:
+    """State with an offset [rad] and a speed [rad/s] added at a joint."""
+    at = np.eye(N)[joint]
+    return Reading(state.stamp_ns, state.q + offset * at, state.qd + speed * at)
+
+
+def added(joint: int, course: Callable[[float], float]) -> Falsifier:
+    """Add to a joint a speed [rad/s] over time [s], and its integral to the position."""
+    way = [0.0]
+
+    def report(past: list[Reading]) -> Reading:
+        speed = course((past[-1].stamp_ns - past[0].stamp_ns) * 1e-9)
+        way[0] += PERIOD * speed
+        return moved(past[-1], joint, way[0], speed)
+
+    return from_past(report)
+
+
+def mixed(joint: int, seconds: float) -> Falsifier:
+    """Exchange a joint and the next but one, at once or within a time [s]."""
+    other = FALSIFIED[(FALSIFIED.index(joint) + 1) % 3]
+
+    def report(past: list[Reading]) -> Reading:
+        state = past[-1]
+        t = (state.stamp_ns - past[0].stamp_ns) * 1e-9
+        s = 1.0 if not seconds else min(t / seconds, 1.0)
+        share, rate = s * s * (3.0 - 2.0 * s), 0.0 if s >= 1.0 else 6.0 * s * (1.0 - s) / seconds
+        q, qd = state.q.copy(), state.qd.copy()
+        for i, k in ((joint, other), (other, joint)):
+            gap = state.q[k] - state.q[i]
+            q[i] = state.q[i] + share * gap
+            qd[i] = state.qd[i] + share * (state.qd[k] - state.qd[i]) + rate * gap
+        return Reading(state.stamp_ns, q, qd)
+
+    return from_past(report)
+
+
+def mirrored(joint: int) -> Falsifier:
+    """Let a joint report its motion with the other sign, from where it was."""
+
+    def report(past: list[Reading]) -> Reading:
+        away = past[0].q[joint] - past[-1].q[joint]
+        return moved(past[-1], joint, 2.0 * away, -2.0 * past[-1].qd[joint])
+
+    return from_past(report)
+
+
+def quantised(joint: int) -> Falsifier:
+    """The resolution of a joint becomes 0.01 rad."""
+
+    def falsify(state: Reading) -> Reading:
+        q = state.q.copy()
+        q[joint] = np.round(q[joint] / 0.01) * 0.01
+        return state._replace(q=q)
+
+    return falsify
+
+
+# Of one joint, and below of no joint in particular.
+OF_JOINT: dict[str, Callable[[int], Falsifier]] = {
+    "constant": lambda j: lambda s: moved(s, j, 0.06),
+    "runaway step": lambda j: added(j, lambda t: SPEEDS[j] * (t < 0.3)),
+    "smooth bump": lambda j: added(
+        j, lambda t: SPEEDS[j] * np.sin(np.pi * t / 0.4) ** 2 * (t < 0.4)
+    ),
+    "smooth runaway": lambda j: added(
+        j, lambda t: SPEEDS[j] * np.sin(0.5 * np.pi * min(t / 0.4, 1.0)) ** 2
+    ),
+    "drift +0.1": lambda j: added(j, lambda t: 0.1),
+    "drift -0.1": lambda j: added(j, lambda t: -0.1),
+    "drift +0.3": lambda j: added(j, lambda t: 0.3),
+    "soft drift +0.3": lambda j: added(j, lambda t: 0.3 * min(t / 0.1, 1.0)),
+    "soft drift -0.3": lambda j: added(j, lambda t: -0.3 * min(t / 0.1, 1.0)),
+    "freeze": frozen,
+    "swap": lambda j: mixed(j, 0.0),
+    "gradual swap": lambda j: mixed(j, 0.5),
+    "sign": mirrored,
+    "spike": lambda j: from_past(lambda past: moved(past[-1], j, 0.05 * (len(past) % 20 == 1))),
+    "quantised": quantised,
+    # Each state five times, under stamps of its own; states 20 ms old; a second publisher that
+    # repeats each state 6 ms later, so that stamps go back again and again.
+    "repeated": lambda _: from_past(
+        lambda past: past[(len(past) - 1) // 5 * 5]._replace(stamp_ns=past[-1].stamp_ns)
+    ),
+    "late": lambda _: from_past(lambda past: past[-11:][0]._replace(stamp_ns=past[-1].stamp_ns)),
+    "relay": lambda _: from_past(lambda past: past[-1] if len(past) % 2 else past[-4:][0]),
+}
+NO_JOINT = ("repeated", "late", "relay")
+FALSE_STATES: dict[str, Callable[[], Falsifier]] = {
+    "silence": lambda: lambda state: None,
+    "the same state again and again": lambda: stamps(0.0),
+    "stamps at a tenth of the speed": lambda: stamps(0.1),
+    "frozen": frozen,
+    "frozen, velocities zero": lambda: frozen(still=True),
+    "joint 2 frozen": lambda: frozen(1),
+    "joint 4 frozen, its velocity zero": lambda: frozen(3, still=True),
+    "velocities zero": lambda: velocities(np.zeros_like),
+    "velocities negated": lambda: velocities(np.negative),
+    "velocities doubled": lambda: velocities(lambda qd: 2.0 * qd),
+    "velocities permuted": lambda: velocities(lambda qd: np.roll(qd, 1)),
+    # Every other state is that of an arm 0.02 rad away.
+    "two drivers": lambda: from_past(lambda p: p[-1]._replace(q=p[-1].q + 0.02 * (len(p) % 2))),
+}
+ALL_FALSE_STATES = FALSE_STATES | {
+    "joint 6 frozen": lambda: frozen(5),
+    "stamps at three times the speed": lambda: stamps(3.0),
+    "stamps at half the speed": lambda: stamps(0.5),
+}

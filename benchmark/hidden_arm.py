@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from benchmark.lies import PERIOD
+from benchmark.false_states import PERIOD
 from benchmark.loop import MOMENTS, Loop
 from benchmark.nodes import JOINTS, taught
 from hardware_sim.demonstrator import Demonstrator

@@ -12,7 +12,6 @@ the repeated rollout is in rollout_<id>_2.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import signal
@@ -26,6 +25,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmark.nodes import environment
+from benchmark.terminal import options
 
 TIMEOUT = 240.0  # [s] for a rollout, or for the end of a session that lost a process
 PROCESSES = (  # of `wam-power learn`, and itself
@@ -130,19 +130,14 @@ def learn_killed(
 
 def main() -> int:
     """Run both sessions and print the differences; status 1 if there are any."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--of", nargs="+", choices=PROCESSES, default=["learner"], help="in turn")
-    parser.add_argument("--kills", type=int, default=10)
-    parser.add_argument("--seed", type=int, default=42)
-    parser.add_argument("--trials", type=int, default=8)
-    options = parser.parse_args()
-    words = ["--seed", options.seed, "--trials", options.trials, "--demonstrations", 4]
-    rng = np.random.default_rng(options.seed)
+    given = options(__doc__, of=[*PROCESSES], kills=10, seed=42, trials=8)
+    words = ["--seed", given.seed, "--trials", given.trials, "--demonstrations", 4]
+    rng = np.random.default_rng(given.seed)
     with tempfile.TemporaryDirectory() as scratch:
         undisturbed, killed = Path(scratch) / "undisturbed", Path(scratch) / "killed"
         if learning(undisturbed, *words).wait():
             raise RuntimeError((undisturbed / "learn.log").read_text()[-2000:])
-        found = learn_killed(killed, words, options.of, options.kills, rng)
+        found = learn_killed(killed, words, given.of, given.kills, rng)
         found += differences(records(undisturbed), records(killed))
         for line in lines(killed):
             bag = json.loads(line)["bag"]

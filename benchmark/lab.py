@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Set-up for fault injection: a private DDS domain, the nodes as processes, and an arm.
+"""A private DDS domain with nodes as processes, and an arm that this process plays.
 
-If the arm only stands still, this process publishes its states, 500 a second on the wall clock. If
-it must be able to fall, the stand-in does.
+The arm keeps the last torque indefinitely, as ros2_control and libbarrett do, so only the
+controller can stop it. An arm that must survive the end of its controller is the stand-in's.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import signal
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
@@ -19,10 +20,13 @@ import numpy as np
 import rclpy
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from benchmark.nodes import HOME, JOINTS, PERIOD_NS, environment, node_command
+from benchmark.false_states import Falsifier, N, Reading
+from benchmark.loop import MOMENTS, Outcome, Plant, outcome
+from benchmark.nodes import HOME, JOINTS, PERIOD_NS, environment, node_command, taught
 from wam_power_ros.cli.processes import Processes, Running
 from wam_power_ros.client.link import Data, Link
 from wam_power_ros.client.requests import Asked, Requests
@@ -37,6 +41,7 @@ from wam_power_ros.ros.simulation_guard import STAND_IN
 
 TIMEOUT = 90.0  # [s] for a node to start, to hold, to fault
 ARM, CONTROLLER, WATCHER = 70, 60, 50  # real-time priorities
+WATCH_TIME = 1.2  # [s] of observation after false states began
 
 
 def new_controller() -> Controller:
@@ -48,21 +53,19 @@ def new_controller() -> Controller:
 
 
 class Lab:
-    """A private DDS domain with an observing node; this process or the stand-in plays the arm.
+    """A private DDS domain with an observing node.
 
     Attributes:
         domain: Number of the domain; set by `open`.
         link: Link of a node beside the observing one; set by `open`.
         torques: Reception times [ns, steady clock] and readings of the last torques.
-        readings: States of the stand-in, if it plays the arm.
+        readings: States of the stand-in, if it is the arm.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.torques: list[tuple[int, joint_messages.TorqueReading]] = []
         self.readings: list[joint_messages.JointReading] = []
-        self.stamp_ns = time.time_ns()
-        self.published_ns = 0
 
     @contextmanager
     def open(self) -> Iterator[Lab]:
@@ -85,7 +88,6 @@ class Lab:
             self.node.create_subscription(
                 Float64MultiArray, interface.EFFORT_COMMANDS, self._on_torque, interface.COMMAND
             )
-            self._write = joint_messages.JointStateWriter(JOINTS)
             try:
                 with Processes(self.folder, given) as self.processes, self.link:
                     yield self
@@ -107,10 +109,8 @@ class Lab:
 
     def controller(self, priority: int = CONTROLLER) -> Running:
         """Start the controller."""
-        name = "torque_controller"
-        return self.processes.start(
-            name, node_command(name, "simulation", realtime_priority=priority)
-        )
+        command = node_command("torque_controller", "simulation", realtime_priority=priority)
+        return self.processes.start("torque_controller", command)
 
     def stand_in(self, priority: int = ARM) -> Running:
         """Start the stand-ins in real time and subscribe to their states."""
@@ -138,73 +138,198 @@ class Lab:
             self._executor.spin_once(timeout_sec=min(left, 0.005))
         return done
 
-    def wait(self, until: Callable[[], bool], what: str, play: bool = False) -> None:
-        """Dispatch callbacks, or play the arm, until a condition holds.
+    def wait(self, until: Callable[[], bool], what: str) -> None:
+        """Dispatch callbacks until a condition holds.
 
         Raises:
             TimeoutError: If it does not hold within `TIMEOUT`.
         """
-        if not (self.play if play else self.spin)(TIMEOUT, until):
+        if not self.spin(TIMEOUT, until):
             raise TimeoutError(f"no {what} within {TIMEOUT:.0f} s (last torque: {self.label!r})")
 
     def held(self) -> None:
-        """Wait until the controller holds, resetting a fault."""
+        """Wait until the controller holds the stand-in's arm, resetting a fault."""
         while self.label != "hold":
             if self.label == "fault":
-                self.call(interface.RESET)
+                self.wait(self.ask(interface.RESET).done, "response to a reset")
             self.spin(2.0, lambda: self.label == "hold")
             self.processes.check()
 
-    def ask(self, name: str, data: Data = None) -> Future[Answer | None]:
+    def ask(self, name: str, data: Data = None, **options: float) -> Future[Answer | None]:
         """Call a service in another thread: this one may have to play the arm meanwhile."""
-        return self._threads.submit(self.link.call, name, data)
+        return self._threads.submit(self.link.call, name, data, **options)
 
     def request(self, do: str, policy: Policy) -> Future[Asked]:
         """Send a request about a policy, in another thread; done once it has begun or not."""
         return self._threads.submit(self._requests.begin, do, policy=to_json(policy))
 
-    def call(self, name: str, play: bool = False) -> bool:
-        """Call a Trigger service and wait for its response; return True on success."""
-        future = self.ask(name)
-        self.wait(future.done, f"response of {name}", play)
-        answer = future.result()
-        return answer is not None and answer.success
 
-    # The arm played by this process; it never moves.
+class RestingArm:
+    """An arm that stays at `HOME` whatever the torque; see `Plant`."""
 
-    def publish(self) -> None:
-        """Publish one state with the present stamp."""
-        if not hasattr(self, "_states"):
-            self._states = self.driver_node.create_publisher(
-                JointState, interface.JOINT_STATES, interface.STATE_OUT
-            )
-        message = self._write(self.stamp_ns, HOME, np.zeros(7), np.zeros(7))
-        self.published_ns = time.monotonic_ns()
-        self._states.publish(message)
+    def step(self, tau: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """See `Plant`."""
+        return HOME, np.zeros(N)
+
+    def tool_position(self) -> np.ndarray:
+        """See `Plant`."""
+        return np.zeros(3)
+
+    def tool_speed(self) -> float:
+        """See `Plant`."""
+        return 0.0
+
+    def let_go(self) -> None:
+        """See `Plant`."""
+
+
+class Driver:
+    """An arm simulated in this process, in real time, as a driver in the lab's domain.
+
+    Attributes:
+        plant: The arm.
+        falsify: Changes a state before it is published.
+        relayed: States after which a second publisher repeats each one; 0 without a relay.
+        speeds: Speed of the tool in every period [m/s].
+        path: Position of the tool in every period [m].
+        states: Publisher of the states.
+        stamp_ns: Stamp of the last state.
+        published_ns: Time at which it was published [ns, steady clock].
+    """
+
+    def __init__(self, lab: Lab, plant: Plant) -> None:
+        self._lab, self.plant, self.policy = lab, plant, taught()
+        self._write = joint_messages.JointStateWriter(JOINTS)
+        self.falsify: Falsifier = lambda state: state
+        self.speeds: list[float] = []
+        self.path: list[np.ndarray] = []
+        self.stamp_ns, self.published_ns = time.time_ns(), 0
+        given = JointState, interface.JOINT_STATES, interface.STATE_OUT
+        self.states, self._relay = (lab.driver_node.create_publisher(*given) for _ in range(2))
+        self.relayed = 0
+        self._published: deque[Reading] = deque(maxlen=100)
 
     def play(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
-        """Publish 500 states a second until a condition holds; return whether it holds in time."""
-        end = deadline = time.monotonic_ns()
-        end += round(seconds * 1e9)
+        """Run the arm for a time [s] or until a condition holds; return whether it holds."""
+        lab, deadline = self._lab, time.monotonic_ns()
+        end = deadline + round(seconds * 1e9)
         while not (done := until()) and deadline < end:
+            torques = lab.torques
+            q, qd = self.plant.step(torques[-1][1].tau if torques else None)
+            self.speeds.append(self.plant.tool_speed())
+            self.path.append(self.plant.tool_position())
             self.stamp_ns += PERIOD_NS
-            self.publish()
+            if (state := self.falsify(Reading(self.stamp_ns, q, qd))) is not None:
+                self._publish(self.states, state)
+                self._published.append(state)
+            if self.relayed and len(self._published) > self.relayed:
+                self._publish(self._relay, self._published[-1 - self.relayed])
             deadline += PERIOD_NS
-            if time.monotonic_ns() - deadline > 5 * PERIOD_NS:  # this process was delayed
-                self.stamp_ns += time.monotonic_ns() - deadline
-                deadline = time.monotonic_ns()
+            late = time.monotonic_ns() - deadline
+            if late > 5 * PERIOD_NS:  # this process was delayed
+                self.stamp_ns, deadline = self.stamp_ns + late, deadline + late
             while (left := deadline - time.monotonic_ns()) > 0:
-                self._executor.spin_once(timeout_sec=left * 1e-9)
+                lab.spin(left * 1e-9)
         return done
 
-    def played(self) -> None:
-        """Play until the controller holds, resetting a fault."""
+    def _publish(self, publisher: Publisher, state: Reading) -> None:
+        message = self._write(*state, np.zeros(N))
+        self.published_ns = time.monotonic_ns()
+        publisher.publish(message)
 
-        def holds() -> bool:
-            return self.label == "hold"
+    def wait(self, until: Callable[[], bool], what: str) -> None:
+        """Run the arm until a condition holds.
 
-        while not holds():
-            if self.label == "fault":
+        Raises:
+            TimeoutError: If it does not hold within `TIMEOUT`.
+        """
+        if not self.play(TIMEOUT, until):
+            raise TimeoutError(f"no {what} within {TIMEOUT:.0f} s")
+
+    def held(self) -> None:
+        """Run the arm until the controller holds it, resetting a fault."""
+        while self._lab.label != "hold":
+            if self._lab.label == "fault":
                 self.play(0.1)
-                self.call(interface.RESET, play=True)
-            self.play(5.0, holds)
+                self.call(interface.RESET)
+            self.play(5.0, lambda: self._lab.label == "hold")
+
+    def ready(self, enough: Callable[[], bool] = lambda: False) -> bool:
+        """Bring the arm to the start of the policy and hold, resetting a fault.
+
+        Returns:
+            True; False if it was `enough` before that.
+        """
+        self.falsify, self.relayed, lab = lambda state: state, 0, self._lab
+        self.plant.let_go()
+        while not enough():
+            self.play(0.5)
+            if lab.label == "fault":
+                self.call(interface.RESET)
+            elif lab.label == "gravity_compensation":
+                self.call(interface.GRAVITY_COMPENSATION, False)
+            elif lab.label == "hold" and self.request("move_to_start"):
+                return True
+        return False
+
+    def call(self, name: str, data: bool | None = None) -> bool:
+        """Call a service while the arm keeps running; return True on success."""
+        future = self._lab.ask(name, data)
+        done = self.play(TIMEOUT, future.done)
+        answer = future.result() if done else None
+        return answer is not None and answer.success
+
+    def request(self, do: str) -> bool:
+        """Request something about the policy while the arm keeps running; True on success."""
+        future = self._lab.request(do, self.policy)
+        asked = future.result() if self.play(TIMEOUT, future.done) else None
+        self.play(TIMEOUT, lambda: asked is None or asked.answer or not asked.answers)
+        return asked is not None and asked.answer is not None and asked.answer.success
+
+    def begin(self, phase: str) -> None:
+        """Bring the arm into a phase, to the moment at which false states begin."""
+        self.ready()
+        self.play(0.3)  # held so long, whatever comes
+        lab, moment = self._lab, MOMENTS.get(phase)
+        if moment is not None:
+            lab.request("execute", self.policy)
+            self.play(5.0, lambda: lab.label.startswith("rollout"))
+            self.play(moment * self.policy.basis.duration)
+        elif phase in ("move", "teaching"):
+            self.call(interface.GRAVITY_COMPENSATION, True)
+            self.plant.guide(0)
+            self.play(0.4)
+        if phase == "move":
+            self.plant.let_go()
+            self.call(interface.GRAVITY_COMPENSATION, False)
+            self.play(1.0)
+            lab.request("move_to_start", self.policy)
+            self.play(5.0, lambda: lab.label == "move_to_start")
+            self.play(0.2)
+
+    def observe(self, seconds: float) -> Outcome:
+        """Watch the arm for some time [s]; the person lets go at a fault.
+
+        The torques do not say of which kind it is, and `reset` is not known.
+        """
+        self.speeds.clear()
+        self.path.clear()
+        noticed: list[int] = []
+
+        def watch() -> bool:
+            if not noticed and self._lab.label == "fault":
+                noticed.append(len(self.speeds))
+                self.plant.let_go()
+            return len(self.speeds) * PERIOD_NS * 1e-9 >= seconds
+
+        self.play(2.0 * seconds, watch)
+        return outcome(None, noticed[0] if noticed else None, self.speeds, self.path)
+
+
+def inject(driver: Driver, lab: Lab, phase: str, falsify: Falsifier, relayed: int = 0) -> Outcome:
+    """Publish false states, or each again some states later, in one phase and observe the arm."""
+    driver.begin(phase)
+    while lab.label == "fault":  # a busy machine has delayed a process
+        driver.begin(phase)
+    driver.falsify, driver.relayed = falsify, relayed
+    return driver.observe(WATCH_TIME)

@@ -1,20 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Latency from state to torque in real time: the controller compared with a bare echo node.
 
-    python -m benchmark.latency [--seconds 60] [--load 0] [--messages] [--view]
-                                 [--period 0.001]
+    python -m benchmark.latency [--seconds 60] [--load 0] [--view] [--period 0.001] [--json FILE]
 
 The stand-in publishes 500 states a second, or one each --period, on the wall clock. The controller
 answers each with a torque. The echo, a bare rclpy node in a separate process, answers with the same
 message holding zeros. The stand-in's process times both, in the same run and with the same
-scheduling, so machine and middleware cancel in the ratio. Each topic has one reader. --messages
-counts the periods missed while the most difficult messages arrive (`messages`). With --view, the
-page of `wam-power view` follows the arm during the measurement.
+scheduling, so machine and middleware cancel in the ratio. Each topic has one reader. With --load,
+as many busy processes run beside it; with --view, the page of `wam-power view` follows the arm.
 """
 
 from __future__ import annotations
 
-import argparse
 import fcntl
 import json
 import os
@@ -31,10 +28,10 @@ from typing import IO
 import numpy as np
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Empty, Float64MultiArray
+from std_msgs.msg import Float64MultiArray
 
-from benchmark import messages
 from benchmark.nodes import JOINTS, PERIOD_NS, environment, ros_arguments, taught
+from benchmark.terminal import options, table_head, table_row
 from wam_power_ros.cli.processes import Processes, Running
 from wam_power_ros.learning.policy import with_id
 from wam_power_ros.practice.session import Session
@@ -45,6 +42,8 @@ from wam_power_ros.ros.stamps import nanoseconds
 
 ECHO = "/echo/commands"
 MODULE = [sys.executable, "-m"]
+ROLE = "--role"  # of a process that this script starts
+KEYS = ("p50", "p99", "p99.9", "cpu")  # columns of the table
 PRIORITY = {"stand-in": 70, "controller": 60, "echo": 60}
 
 
@@ -96,10 +95,6 @@ def stand_in(report: Path) -> int:
             publish(message)
 
         simulation.wam.publish = timed
-        bad = messages.bad_state
-        simulation.wam.create_subscription(
-            Empty, messages.BAD_STATE, lambda _: publish(bad()), interface.COMMAND
-        )
         simulation.wam.create_subscription(
             Float64MultiArray, ECHO, partial(on_answer, ECHO), interface.COMMAND
         )
@@ -130,7 +125,7 @@ def start_page(processes: Processes, folder: Path, domain: int) -> IO[str]:
         processes.check()
         time.sleep(0.1)
     role = f"browser ws{found[1]}"
-    processes.start("browser", [*MODULE, "benchmark.latency", "--role", role])
+    processes.start("browser", [*MODULE, "benchmark.latency", ROLE, role])
     return held
 
 
@@ -149,7 +144,6 @@ def measure(
     seconds: float,
     fifo: bool,
     load: int,
-    hardest: bool = False,
     view: bool = False,
     period: float = PERIOD_NS * 1e-9,
 ) -> dict[str, dict[str, float]]:
@@ -159,7 +153,6 @@ def measure(
         seconds: Duration of the measurement [s].
         fifo: Use SCHED_FIFO.
         load: Number of busy processes beside it.
-        hardest: Publish the messages of `benchmark.messages` instead, and print the table.
         view: Let the page of `wam-power view` follow the arm.
         period: Time between two states [s].
 
@@ -167,9 +160,9 @@ def measure(
         Per process: periods met [%], quantiles of the latency [us] or rate of the states [Hz],
         and CPU time [%].
     """
-    own = [*MODULE, "benchmark.latency", "--role"]
+    own = [*MODULE, "benchmark.latency", ROLE]
     with tempfile.TemporaryDirectory() as folder, private_domain() as domain:
-        report, published = Path(folder) / "times.npy", Path(folder) / "messages.json"
+        report = Path(folder) / "times.npy"
         priority = {name: value if fifo else 0 for name, value in PRIORITY.items()}
         of_arm = {"period": period, "realtime_priority": priority["stand-in"]}
         of_loop = {"period": period, "realtime_priority": priority["controller"]}
@@ -182,23 +175,16 @@ def measure(
                 start("controller", [*loop, *words]),
                 start("echo", [*own, f"echo {priority['echo']}"]),
             ]
-            if hardest:
-                start("messages", [*own, f"messages {published}"])
             if view:
                 stack.enter_context(start_page(processes, Path(folder), domain))
             for i in range(load):
                 start(f"load {i}", [sys.executable, "-c", "while True: pass"])
             time.sleep(10.0)  # for imports and discovery
             begun_ns, before = time.monotonic_ns(), _cpu(measured)
-            while hardest and not published.exists():
-                processes.check()
-                time.sleep(0.5)
             time.sleep(seconds)
             ended_ns, after = time.monotonic_ns(), _cpu(measured)
             processes.check()
         rows = np.load(report)
-        if hardest:
-            print(messages.table(rows, json.loads(published.read_text())))
     rows = rows[(rows[:, 0] >= begun_ns) & (rows[:, 0] < ended_ns)]
     seconds = (ended_ns - begun_ns) * 1e-9
     cpu = {name: 100.0 * (after[name] - before[name]) / seconds for name in after}
@@ -234,57 +220,36 @@ def may_schedule() -> bool:
     return subprocess.run([sys.executable, "-c", ask], capture_output=True).returncode == 0
 
 
-def table(title: str, figures: dict[str, dict[str, float]]) -> str:
-    """Format the figures of one run as text."""
+def print_table(title: str, figures: dict[str, dict[str, float]]) -> None:
+    """Print the figures of one run, and the ratio of controller and echo."""
     controller, echo, arm = figures["controller"], figures["echo"], figures["stand-in"]
-    lines = [
-        f"{title} (stand-in: {arm['rate']:.1f} states/s, {arm['cpu']:.0f} % CPU)",
-        "              periods met   p50 [us]   p99 [us]   p99.9 [us]   CPU [%]",
-    ]
-    for name, row in (("controller", controller), ("echo", echo)):
-        lines.append(
-            f"  {name:12s}{row['met']:9.2f} %{row['p50']:11.0f}{row['p99']:11.0f}"
-            f"{row['p99.9']:13.0f}{row['cpu']:10.1f}"
-        )
-    ratio = [controller[key] / echo[key] for key in ("p50", "p99", "p99.9", "cpu")]
-    lines.append(
-        f"  {'ratio':12s}{'':11s}{ratio[0]:11.2f}{ratio[1]:11.2f}{ratio[2]:13.2f}{ratio[3]:10.2f}"
+    print(f"{title} (stand-in: {arm['rate']:.1f} states/s, {arm['cpu']:.0f} % CPU)")
+    print(table_head("", "periods met [%]", "p50 [us]", "p99 [us]", "p99.9 [us]", "CPU [%]"))
+    for name, each in (("controller", controller), ("echo", echo)):
+        print(table_row(name, f"{each['met']:.2f}", *(f"{each[key]:.0f}" for key in KEYS)))
+    print(
+        table_row("ratio", "", *(f"{controller[key] / echo[key]:.2f}" for key in KEYS)), flush=True
     )
-    return "\n".join(lines)
 
 
 def main() -> int:
     """Measure with and without SCHED_FIFO."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seconds", type=float, default=60.0, help="duration of each run [s]")
-    parser.add_argument("--load", type=int, default=0, help="number of busy processes")
-    parser.add_argument("--messages", action="store_true", help="also during difficult messages")
-    parser.add_argument("--view", action="store_true", help="with the page of `wam-power view`")
-    period = PERIOD_NS * 1e-9
-    parser.add_argument("--period", type=float, default=period, help="between two states [s]")
-    parser.add_argument("--json", type=Path, help="also write the figures to this file")
-    parser.add_argument("--role", help=argparse.SUPPRESS)
-    options, _ = parser.parse_known_args()
-    if options.role:
-        role, _, value = options.role.partition(" ")
-        if role == "messages":
-            return messages.publish(Path(value))
+    if ROLE in sys.argv:
+        role, _, value = sys.argv[sys.argv.index(ROLE) + 1].partition(" ")
         if role == "echo":
             return node_runner.run(lambda: Echo(int(value)))
         return read_all(value) if role == "browser" else stand_in(Path(role))
+    period = PERIOD_NS * 1e-9
+    given = options(__doc__, seconds=60.0, load=0, view=False, period=period, json=Path)
     results = {}
     for title, fifo in (("SCHED_FIFO", True), ("plain scheduling", False)):
         if fifo and not may_schedule():
             print(f"{title}: skipped, not permitted here (rtprio in /etc/security/limits.d)")
             continue
-        results[title] = measure(
-            options.seconds, fifo, options.load, view=options.view, period=options.period
-        )
-        print(table(title, results[title]))
-        if options.messages:
-            measure(0.0, fifo, options.load, hardest=True)
-    if options.json:
-        options.json.write_text(json.dumps(results, indent=1) + "\n")
+        results[title] = measure(given.seconds, fifo, given.load, given.view, given.period)
+        print_table(title, results[title])
+    if given.json:
+        given.json.write_text(json.dumps(results, indent=1) + "\n")
     return 0
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from benchmark.lies import PERIOD, Falsifier, Reading
+from benchmark.false_states import PERIOD, Falsifier, Reading
 from benchmark.nodes import PERIOD_NS, taught
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.modes import ControllerError, Mode

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """False joint states that begin at random moments, and end: controller and arm in one process.
 
-    python -m benchmark.moments [--repeats 12] [--lies frozen ...] [--delay 2]
+    python -m benchmark.moments [--repeats 12] [--kinds frozen ...] [--delay 2]
 
-The false states of `benchmark.lies` are passed to a controller that is connected by calls
+The false states of `benchmark.false_states` are passed to a controller that is connected by calls
 to the simulated arm, which keeps the last torque. They begin at a random moment of a rollout, a
 move or a demonstration. The arm is observed until 0.5 s after the fault and for 2 s more. Then true
 states return: they must not move the arm, and the fault must be resettable.
@@ -11,14 +11,14 @@ states return: they must not move the arm, and the fault must be resettable.
 
 from __future__ import annotations
 
-import argparse
 import sys
 
 import numpy as np
 
+from benchmark.false_states import ALL_FALSE_STATES
 from benchmark.hidden_arm import held
-from benchmark.lies import ALL_FALSE_STATES
 from benchmark.loop import SPEED_MARGIN, Loop, Outcome
+from benchmark.terminal import options, table_head, table_row
 from wam_power_ros.control.safety import REST_SPEED
 
 WATCH_TICKS = 600  # [periods] of observation after false states began
@@ -63,24 +63,15 @@ def inject(name: str, phase: str, rng: np.random.Generator, delay: int) -> Outco
 
 def main(arguments: list[str] | None = None) -> int:
     """Print a row for each kind of false state and phase; return 1 if the arm was not stopped."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--repeats", type=int, default=12)
-    parser.add_argument(
-        "--lies",
-        nargs="+",
-        choices=list(ALL_FALSE_STATES),
-        default=list(ALL_FALSE_STATES),
-        help="kinds of false states (default: all)",
-    )
-    parser.add_argument("--delay", type=int, default=2, help="periods until a torque acts")
-    given = parser.parse_args(arguments)
+    kinds = [*ALL_FALSE_STATES]
+    given = options(__doc__, arguments, repeats=12, kinds=kinds, delay=2)
     loop = held(given.delay)
     loop.controller.execute()
     most = loop.observe(1.2).peak + SPEED_MARGIN
-    print("| false state | phase | faults | within [ms] | peak [m/s] | rest | after | reset | |")
-    print("|---|---|---|---|---|---|---|---|---|")
+    titles = ("false state", "phase", "faults", "within [ms]", "peak [m/s]", "rest", "after")
+    print(table_head(*titles, "reset", ""))
     failed = 0
-    for name in given.lies:
+    for name in given.kinds:
         for phase in PHASES:
             seeds = range(7000, 7000 + given.repeats)
             found = [inject(name, phase, np.random.default_rng(k), given.delay) for k in seeds]
@@ -91,13 +82,13 @@ def main(arguments: list[str] | None = None) -> int:
                 for e in found
             ]
             failed += len(found) - sum(good)
-            print(
-                f"| {name} | {phase} | {len(late)} of {len(found)} | {2 * max(late, default=0)} "
-                f"| {max(e.peak for e in found):.2f} | {max(e.rest for e in found):.3f} "
-                f"| {max(e.after for e in found):.2f} | {sum(e.reset for e in found)} "
-                f"| {sum(good)} good |",
-                flush=True,
+            counted = f"{len(late)} of {len(found)}", 2 * max(late, default=0)
+            peak, rest, after = (
+                max(each) for each in zip(*((e.peak, e.rest, e.after) for e in found), strict=True)
             )
+            speeds = f"{peak:.2f}", f"{rest:.3f}", f"{after:.2f}"
+            resets = sum(e.reset for e in found), f"{sum(good)} good"
+            print(table_row(name, phase, *counted, *speeds, *resets), flush=True)
     return int(failed > 0)
 
 

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What an arm does before and after a fault: false states, and true ones of an arm that changes.
 
-    python -m benchmark.reaction_matrix [--cells 400] [--seed 1] [--modes hold ...] [--kinds ...]
+    python -m benchmark.reaction_matrix [--modes hold ...] [--kinds ...] [--arms model ...] [--bad]
+    python -m benchmark.reaction_matrix --cells 400 --seed 1     # draws some; 0: all
 
 Controller and arm are in one process. The arm is a plant of this file's own: MuJoCo's reading of
 the URDF, which keeps the last torque, and on which a torque acts after 4 ms. Each cell is a kind of
@@ -11,7 +12,6 @@ the same run without it, and with a fault of true states at the same moment.
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import sys
 from collections import deque
@@ -24,9 +24,10 @@ import joblib
 import mujoco
 import numpy as np
 
-from benchmark.lies import LIED, LIES, NO_JOINT, PERIOD, N
+from benchmark.false_states import FALSIFIED, NO_JOINT, OF_JOINT, PERIOD, N
 from benchmark.loop import A_FAULT, AFTER, Loop, Outcome
 from benchmark.nodes import JOINTS
+from benchmark.terminal import options, table_head, table_row
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.controller_settings import ControllerSettings
@@ -327,8 +328,8 @@ def run(cell: Cell) -> Outcome:
         return Outcome(None, None, 0.0, 0.0, 0.0, 0.0, unreached=f"not reached: {why}")
     loop = loop_of(cell.arm)
     begin(loop, cell.mode)
-    if cell.kind in LIES:
-        loop.falsify = LIES[cell.kind](cell.joint)
+    if cell.kind in OF_JOINT:
+        loop.falsify = OF_JOINT[cell.kind](cell.joint)
     else:
         CHANGES[cell.kind](loop)
 
@@ -371,45 +372,47 @@ def cells(kinds: Sequence[str], modes: Sequence[str], arms: Sequence[str]) -> It
             continue
         if kind == "-0.55 kg" and arm == "-0.5 kg":  # the tool has 0.6 kg
             continue
-        joints = LIED if kind in LIES and kind not in NO_JOINT else (-1,)
+        joints = FALSIFIED if kind in OF_JOINT and kind not in NO_JOINT else (-1,)
         for joint in joints:
             yield Cell(kind, joint, mode, arm)
 
 
-def row(cell: Cell, outcome: Outcome) -> str:
+def line(cell: Cell, found: Outcome) -> str:
     """Line of the table."""
-    joint = f"joint {cell.joint + 1}" if cell.joint >= 0 else ""
-    found = "-" if outcome.noticed is None else f"{1e3 * PERIOD * outcome.noticed:.0f}"
-    fault = outcome.fault.value if outcome.fault else outcome.unreached or "none"
-    return (
-        f"| {cell.kind} | {joint} | {cell.mode} | {cell.arm} | {fault} | {found} "
-        f"| {100 * outcome.before:.1f} | {outcome.peak:.2f} ({outcome.nominal:.2f}) "
-        f"| {100 * outcome.way:.1f} | {'yes' if outcome.reset else 'no'} "
-        f"| {'' if good(outcome) else '**bad**'} |"
+    return table_row(
+        cell.kind,
+        f"joint {cell.joint + 1}" if cell.joint >= 0 else "",
+        cell.mode,
+        cell.arm,
+        found.fault.value if found.fault else found.unreached or "none",
+        "-" if found.noticed is None else f"{1e3 * PERIOD * found.noticed:.0f}",
+        f"{100 * found.before:.1f}",
+        f"{found.peak:.2f} ({found.nominal:.2f})",
+        f"{100 * found.way:.1f}",
+        "yes" if found.reset else "no",
+        "" if good(found) else "**bad**",
     )
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Print a row for each cell, then the worst; return 1 if a bound was exceeded."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    everything = [*LIES, *CHANGES]
-    parser.add_argument("--kinds", nargs="+", choices=everything, default=everything)
-    parser.add_argument("--modes", nargs="+", choices=MODES, default=MODES)
-    parser.add_argument("--arms", nargs="+", choices=list(ARMS), default=list(ARMS))
-    parser.add_argument("--cells", type=int, default=0, help="draw so many; 0: all")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--bad", action="store_true", help="print the cells beyond a bound only")
-    given = parser.parse_args(arguments)
+    given = options(
+        __doc__,
+        arguments,
+        kinds=[*OF_JOINT, *CHANGES],
+        modes=[*MODES],
+        arms=[*ARMS],
+        cells=0,
+        seed=0,
+        jobs=2,
+        bad=False,
+    )
     chosen = list(cells(given.kinds, given.modes, given.arms))
     if given.cells:
         rows = np.random.default_rng(given.seed).permutation(len(chosen))[: given.cells]
         chosen = [chosen[k] for k in sorted(rows)]
-    print(
-        "| cause | | mode | arm | fault | after [ms] | before [cm] | peak (nominal) [m/s] "
-        "| way after [cm] | reset | |"
-    )
-    print("|---|---|---|---|---|---|---|---|---|---|---|")
+    titles = ("cause", "", "mode", "arm", "fault", "after [ms]", "before [cm]")
+    print(table_head(*titles, "peak (nominal) [m/s]", "way after [cm]", "reset", ""))
     found = []
     runs = joblib.Parallel(n_jobs=given.jobs, return_as="generator")(
         joblib.delayed(run)(cell) for cell in chosen
@@ -417,7 +420,7 @@ def main(arguments: list[str] | None = None) -> int:
     for cell, outcome in zip(chosen, runs, strict=True):
         found.append(outcome)
         if not (given.bad and good(outcome)):
-            print(row(cell, outcome), flush=True)
+            print(line(cell, outcome), flush=True)
     bad = sum(not good(each) for each in found)
     over = [each.peak - each.nominal for each in found if each.noticed is not None]
     print(

@@ -12,7 +12,6 @@ The arm is simulated in this process and keeps the last torque, which tells the 
 
 from __future__ import annotations
 
-import argparse
 import sys
 import tempfile
 import time
@@ -21,11 +20,11 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmark.false_states import Driver
-from benchmark.hidden_arm import KNOWN, draw
-from benchmark.lab import ARM, Lab
-from benchmark.lies import LIES, Falsifier, N, Reading
+from benchmark.false_states import OF_JOINT, Falsifier, N, Reading
+from benchmark.hidden_arm import KNOWN, StandIn, draw
+from benchmark.lab import ARM, Driver, Lab
 from benchmark.loop import AFTER, TRAVEL_MAX, Outcome, acceptable
+from benchmark.terminal import options, table_head, table_row
 from hardware_sim.hidden_arm import HiddenArm
 from wam_power_ros.ros import interface, scheduling
 
@@ -58,13 +57,13 @@ def observe(driver: Driver) -> Outcome:
     return found._replace(reset=found.noticed is None or driver.call(interface.RESET))
 
 
-def row(name: str, phase: str, nominal: float, found: Outcome, good: bool) -> Line:
+def line(name: str, phase: str, nominal: float, found: Outcome, good: bool) -> Line:
     """Line of the table, and whether it is good."""
     fault = "none" if found.noticed is None else f"fault after {2 * found.noticed} ms"
-    speeds = f"{found.peak:.2f} ({nominal:.2f}) | {found.rest:.3f}"
-    ways = f"{100 * found.travel:.1f} | {100 * found.stop:.1f}"
-    answers = f"{'yes' if found.reset else 'no'} | {'good' if good else '**bad**'}"
-    return f"| {name} | {phase} | {fault} | {speeds} | {ways} | {answers} |", good
+    speeds = f"{found.peak:.2f} ({nominal:.2f})", f"{found.rest:.3f}"
+    ways = f"{100 * found.travel:.1f}", f"{100 * found.stop:.1f}"
+    answers = "yes" if found.reset else "no", "good" if good else "**bad**"
+    return table_row(name, phase, fault, *speeds, *ways, *answers), good
 
 
 def ready(driver: Driver) -> bool:
@@ -76,12 +75,12 @@ def ready(driver: Driver) -> bool:
 def refused(driver: Driver, name: str, phase: str) -> Line:
     """An arm that does not reach a phase, because a fault ends every attempt, must still rest."""
     found = observe(driver)
-    return row(f"{name}, did not get there", phase, 0.0, found, acceptable(found, 0.0))
+    return line(f"{name}, did not get there", phase, 0.0, found, acceptable(found, 0.0))
 
 
 def cell(lab: Lab, name: str, joint: int, phase: str) -> Line:
     """A false state of `benchmark.reaction_matrix`."""
-    driver = Driver(lab)
+    driver = Driver(lab, StandIn())
     lab.controller()
     nominal = None
     while nominal is None:
@@ -89,15 +88,15 @@ def cell(lab: Lab, name: str, joint: int, phase: str) -> Line:
         if (without := driver.observe(1.2)).noticed is None:  # else a process was late
             nominal = without.peak
     driver.begin(phase)
-    driver.falsify = LIES[name](joint)
+    driver.falsify = OF_JOINT[name](joint)
     found = observe(driver)
     good = found.noticed is not None and found.peak <= nominal + MARGIN
-    return row(f"{name}, joint {joint + 1}", phase, nominal, found, good)
+    return line(f"{name}, joint {joint + 1}", phase, nominal, found, good)
 
 
 def faults(lab: Lab, arm: HiddenArm, name: str) -> Iterator[Line]:
     """A fault of an arm that is not the model."""
-    driver = Driver(lab, arm)
+    driver = Driver(lab, StandIn(arm))
     lab.controller()
     for phase in ("upwards", "hold", "teaching"):
         nominal = 0.0
@@ -112,12 +111,12 @@ def faults(lab: Lab, arm: HiddenArm, name: str) -> Iterator[Line]:
             driver.falsify = falsify
             found = observe(driver)
             good = acceptable(found, nominal) and found.reset and found.noticed is not None
-            yield row(name, phase, nominal, found, good)
+            yield line(name, phase, nominal, found, good)
 
 
 def hands_off(lab: Lab, arm: HiddenArm, name: str) -> Iterator[Line]:
     """Gravity compensation of an arm that is not the model and that nobody touches."""
-    driver = Driver(lab, arm)
+    driver = Driver(lab, StandIn(arm))
     lab.controller()
     if not ready(driver):
         yield refused(driver, name, "hands off")
@@ -132,7 +131,7 @@ def hands_off(lab: Lab, arm: HiddenArm, name: str) -> Iterator[Line]:
     found = observe(driver)
     stayed = found.travel < TRAVEL_MAX
     good = stayed or (found.noticed is not None and found.peak < HANDS_OFF_SPEED)
-    yield row(name, "hands off", 0.0, found, good)
+    yield line(name, "hands off", 0.0, found, good)
 
 
 def lines(case: str, count: int) -> Iterator[Line]:
@@ -150,20 +149,17 @@ def lines(case: str, count: int) -> Iterator[Line]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Print a row for each case and phase; return 1 if the arm was not stopped."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    cases = ("cells", "faults", "hands_off")
-    parser.add_argument("--cases", nargs="+", choices=cases, default=list(cases))
-    parser.add_argument("--arms", type=int, default=12, help="number of drawn arms")
-    given = parser.parse_args(arguments)
+    given = options(__doc__, arguments, cases=["cells", "faults", "hands_off"], arms=12)
     scheduling._schedule(ARM)
-    speeds = "peak (nominal) [m/s] | after 0.5 s"
-    print(f"| case | phase | fault | {speeds} | travel [cm] | with the stop | reset | |")
-    print("|---|---|---|---|---|---|---|---|---|")
+    speeds = "peak (nominal) [m/s]", "after 0.5 s"
+    print(
+        table_head("case", "phase", "fault", *speeds, "travel [cm]", "with the stop", "reset", "")
+    )
     bad = 0
     for case in given.cases:
-        for line, good in lines(case, given.arms):
+        for text, good in lines(case, given.arms):
             bad += not good
-            print(line, flush=True)
+            print(text, flush=True)
     print(f"{bad} bad")
     return int(bad > 0)
 

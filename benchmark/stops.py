@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A person ends the movements of a session, in each phase and by each means: what moves after it?
 
-    python -m benchmark.stops [--pace real_time] [--switch] [--kill NODE] [--only PHASE MEANS]
+    python -m benchmark.stops [--pace real_time] [--switch] [--kill NODE]
+    python -m benchmark.stops --phases retest --means page     # a phase that ends the session
 
 Every node runs for itself, as `ros2 run` starts them, and the arm puts the ball back between the
 rollouts, so that a session has every phase: move, replay, wait, rollout and re-test. With --switch
@@ -12,7 +13,6 @@ changes nothing. At the end no policy may have run after a person had stopped it
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import json
 import os
@@ -34,8 +34,10 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String
 from trajectory_msgs.msg import JointTrajectory
 
+from benchmark.kill import learning, lines
 from benchmark.nodes import environment
-from benchmark.unattended import NODES, Lab, demonstrated
+from benchmark.terminal import options
+from wam_power_ros.cli.processes import Processes, Running
 from wam_power_ros.client.link import Link
 from wam_power_ros.params import overlay
 from wam_power_ros.practice import session
@@ -45,6 +47,8 @@ from wam_power_ros.ros.diagnostics import LEARNER_STATE
 from wam_power_ros.ros.domain import private_domain
 from wam_power_ros.view.live import View
 
+NODES = ("wam_sim", "torque_controller", "pancake_tracker", "demonstration_recorder")
+AWAY = 5.0  # [s] from a kill to the next start
 PHASES = ("move_to_start", "replay", "wait", "execute", "retest")  # the last one ends a session
 MEANS = ("service", "page", "key", "gravity compensation", "deactivation")
 SWITCH = "switch"
@@ -56,6 +60,45 @@ COAST = 0.5  # [s] in which a stopped arm comes to rest
 STILL = 0.02  # [rad] by which an arm that is held, or that nobody touches, may move meanwhile
 PATIENCE = 400.0  # [s] for a phase to come
 CHANGE = "torque_controller/change_state"
+
+
+def demonstrated(task: str, seed: int, folder: Path) -> list[str]:
+    """Bags of a session that is stopped after its first rollout."""
+    process = learning(folder, "--task", task, "--seed", seed, "--demonstrations", "1")
+    while not lines(folder) and process.poll() is None:
+        time.sleep(0.05)
+    process.terminate()
+    process.wait()
+    bags: list[str] = json.loads((folder / "demonstrations.json").read_text())
+    return bags
+
+
+class Nodes:
+    """The nodes of a session, each in a process of its own that can be killed alone.
+
+    Args:
+        processes: Their processes.
+        file: Parameters of all nodes.
+    """
+
+    def __init__(self, processes: Processes, file: Path) -> None:
+        self.check, self._processes, self._file = processes.check, processes, file
+        self._running: dict[str, Running] = {}
+
+    def start(self, name: str) -> None:
+        """Start a node, again if it was killed."""
+        words = ["run", name, "--ros-args", "--params-file", str(self._file)]
+        command = [sys.executable, "-m", "wam_power_ros.cli", *words]
+        self._running[name] = self._processes.start(name, command)
+
+    def kill(self, name: str) -> None:
+        """Kill a node (-9), and start it again later."""
+        running = self._running[name]
+        running.process.kill()
+        running.process.wait()
+        self._processes._running.remove(running)
+        time.sleep(AWAY)
+        self.start(name)
 
 
 class Person:
@@ -228,7 +271,9 @@ def run_again(folder: Path) -> list[str]:
     return again
 
 
-def measure(lab: Lab, who: Person, folder: Path, cells: list[tuple[str, str]], kill: str) -> int:
+def measure(
+    nodes: Nodes, who: Person, folder: Path, cells: list[tuple[str, str]], kill: str
+) -> int:
     """End the session in each of the cells; print what came of it, return the number of faults."""
     budget, wrong = session.read(folder).header.settings.practice.budget, 0
 
@@ -251,7 +296,7 @@ def measure(lab: Lab, who: Person, folder: Path, cells: list[tuple[str, str]], k
         way = who.moved()
         if kill and phase != "retest":
             who.state = ""
-            lab.kill(kill)
+            nodes.kill(kill)
             who.expect(lambda: who.state == "paused", "pause after the kill")
             way = max(way, who.moved())
         begun = who.begun[before:]
@@ -266,49 +311,53 @@ def measure(lab: Lab, who: Person, folder: Path, cells: list[tuple[str, str]], k
 
 def main() -> int:
     """Measure, and print every cell."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--pace", choices=("lockstep", "real_time"), default="lockstep")
-    parser.add_argument("--kill", choices=("learner", *NODES), default="", help="in each pause")
-    parser.add_argument("--seed", type=int, default=9300)
-    parser.add_argument("--switch", action="store_true", help="the person releases the switch")
-    only = "such as: retest page, a phase that ends the session"
-    parser.add_argument("--only", nargs=2, metavar=("PHASE", "MEANS"), help=only)
-    options = parser.parse_args()
-    cells = [*itertools.product(PHASES[:-1], MEANS)]
-    cells = [(phase, SWITCH) for phase in WITH_SWITCH] if options.switch else cells
-    cells = [tuple(options.only)] if options.only else cells
+    given = options(
+        __doc__,
+        pace=("lockstep", "real_time"),
+        kill=("", "learner", *NODES),
+        seed=9300,
+        switch=False,
+        phases=[*PHASES],
+        means=[*MEANS],
+    )
+    phases = [each for each in given.phases if each != "retest" or given.phases == ["retest"]]
+    cells = [*itertools.product(phases, given.means)]
+    if given.switch:
+        cells = [(phase, SWITCH) for phase in WITH_SWITCH]
     with private_domain() as domain:
         folder = Path(tempfile.mkdtemp())  # stays, to be looked at
-        bags = demonstrated("ball_in_cup", options.seed, folder / "begun")
-        names = ["full_speed"] + ["unattended"] * (options.pace == "lockstep")
+        bags = demonstrated("ball_in_cup", given.seed, folder / "begun")
+        names = ["full_speed"] + ["unattended"] * (given.pace == "lockstep")
         setup = overlay.setup(names, simulated=True, task="ball_in_cup")
         changes = json.dumps({"retests": 3, "budget": len(cells) + 6, "confirm": 0})
         practice = {"session": str(folder / "session"), "demonstrations": bags, "changes": changes}
         setup = setup.changed(
             {
-                "wam_sim": {"seed": options.seed},
-                "torque_controller": {"hold_to_run": options.switch},
+                "wam_sim": {"seed": given.seed},
+                "torque_controller": {"hold_to_run": given.switch},
                 "demonstration_recorder": {"directory": str(folder / "session/bags")},
-                "learner": {**practice, "scene_reset": False, "seed": options.seed},
+                "learner": {**practice, "scene_reset": False, "seed": given.seed},
             }
         )
         file = folder / "parameters.yaml"
         file.write_text(overlay.text(setup))
-        lab = Lab(file, domain)
         os.environ |= environment(domain)
         rclpy.init()
         try:
-            with person(setup, lab.check) as who:
+            with (
+                Processes(folder / "logs", environment(domain)) as processes,
+                person(setup, processes.check) as who,
+            ):
+                nodes = Nodes(processes, file)
                 for name in (*NODES, "learner"):
-                    lab.start(name)
+                    nodes.start(name)
                 who.expect(lambda: session.Session.exists(folder / "session"), "session")
-                wrong = measure(lab, who, folder / "session", cells, options.kill)
+                wrong = measure(nodes, who, folder / "session", cells, given.kill)
         finally:
-            lab.stop()
             rclpy.try_shutdown()
         again = run_again(folder / "session")
         refused = sum(record.refused for record in session.read(folder / "session").records)
-    print(f"{options.pace}, kill {options.kill or 'nothing'}: {len(cells)} stops")
+    print(f"{given.pace}, kill {given.kill or 'nothing'}: {len(cells)} stops")
     print(f"{wrong} of them followed by a movement; {refused} policies refused, run again: {again}")
     print(f"{who.late} more pauses by a switch that a busy machine published too late")
     return int(bool(wrong or again))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Independent runs (jobs) spread over cores or machines, with one result file each.
+"""Independent runs (jobs) spread over cores, with one result file each.
 
 A study is a list of jobs. A result whose file exists is not computed again, so an interrupted study
 can be resumed and ends with the same numbers: a job depends neither on the others nor on their
@@ -50,6 +50,7 @@ from wam_power_ros.params.resources import share
 
 PACKAGES = ("wam_power_ros", "hardware_sim", "reproduction.rivals", "reproduction.studies")
 NOT_HASHED = (  # sources that cannot change a result; the studies run without ROS
+    "reproduction.studies/__main__.py",
     "wam_power_ros/bags/editing.py",
     "wam_power_ros/bags/series.py",
     "wam_power_ros/bags/takes.py",
@@ -66,7 +67,6 @@ DATA = ("config", "urdf", "bags")
 LIBRARIES = ("numpy", "scipy", "pin", "mujoco", "cmaes")  # other versions may change last digits
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 RESULT_MAX = 100_000_000  # largest result of a job, some thousand times a usual one [byte]
-CLUSTER_TIMEOUT = 120.0  # [s]
 SPEED_PERIOD = 3600.0  # [s], window for estimating the remaining time; a run takes a minute
 Scale = Literal["full", "quick"]
 Results = dict[str, dict[str, dict[str, Any]]]  # study -> key -> result
@@ -121,6 +121,12 @@ class Job:
         return folder / self.study / f"{self.key}.json"
 
 
+def study_of(place: str, learner: str) -> str:
+    """Name of the study of a learner at a place, of which both may hold any characters."""
+    plain = "".join(c if c.isalnum() or c == "." else "-" for c in place)
+    return f"{plain}-{learner.replace('+', '-')}"
+
+
 class JobError(Exception):
     """Some jobs failed; the message has the name and traceback of each."""
 
@@ -129,7 +135,6 @@ def run(
     jobs: Sequence[Job],
     folder: Path,
     workers: int = 1,
-    scheduler: str | None = None,
     console: Console | None = None,
 ) -> Results:
     """Return the results of all jobs; compute and write those that the folder lacks.
@@ -140,8 +145,6 @@ def run(
         jobs: Jobs with different names.
         folder: Folder of the results; created if missing.
         workers: Number of processes on this machine.
-        scheduler: Address of a Dask scheduler whose workers compute instead of this machine. They
-            need the same sources and libraries, and OMP_NUM_THREADS=1, which Dask's nannies set.
         console: Console for progress; standard error if omitted.
 
     Returns:
@@ -149,7 +152,7 @@ def run(
 
     Raises:
         JobError: Some jobs failed; the others are computed and written.
-        ValueError: Two jobs have the same name, workers < 1, or Dask is missing.
+        ValueError: Two jobs have the same name, or workers < 1.
     """
     duplicates = [name for name, count in Counter(job.name for job in jobs).items() if count > 1]
     if duplicates:
@@ -176,7 +179,7 @@ def run(
     )
     with shown as progress, contextlib.ExitStack() as stack:
         task = progress.add_task("", total=len(jobs), completed=len(results))
-        for job, text, error, times in _compute(missing, workers, scheduler, stack):
+        for job, text, error, times in _compute(missing, workers, stack):
             if error:
                 failed.append(f"{job.name}: {error}")
             else:
@@ -287,14 +290,9 @@ def _json(data: object) -> str:
 # Computing
 
 
-def _compute(
-    jobs: Sequence[Job], workers: int, scheduler: str | None, stack: contextlib.ExitStack
-) -> Iterator[_Computed]:
+def _compute(jobs: Sequence[Job], workers: int, stack: contextlib.ExitStack) -> Iterator[_Computed]:
     """Compute jobs; yield each as soon as it is finished."""
     if not jobs:
-        return
-    if scheduler is not None:
-        yield from _compute_on_cluster(jobs, stack.enter_context(_cluster(scheduler)))
         return
     calls = (delayed(_execute)(job, digest(job), os.getpid()) for job in jobs)
     with parallel_config("loky", inner_max_num_threads=1):
@@ -308,47 +306,15 @@ def _compute(
         raise JobError(f"a worker process died, perhaps out of memory: {error}") from None
 
 
-def _compute_on_cluster(jobs: Sequence[Job], client: Any) -> Iterator[_Computed]:  # noqa: ANN401
-    """Compute jobs on a cluster, without joblib, which computes here if there is one worker."""
-    from distributed import as_completed
-
-    futures = {client.submit(_execute, job, digest(job), None, pure=False): job for job in jobs}
-    for future in as_completed(futures):
-        if future.status == "finished":
-            yield future.result()
-        else:  # its worker was killed or lacks this package
-            reason = repr(future.exception()) if future.status == "error" else future.status
-            yield futures[future], "", f"lost on the cluster: {reason}", {}
-
-
-def _cluster(address: str) -> Any:  # noqa: ANN401 (a distributed.Client, if that is installed)
-    try:
-        from distributed import Client
-    except ImportError:
-        raise ValueError(
-            "a Dask scheduler needs the extra 'cluster': pip install 'wam_power_ros[cluster]'"
-        ) from None
-    try:
-        client = Client(address, timeout=CLUSTER_TIMEOUT)
-        client.wait_for_workers(1, timeout=CLUSTER_TIMEOUT)
-    except OSError as error:  # includes TimeoutError
-        raise ValueError(f"no Dask scheduler with workers at {address!r}: {error}") from None
-    return client
-
-
-def _execute(job: Job, expected: str, parent: int | None) -> _Computed:
+def _execute(job: Job, expected: str, parent: int) -> _Computed:
     """Run a job in a worker, or in the process `parent`; return an error as a traceback."""
-    if parent not in (None, os.getpid()):
+    if parent != os.getpid():
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent
     wall, cpu = time.perf_counter(), time.thread_time()
     text = error = ""
     try:
         if digest(job) != expected:
-            raise RuntimeError("the worker has other sources or libraries than this machine")
-        if parent is None and os.environ.get("OMP_NUM_THREADS") != "1":
-            raise RuntimeError(
-                "start Dask's workers with OMP_NUM_THREADS=1: last digits depend on it"
-            )
+            raise RuntimeError("the sources have changed since the run began")
         text = _json(job.function(**job.arguments))
     except Exception:
         error = traceback.format_exc()

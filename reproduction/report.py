@@ -45,7 +45,6 @@ def run(
     folder: Path,
     scale: Scale,
     workers: int,
-    scheduler: str | None = None,
     only: Collection[str] = tuple(STUDIES),
 ) -> Path:
     """Compute the missing results, write the report, print its overview; return its path.
@@ -54,12 +53,11 @@ def run(
         folder: Folder of results, report and figures.
         scale: "quick" runs the same code with few seeds and small budgets, as a check.
         workers: Number of processes on this machine.
-        scheduler: Address of a Dask scheduler whose workers compute instead.
         only: Names of the studies to run.
 
     Raises:
         JobError: Some runs failed; the results of the others are kept.
-        ValueError: Dask is missing, or the number of workers is below 1.
+        ValueError: The number of workers is below 1.
         KeyboardInterrupt: The user stopped it; finished results are kept.
     """
     start = time.monotonic()
@@ -68,15 +66,13 @@ def run(
     jobs = [job for some in jobs_of for job in some]
     results_folder = folder / "results"
     cached = len(job_cache.found(jobs, results_folder))
-    results = job_cache.run(jobs, results_folder, workers, scheduler)
+    results = job_cache.run(jobs, results_folder, workers)
     written = [
         study.chapter({job.study: results[job.study] for job in some})
         for study, some in zip(studies, jobs_of, strict=True)
     ]
     elapsed = time.monotonic() - start
-    computer = f"the Dask cluster at {scheduler}"
-    if scheduler is None:
-        computer = "one process" if workers == 1 else f"{workers} processes"
+    computer = "one process" if workers == 1 else f"{workers} processes"
     wall, cpu = job_cache.spent(jobs, results_folder)
     timing = (
         f"The {len(jobs)} runs took {duration(cpu)} of processor time, {duration(wall)} one after "
@@ -206,18 +202,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--quick", action="store_true", help="a few seeds only, as a check")
     parser.add_argument("--only", nargs="+", choices=STUDIES, metavar="STUDY", default=[*STUDIES])
-    parser.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        default=os.environ.get("DASK_SCHEDULER_ADDRESS"),
-        help="compute on this Dask cluster (default: $DASK_SCHEDULER_ADDRESS)",
-    )
     options = parser.parse_args(arguments)
     folder = options.folder or Path("reproduced-quick" if options.quick else "reproduced")
     scale: Scale = "quick" if options.quick else "full"
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        path = run(folder, scale, options.jobs, options.scheduler, options.only)
+        path = run(folder, scale, options.jobs, options.only)
     except KeyboardInterrupt:
         sys.stdout.write(
             f"\nStopped. Finished results are in {folder}. To resume:\n"

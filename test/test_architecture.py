@@ -116,8 +116,8 @@ BUDGET = {
     "hardware_sim": 3072,
     "launch": 260,
     "examples": 377,
-    "reproduction": 4653,  # learners that only studies compare with, and their models
-    "benchmark": 5369,  # the matrix of the reaction has a plant of its own
+    "reproduction": 4535,  # learners that only studies compare with, and their models
+    "benchmark": 4086,  # the matrix of the reaction has a plant of its own
 }
 PURE = (
     "faults",

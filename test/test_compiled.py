@@ -13,10 +13,10 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+import recorded_calls
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmark import torques
 from benchmark.nodes import JOINTS
 from wam_power_ros import compiled, rotations
 from wam_power_ros.control.arm import Arm
@@ -32,7 +32,7 @@ from wam_power_ros.control.state_checks import JointState
 
 ROOT = Path(__file__).resolve().parents[1]
 needs_kernel = pytest.mark.skipif(compiled.kernel is None, reason="no C compiler has built it")
-ARM, OTHER = Arm(torques.URDF, JOINTS), Arm(torques.URDF, JOINTS)
+ARM, OTHER = Arm(recorded_calls.URDF, JOINTS), Arm(recorded_calls.URDF, JOINTS)
 LIMITS = limits_of(ARM)
 seeds = st.integers(0, 2**32 - 1)
 
@@ -49,14 +49,14 @@ class Without:
 
 @needs_kernel
 def test_a_controller_without_the_kernel_answers_every_recorded_call_the_same() -> None:
-    recorded = list(torques.drives(every=5))
+    recorded = list(recorded_calls.drives(every=5))
     assert sum(len(drive.calls) for drive in recorded) > 5000
     with Without():
-        found = [each for drive in recorded for each in torques.differences(drive)]
+        found = [each for drive in recorded for each in recorded_calls.differences(drive)]
     assert not [each for each in found if not _equal_but_for_rounding(*each)]
 
 
-def _equal_but_for_rounding(_: int, call: torques.Call, now: torques.Answer) -> bool:
+def _equal_but_for_rounding(_: int, call: recorded_calls.Call, now: recorded_calls.Answer) -> bool:
     """Whether torques differ by rounding only: a reaction carries what the residual says."""
     then = call.answer
     if then._replace(result="") != now._replace(result="") or call.name != "step":

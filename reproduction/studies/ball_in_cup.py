@@ -1,23 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Ball-in-a-cup taught by a person who misses, with one demonstration: learners side by side.
 
-    python -m reproduction.studies.ball_in_cup [--seeds N] [--only ROW ...] [--spread S]
-
-prints a row for each.
+python -m reproduction.studies ball_in_cup --seeds 20        # the practised: --only practised
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from reproduction import jobs as job_cache
-from reproduction.jobs import Job
+from reproduction.jobs import Job, study_of
 from reproduction.rivals.learners import RIVALS
 from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.params import overlay
@@ -32,30 +26,31 @@ NEAR = 0.05  # [m] beside the middle of the cup, from where a ball usually falls
 HELD_OUT = range(9200, 9220)  # seeds not used for tuning
 
 
-class Row(NamedTuple):
-    """A line of the table.
+class Learner(NamedTuple):
+    """A learner of the table.
 
     Attributes:
         told: Measurements of a rollout that the learner receives.
         preset: Name of the preset.
-        learner: Name of the learner, "" for that of the preset.
+        name: Name of the learner, "" for that of the preset.
     """
 
     told: str
     preset: str
-    learner: str = ""
+    name: str = ""
 
 
-ROWS = {
-    "model_based": Row("miss, its rough slopes", "model_based"),
-    "cup": Row("return, miss", "cup"),
-    "corrections": Row("miss", "corrections_only"),
-    "power": Row("return", "return_only"),
-    "cma_es": Row("return", "return_only", "cma_es"),
-    "pi2_bb": Row("return", "return_only", "pi2_bb"),
-    "adaptive_power": Row("return", "return_only", "adaptive_power"),
-    "random": Row("return", "return_only", "random"),
-    "kober": Row("return", "kober"),
+DEMONSTRATORS = {"novice": {}, "practised": {"spread": 1.0}}  # arguments of `session`
+LEARNERS = {
+    "model_based": Learner("miss, its rough slopes", "model_based"),
+    "cup": Learner("return, miss", "cup"),
+    "corrections": Learner("miss", "corrections_only"),
+    "power": Learner("return", "return_only"),
+    "cma_es": Learner("return", "return_only", "cma_es"),
+    "pi2_bb": Learner("return", "return_only", "pi2_bb"),
+    "adaptive_power": Learner("return", "return_only", "adaptive_power"),
+    "random": Learner("return", "return_only", "random"),
+    "kober": Learner("return", "kober"),
 }
 
 
@@ -106,21 +101,18 @@ def session(
     }
 
 
-def jobs(
-    seeds: Sequence[int], rows: Sequence[str] = tuple(ROWS), spread: float | None = None
-) -> list[Job]:
-    """Sessions of every row, ordered by seed."""
-    own = {} if spread is None else {"spread": spread}
-    return [
-        Job(
-            name,
-            f"seed-{seed}",
-            session,
-            {"seed": seed, "name": row.preset, "learner": row.learner, "retests": RETESTS, **own},
-        )
-        for seed in seeds
-        for name, row in ((name, ROWS[name]) for name in rows)
-    ]
+def jobs(seeds: Sequence[int], demonstrators: Sequence[str], learners: Sequence[str]) -> list[Job]:
+    """Sessions of every learner with every demonstrator, ordered by seed."""
+    wanted = []
+    for seed in seeds:
+        for demonstrator in demonstrators:
+            for learner in learners:
+                _, name, other = LEARNERS[learner]
+                own = {"seed": seed, "name": name, "learner": other, "retests": RETESTS}
+                own |= DEMONSTRATORS[demonstrator]
+                study = study_of(demonstrator, learner)
+                wanted.append(Job(study, f"seed-{seed}", session, own))
+    return wanted
 
 
 def line(sessions: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -144,23 +136,3 @@ def line(sessions: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "confirmed": sum(each["confirmed"] for each in sessions),
         "rollouts": np.quantile([each["used"] for each in sessions], (0.5, 0.25, 0.75)).tolist(),
     }
-
-
-def main() -> None:
-    """Run the sessions of every row and print their statistics."""
-    parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("--folder", type=Path, default=Path("ball-in-cup"))
-    parser.add_argument("--seeds", type=int, default=len(HELD_OUT), help="of each row, at most 20")
-    parser.add_argument("--only", nargs="+", choices=ROWS, default=list(ROWS), metavar="ROW")
-    parser.add_argument("--spread", type=float, help="of the demonstrations")
-    parser.add_argument("--workers", type=int, default=1)
-    args = parser.parse_args()
-    wanted = jobs(HELD_OUT[: args.seeds], args.only, args.spread)
-    results = job_cache.run(wanted, args.folder, workers=args.workers)
-    for name in args.only:
-        found = line(list(results[name].values()))
-        sys.stdout.write(f"{name} (learns from {ROWS[name].told}): {found}\n")
-
-
-if __name__ == "__main__":
-    main()

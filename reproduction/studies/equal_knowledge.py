@@ -1,25 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reaching (Eq. 4) with equal knowledge: every learner with and without the model, and a planner.
 
-    python -m reproduction.studies.equal_knowledge [--folder DIR] [--only ROW ...]
+    python -m reproduction.studies equal_knowledge
 
-prints, for each row, the learner's information and its final return without and with noise in the
-returns. The model is that of screened PoWER (`ReachModel`): Eqs. 1 and 4, start and goal, but no
+The model is that of screened PoWER (`ReachModel`): Eqs. 1 and 4, start and goal, but no
 obstacle. Settings and exploration are those of `comparison.TUNED`, tuned without model and noise.
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import cmaes
 import numpy as np
 
-from reproduction import jobs as job_cache
-from reproduction.jobs import Job
+from reproduction.jobs import Job, study_of
 from reproduction.rivals.learners import Model, RandomSearch
 from reproduction.rivals.reach_model import ReachModel
 from reproduction.studies.comparison import TUNED
@@ -36,16 +32,16 @@ from wam_power_ros.learning.parametrization import parametrization_of
 
 HELD_OUT = range(481, 493)  # seeds not used for tuning
 ROLLOUTS = 50
-NOISE = 0.02  # standard deviation of noise on a return; Eq. 4 is at most 1
+NOISES = {"exact returns": 0.0, "noisy returns": 0.02}  # standard deviation; Eq. 4 is at most 1
 CONTACT_SIGMAS = 3.0  # standard deviations from the free path's return that count as contact
 CANDIDATES, HALF_LIFE = 200, 16.0  # of the screening, as in screened PoWER on this task
 GENERATIONS, POPULATION, STEP = 8, 25, 0.5  # of the planner: 200 predictions per rollout
 BLIND, MODEL = "return", "return, model"  # information of a learner
-LEARNERS = ("power", "shaped", "pi2", "cma", "random")
-ROWS = {
+_NAMES = ("power", "shaped", "pi2", "cma", "random")
+LEARNERS = {  # what each learns from
     "nothing": "nothing: the demonstration",
-    **{name: BLIND for name in LEARNERS},
-    **{f"{name}+model": MODEL for name in LEARNERS},
+    **dict.fromkeys(_NAMES, BLIND),
+    **{f"{name}+model": MODEL for name in _NAMES},
     "planner": MODEL,
 }
 
@@ -121,11 +117,11 @@ class Planner(RandomSearch):
         self._model.learn(z, ret)
 
 
-def runs(row: str, noise: float, seeds: list[int], rollouts: int) -> dict[str, Any]:
+def runs(learner: str, noise: float, seeds: list[int], rollouts: int) -> dict[str, Any]:
     """Run one row of the table.
 
     Args:
-        row: A key of ROWS.
+        learner: A key of LEARNERS.
         noise: Standard deviation of the noise on the returns.
         seeds: One seed for each run.
         rollouts: Number of rollouts of each run.
@@ -134,7 +130,7 @@ def runs(row: str, noise: float, seeds: list[int], rollouts: int) -> dict[str, A
         Noise-free return of the mean of each run: "early" after 5 rollouts, "final" after the last.
     """
     scenario = synthetic()
-    name, _, model = row.partition("+")
+    name, _, model = learner.partition("+")
     choice = TUNED["reaching"]["screened" if name in ("planner", "nothing") else name]
     noises = scales(choice.stiffness, choice.attractor)
     parameters = parametrization_of(scenario.policy, VARIANT, noises)
@@ -146,10 +142,10 @@ def runs(row: str, noise: float, seeds: list[int], rollouts: int) -> dict[str, A
         free_path = ReachModel(parameters, scenario, max(CONTACT_SIGMAS * noise, 1e-9))
         rng = np.random.default_rng([seed, 1])
         if name == "planner":
-            learner: Learner = Planner(parameters.size, generator(seed), free_path)
+            made: Learner = Planner(parameters.size, generator(seed), free_path)
         else:
-            learner = learner_of(choice.settings, parameters.size, seed, free_path)
-        learners.append(InformedLearner(learner, free_path if model else None, noise, rng))
+            made = learner_of(choice.settings, parameters.size, seed, free_path)
+        learners.append(InformedLearner(made, free_path if model else None, noise, rng))
     executed = learn_many(learners, parameters, scenario, rollouts)
     early = min(5, rollouts) - 1
     return {
@@ -158,36 +154,24 @@ def runs(row: str, noise: float, seeds: list[int], rollouts: int) -> dict[str, A
     }
 
 
-def jobs(rows: list[str], seeds: list[int], rollouts: int = ROLLOUTS) -> list[Job]:
-    """Runs of the given rows, without and with noise."""
+def jobs(seeds: Sequence[int], noises: Sequence[str], learners: Sequence[str]) -> list[Job]:
+    """Runs of every learner at every noise, all seeds of one in a job."""
+    own = {"seeds": list(seeds), "rollouts": ROLLOUTS}
     return [
         Job(
-            "equal-knowledge",
-            f"{row.replace('+', '-')}-{noise}",
+            study_of(noise, learner),
+            "runs",
             runs,
-            {"row": row, "noise": noise, "seeds": seeds, "rollouts": rollouts},
+            {"learner": learner, "noise": NOISES[noise], **own},
         )
-        for row in rows
-        for noise in (0.0, NOISE)
+        for noise in noises
+        for learner in learners
     ]
 
 
-def main() -> None:
-    """Run the rows and print their statistics."""
-    parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("--folder", type=Path, default=Path("equal-knowledge"))
-    parser.add_argument("--only", nargs="+", choices=ROWS, default=list(ROWS), metavar="ROW")
-    args = parser.parse_args()
-    results = job_cache.run(jobs(args.only, list(HELD_OUT)), args.folder)["equal-knowledge"]
-    for row in args.only:
-        cells = []
-        for noise in (0.0, NOISE):
-            one = results[f"{row.replace('+', '-')}-{noise}"]
-            final, early = np.array(one["final"]), np.mean(one["early"])
-            spread = f"{final.mean():.3f} (sd {final.std(ddof=1):.3f}; {early:.3f} after 5)"
-            cells.append(f"noise {noise}: {spread}")
-        sys.stdout.write(f"{row:13} learns from {ROWS[row]:27} {'; '.join(cells)}\n")
-
-
-if __name__ == "__main__":
-    main()
+def line(found: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+    """Mean and standard deviation of the final return, and mean return after 5 rollouts."""
+    (runs_,) = found
+    final = np.array(runs_["final"])
+    values = {"mean": final.mean(), "sd": final.std(ddof=1), "after 5": np.mean(runs_["early"])}
+    return {name: round(float(value), 3) for name, value in values.items()}

@@ -1,28 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """The pancake with one demonstration: learners side by side, on easy and on hard ground.
 
-    python -m reproduction.studies.grounds [--seeds N] [--only GROUND ...] [--learners NAME ...]
+    python -m reproduction.studies grounds --table grounds.csv
 
-prints a row for each ground and learner, and with `--table FILE` writes one for each session. The
-reproduction of a novice's demonstration is never a true flip, so this task separates the learners,
-unlike that of a practised demonstrator (`flip_sessions`).
+The reproduction of a novice's demonstration is never a true flip, so this task separates the
+learners, unlike that of a practised demonstrator (`flip_sessions`). `elsewhere` runs the final
+policies in other worlds, too.
 """
 
 from __future__ import annotations
 
-import argparse
-import csv
 import math
-import sys
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from hardware_sim.scenes.flip import LEVEL
-from reproduction import jobs as job_cache
-from reproduction.jobs import Job
+from reproduction.jobs import Job, study_of
 from reproduction.rivals.learners import RIVALS
 from reproduction.studies.flip_sessions import NOVICE, session
 from wam_power_ros.tasks.flip.frames import PANCAKE_RADIUS
@@ -107,14 +102,8 @@ def jobs(
                 settings |= {"learner": {"name": RIVALS.get(other, other)}} if other else {}
                 own = {"seed": seed, "name": name, "changes": settings, **arguments(ground)}
                 own |= ELSEWHERE if elsewhere else {}
-                wanted.append(Job(study(ground, learner), f"seed-{seed}", session, own))
+                wanted.append(Job(study_of(ground, learner), f"seed-{seed}", session, own))
     return wanted
-
-
-def study(ground: str, learner: str) -> str:
-    """Name of the study of a learner on a ground."""
-    plain = "".join(c if c.isalnum() or c == "." else "-" for c in ground)
-    return f"{plain}-{learner}"
 
 
 def row(found: Mapping[str, Any]) -> dict[str, Any]:
@@ -173,41 +162,3 @@ def _share(runs: Sequence[Mapping[str, Any]] | None, outcome: str = "true_flip")
 
 def _mean_and_decile(shares: np.ndarray) -> tuple[float, float]:
     return float(shares.mean()), float(np.quantile(shares, 0.1))
-
-
-def main() -> None:
-    """Run the sessions and print a line for every ground and learner."""
-    parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("--folder", type=Path, default=Path("grounds"))
-    parser.add_argument("--first", type=int, default=FIRST, help="seed")
-    parser.add_argument("--seeds", type=int, default=10, help="of each row")
-    usual = [name for name in GROUNDS if name not in ("hand 4.0 rad/s", "varied world")]
-    parser.add_argument("--only", nargs="+", choices=GROUNDS, default=usual, metavar="GROUND")
-    two = ["model_based", "hindsight"]
-    parser.add_argument("--learners", nargs="+", choices=LEARNERS, default=two, metavar="NAME")
-    parser.add_argument("--elsewhere", action="store_true", help="policies in other worlds, too")
-    parser.add_argument("--table", type=Path, help="CSV file, a line for each session")
-    parser.add_argument("--workers", type=int, default=1)
-    args = parser.parse_args()
-    seeds = range(args.first, args.first + args.seeds)
-    wanted = jobs(seeds, args.only, args.learners, args.elsewhere)
-    results = job_cache.run(wanted, args.folder, workers=args.workers)
-    table = []
-    for ground in args.only:
-        for learner in args.learners:
-            found, told = results[study(ground, learner)], LEARNERS[learner].told
-            text = line(list(found.values()))
-            sys.stdout.write(f"{ground}, {learner} (learns from {told}): {text}\n")
-            table += [
-                {"ground": ground, "learner": learner, "seed": key.removeprefix("seed-")} | row(one)
-                for key, one in found.items()
-            ]
-    if args.table is not None:
-        with args.table.open("w", newline="") as file:
-            writer = csv.DictWriter(file, list(table[0]))
-            writer.writeheader()
-            writer.writerows(table)
-
-
-if __name__ == "__main__":
-    main()

@@ -21,8 +21,6 @@ from wam_power_ros.bags.recovery import recover
 from wam_power_ros.bags.writer import BagWriter
 from wam_power_ros.cli import main
 
-ROOT = Path(__file__).resolve().parents[2]
-
 
 @pytest.mark.requirement("S-65")
 def test_what_was_flushed_before_a_kill_is_recovered(tmp_path: Path) -> None:
@@ -77,7 +75,8 @@ def test_a_file_cut_anywhere_gives_back_every_complete_message(
         file = unfinished(tmp_path / "demo") / "demo" / "demo.mcap"
     whole = file.read_bytes()
     recovered = []
-    for cut in [*range(len(whole), 900, -997), 8, 0]:
+    drawn = np.random.default_rng(0).integers(9, len(whole), 12).tolist()
+    for cut in sorted({*range(len(whole), 900, -997), *drawn, 8, 0}, reverse=True):
         file.write_bytes(whole[:cut])
         path = recover(tmp_path / "demo").path
         with Reader(path) as bag:
@@ -91,13 +90,6 @@ def test_a_file_cut_anywhere_gives_back_every_complete_message(
     assert recovered[0] == 60
     assert recovered == sorted(recovered, reverse=True)
     assert recovered[-1] == 0
-
-
-def test_many_cuts_of_a_recorders_bag_are_recovered_as_the_benchmark_has_it() -> None:
-    command = [sys.executable, "-m", "benchmark.recover", "--cuts", "12", "--kills", "0"]
-    ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120)
-    assert ended.returncode == 0, ended.stdout + ended.stderr
-    assert "unclosed: cut at 12 places, 0 wrong" in ended.stdout
 
 
 def test_a_full_disk_leaves_the_bag_unfinished_and_recoverable(tmp_path: Path) -> None:

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from benchmark import faults
 from benchmark.fuzz import bombard
 from benchmark.lab import new_controller
+from benchmark.nodes import taught
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[2]
 @pytest.mark.parametrize("seed", [0, 1])
 def test_fuzzed_messages_give_no_torque_over_a_limit(seed: int) -> None:
     controller = new_controller()
-    found = bombard(controller, faults.fuzz_policy(), 4000, seed)
+    found = bombard(controller, taught(), 4000, seed)
     assert found["torques"] > 3000 and found["refused"] > 50
     assert found["not finite"] == found["over"] == found["rate"] == 0
     assert controller.counters["faults"] > 1  # there was something to get wrong

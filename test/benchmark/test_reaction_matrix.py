@@ -138,9 +138,9 @@ def test_a_held_arm_that_is_not_its_model_stays_where_a_joint_jumped() -> None:
 def test_states_that_are_lost_after_a_fault_do_not_make_a_drift_a_fall(
     at: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    drift, count = reaction_matrix.LIES["drift +0.3"](3), itertools.count()
+    drift, count = reaction_matrix.OF_JOINT["drift +0.3"](3), itertools.count()
     monkeypatch.setitem(
-        reaction_matrix.LIES,
+        reaction_matrix.OF_JOINT,
         "drift, lost states",
         lambda _: lambda state: None if at <= next(count) < at + 6 else drift(state),
     )

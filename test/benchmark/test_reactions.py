@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmark.false_states import OF_JOINT
 from benchmark.hidden_arm import KNOWN, begin, draw, held
-from benchmark.lies import LIES
 from benchmark.loop import A_FAULT, acceptable
 from wam_power_ros.control.modes import Mode
 from wam_power_ros.faults import FaultKind
@@ -26,7 +26,7 @@ def test_states_that_agree_with_each_other_and_are_false_end_in_a_stop(
 ) -> None:
     true, loop = held(2), held(2)
     assert begin(true, phase) == begin(loop, phase) == ""
-    loop.falsify = LIES[name](1)
+    loop.falsify = OF_JOINT[name](1)
     outcome = loop.observe(3.0)
     assert outcome.fault is not None
     assert acceptable(outcome, true.observe(1.2).peak), outcome
@@ -74,7 +74,7 @@ def test_an_arm_that_is_not_its_model_stays_under_gravity_compensation(arm: str 
 @pytest.mark.parametrize("seconds", [0.0, 0.004, 0.02, 0.1, 0.3])
 def test_a_zero_that_jumps_back_after_the_reset_of_its_fault_moves_nothing(seconds: float) -> None:
     loop = held(2)
-    loop.falsify = LIES["smooth bump"](1)
+    loop.falsify = OF_JOINT["smooth bump"](1)
     assert loop.observe(3.0).fault is not None
     loop.controller.reset()
     loop.play(seconds)

@@ -19,10 +19,10 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from benchmark.messages import largest_policy
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.safety import limits_of
+from wam_power_ros.learning.policy import COUNT_MAX, DURATION_MAX, Basis, Policy, to_json
 from wam_power_ros.nodes import preparation, preparation_worker
 from wam_power_ros.nodes.preparation import (
     MOVEMENT,
@@ -35,6 +35,25 @@ from wam_power_ros.regions import Region
 from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.requests import SIZE_MAX
+
+
+def largest_policy() -> str:
+    """Text of a policy of as many spring-dampers over as long a time as are allowed."""
+    rng = np.random.default_rng(1)
+    spread = rng.uniform(-1.0, 1.0, (COUNT_MAX, 3, 3))
+    policy = Policy(
+        id="largest",
+        basis=Basis(COUNT_MAX, DURATION_MAX, 0.1),
+        stiffness=300.0 * np.eye(3) + spread + spread.transpose(0, 2, 1),
+        attractors=rng.uniform(0.3, 0.6, (COUNT_MAX, 3)),
+        damping=32.0,
+        orientation_reference=np.array([0.0, 0.0, 0.0, 1.0]),
+        rotation_attractors=rng.uniform(-0.1, 0.1, (COUNT_MAX, 3)),
+        rotation_stiffness=400.0,
+        rotation_damping=36.0,
+        q_start=HOME,
+    )
+    return to_json(policy)
 
 
 class Worker:

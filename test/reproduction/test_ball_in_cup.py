@@ -9,14 +9,14 @@ from wam_power_ros.practice.settings import preset
 
 
 def test_rows_differ_only_in_the_learner_and_its_information() -> None:
-    found = ball_in_cup.jobs([1, 2])
+    found = ball_in_cup.jobs([1, 2], ["novice"], list(ball_in_cup.LEARNERS))
     blank = {"seed": 0, "name": "", "learner": ""}
     assert {job.arguments["seed"] for job in found} == {1, 2}
     plain = preset("ball_in_cup").practice
     for job in found:
         assert {**job.arguments, **blank} == {**found[0].arguments, **blank}
-        row = ball_in_cup.ROWS[job.study]
-        other = {"name": RIVALS.get(row.learner, row.learner)} if row.learner else None
+        row = ball_in_cup.LEARNERS[job.study.removeprefix("novice-")]
+        other = {"name": RIVALS.get(row.name, row.name)} if row.name else None
         settings = preset("ball_in_cup", row.preset, other)
         assert settings.practice.model_copy(update={"mean_every": plain.mean_every}) == plain
         assert ("miss" in row.told) == (settings.task_settings.gain > 0.0)

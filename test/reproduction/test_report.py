@@ -8,8 +8,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
@@ -124,94 +122,6 @@ def test_stopped_by_ctrl_c_and_begun_again_a_reproduction_ends_with_the_same_num
     assert (stopped / "report.html").exists()
     shown = {path.name: path.read_bytes() for path in (stopped / "figures").iterdir()}
     assert shown == {path.name: path.read_bytes() for path in (whole / "figures").iterdir()} != {}
-
-
-# On a cluster
-
-
-@contextmanager
-def local_cluster(folder: Path, workers: int = 2) -> Iterator[str]:
-    """Start a Dask scheduler and workers as processes; yield the scheduler's address."""
-    environment = os.environ | {"PYTHONPATH": PYTHONPATH, "OMP_NUM_THREADS": "1"}
-    output = folder / "dask.log"
-    with ExitStack() as stack, output.open("wb") as log:
-
-        def start(*words: str) -> None:
-            command = [sys.executable, "-m", "dask", *words, "--no-dashboard"]
-            files = {"stdout": log, "stderr": log}
-            process = subprocess.Popen(command, env=environment, cwd=folder, **files)
-            stack.callback(process.wait)
-            stack.callback(process.kill)
-
-        start("scheduler", "--host", "127.0.0.1", "--port", "0")
-        end = time.monotonic() + 600.0
-        while not (found := re.search(r"tcp://127\.0\.0\.1:\d+", output.read_text())):
-            assert time.monotonic() < end, output.read_text()
-            time.sleep(0.05)
-        alone = ("--nthreads", "1", "--no-nanny", "--local-directory", ".")
-        for _ in range(workers):
-            start("worker", found.group(), *alone)
-        yield found.group()
-
-
-@pytest.fixture
-def cluster(tmp_path: Path) -> Iterator[str]:
-    """Address of a Dask scheduler with two workers, each an operating system process."""
-    pytest.importorskip("distributed")
-    with local_cluster(tmp_path) as address:
-        yield address
-
-
-def test_a_cluster_of_two_worker_processes_gives_the_same_files(
-    tmp_path: Path, cluster: str
-) -> None:
-    jobs = draws(8, 0.05)
-    assert job_cache.run(jobs, tmp_path / "cluster", scheduler=cluster) == job_cache.run(
-        jobs, tmp_path / "here"
-    )
-    assert files(tmp_path / "cluster") == files(tmp_path / "here")
-    bad = job_cache.Job("bad", "apple", study_jobs.fail, {"why": "a worm"})
-    with pytest.raises(job_cache.JobError, match="bad/apple"):
-        job_cache.run([bad], tmp_path / "cluster", scheduler=cluster)
-
-
-def test_a_cluster_of_a_single_worker_computes_on_the_cluster(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pytest.importorskip("distributed")
-    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)  # a run here would be refused for it
-    with local_cluster(tmp_path, workers=1) as address:
-        results = job_cache.run(draws(3), tmp_path / "cluster", scheduler=address)
-    assert results == job_cache.run(draws(3), tmp_path / "here")
-
-
-def test_a_job_that_is_lost_on_the_cluster_fails_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    distributed = pytest.importorskip("distributed")
-    execute = job_cache._execute
-
-    def mortal(job: job_cache.Job, expected: str, parent: int | None) -> object:
-        if job == lost:
-            raise ModuleNotFoundError("wam_power_ros")  # as where a worker lacks the package
-        return execute(job, expected, parent)
-
-    *others, lost = jobs = draws(4)
-    monkeypatch.setattr(job_cache, "_execute", mortal)
-    monkeypatch.setenv("OMP_NUM_THREADS", "1")
-    here = {"processes": False, "dashboard_address": None, "n_workers": 1, "threads_per_worker": 1}
-    monkeypatch.setattr(job_cache, "_cluster", lambda _: distributed.Client(**here))
-    with pytest.raises(job_cache.JobError, match=f"{lost.name}: lost on the cluster"):
-        job_cache.run(jobs, tmp_path, scheduler="tcp://here")
-    assert set(files(tmp_path)) == {str(job.path(Path())) for job in others}
-
-
-def test_without_dask_a_scheduler_is_refused_with_the_extra_to_install(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(ValueError, match=r"wam_power_ros\[cluster\]"):
-        job_cache.run(draws(1), tmp_path, scheduler="tcp://127.0.0.1:1")
 
 
 def test_without_a_verdict_no_share_of_claims_is_counted(tmp_path: Path) -> None:

@@ -1,32 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Calls of controllers with their answers, and the time of a step in each mode.
+"""Calls of controllers with their answers, in every mode and in faults of eight kinds.
 
-    python -m benchmark.torques FILE      # with one version of the code, then with another
-
-Controllers in every mode and in faults of eight kinds answer simulated arms. If the file does not
-exist, every call is written to it with its answer, a torque bit for bit; otherwise they are
-compared with it. A new controller must answer the same calls the same way. Of several repeats the
-shortest time of each step counts.
+A new controller must answer the same calls the same way, a torque bit for bit.
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
-import time
-from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
-from itertools import cycle, zip_longest
-from pathlib import Path
+from itertools import cycle
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from benchmark.false_states import ALL_FALSE_STATES, PERIOD, Falsifier
 from benchmark.hidden_arm import KNOWN, begin, draw, held
-from benchmark.lies import ALL_FALSE_STATES, PERIOD, Falsifier
 from benchmark.loop import PHASES, Loop
 from benchmark.nodes import JOINTS, taught
 from hardware_sim.hidden_arm import HiddenArm
@@ -210,7 +200,7 @@ def drives(every: int = 1) -> Iterator[Drive]:
         (lambda state: state._replace(q=state.q + 0.5 * np.eye(7)[1]), "teaching"),
         *zip((make() for make in ALL_FALSE_STATES.values()), cycle(PHASES)),
     ]
-    rows += [(partial(recovered, falsify=lie, phase=phase), {}, None) for lie, phase in falsified]
+    rows += [(partial(recovered, falsify=each, phase=phase), {}, None) for each, phase in falsified]
     for drive, choices, hidden in rows[::every]:
         fast = {"limits": limits_of(Arm(URDF, JOINTS), teaching_tool_speed=4.0)}
         settings = ControllerSettings(**fast | choices)
@@ -220,23 +210,15 @@ def drives(every: int = 1) -> Iterator[Drive]:
         yield Drive(settings, loop.controller.calls)
 
 
-def repeat(drive: Drive, times: list[float] | None = None) -> Iterator[Answer]:
-    """Repeat a drive with a new controller; yields its answers.
-
-    Args:
-        drive: Drive.
-        times: List to which the time of each call is added [s].
-    """
+def repeat(drive: Drive) -> Iterator[Answer]:
+    """Repeat a drive with a new controller; yields its answers."""
     controller = Controller(Arm(URDF, JOINTS), drive.settings)
     for call in drive.calls:
         controller.enabled = call.enabled
-        begun = time.perf_counter()
         try:
             result = getattr(controller, call.name)(*call.arguments)
         except ControllerError as error:
             result = error
-        if times is not None:
-            times.append(time.perf_counter() - begun)
         yield answered(controller, result)
 
 
@@ -244,46 +226,3 @@ def differences(drive: Drive) -> list[tuple[int, Call, Answer]]:
     """Calls of a drive that are answered differently now: number, call and present answer."""
     pairs = enumerate(zip(drive.calls, repeat(drive), strict=True))
     return [(k, call, now) for k, (call, now) in pairs if call.answer != now]
-
-
-def step_times(recorded: list[Drive], repeats: int) -> dict[Mode, list[float]]:
-    """Shortest time of each step over the repeats, by the mode after it [s]."""
-    by_mode = defaultdict(list)
-    for drive in recorded:
-        runs: list[list[float]] = [[] for _ in range(repeats)]
-        for run in runs:
-            deque(repeat(drive, run), maxlen=0)
-        for call, shortest in zip(drive.calls, np.min(runs, axis=0).tolist(), strict=True):
-            if call.name == "step":
-                by_mode[call.answer.mode].append(shortest)
-    return by_mode
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """Write or compare the answers; return 1 if one differs."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("file", type=Path, help="answers, one a line")
-    parser.add_argument("--repeats", type=int, default=5, help="of each drive, for the times")
-    given = parser.parse_args(arguments)
-    recorded = list(drives())
-    calls = [call for drive in recorded for call in drive.calls]
-    kinds = Counter(call.answer.fault.kind.value for call in calls if call.answer.fault)
-    modes = Counter(call.answer.mode.value for call in calls)
-    print(f"{len(calls)} calls of {len(recorded)} controllers; {dict(modes)}; faults {dict(kinds)}")
-    lines = [f"{call.name} {call.answer}" for call in calls]
-    if not given.file.exists():
-        given.file.write_text("\n".join(lines))
-    before = given.file.read_text().split("\n")
-    pairs = enumerate(zip_longest(before, lines))
-    different = [(k, *pair) for k, pair in pairs if pair[0] != pair[1]]
-    repeated = [found for drive in recorded for found in differences(drive)]
-    print(f"{len(different)} answers differ from the file, {len(repeated)} when repeated")
-    for found in [*different, *repeated][:5]:
-        print("  call {}: {}, now {}".format(*found))
-    for mode, times in step_times(recorded, given.repeats).items():
-        print(f"  {mode.value:22s}{len(times):6d} steps, median {np.median(times) * 1e6:6.1f} us")
-    return int(bool(different or repeated))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Options and tables of the benchmarks."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+
+
+def options(
+    doc: str | None,
+    arguments: Sequence[str] | None = None,
+    **wanted: str | float | list[str] | tuple[str, ...] | type,
+) -> argparse.Namespace:
+    """Read the options of a benchmark.
+
+    Args:
+        doc: Text of `--help`.
+        arguments: Words; None for those of the command line.
+        **wanted: By its name, the default of each option. False makes it a switch; of a list the
+            user may name some words, of a tuple one, the first by default; a type may be None.
+    """
+    kind = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(description=doc, formatter_class=kind)
+    for name, default in wanted.items():
+        if default is False:
+            parser.add_argument(f"--{name}", action="store_true")
+        elif isinstance(default, list):
+            parser.add_argument(f"--{name}", nargs="+", choices=default, default=default)
+        elif isinstance(default, tuple):
+            parser.add_argument(f"--{name}", choices=default, default=default[0])
+        elif isinstance(default, type):
+            parser.add_argument(f"--{name}", type=default)
+        else:
+            parser.add_argument(f"--{name}", type=type(default), default=default)
+    return parser.parse_args(arguments)
+
+
+def table_row(*cells: object) -> str:
+    """Line of a Markdown table."""
+    return f"| {' | '.join(map(str, cells))} |"
+
+
+def table_head(*titles: str) -> str:
+    """First two lines of a Markdown table."""
+    return f"{table_row(*titles)}\n|{'---|' * len(titles)}"
