@@ -201,8 +201,8 @@ def test_settings_that_a_node_includes_are_parameters_without_default_or_constan
     less = {name: value for name, value in values.items() if name not in ("friction", "home")}
     with pytest.raises(ValueError, match="friction is missing; home is missing"):
         ArmSimParams.of_values("wam_sim", less)
-    with pytest.raises(ValueError, match="payload is no parameter"):
-        ArmSimParams.of_values("wam_sim", values | {"payload": 0.1})
+    with pytest.raises(ValueError, match="body_mass is no parameter"):
+        ArmSimParams.of_values("wam_sim", values | {"body_mass": 0.9})
 
 
 def test_a_parameter_without_a_bound_is_detected() -> None:
