@@ -248,3 +248,59 @@ def test_the_same_rollouts_and_draws_give_the_same_plans() -> None:
 def test_a_learner_without_error_model_is_refused() -> None:
     with pytest.raises(ValueError, match="ModelBased needs a model"):
         ModelBased(SIZE, ModelBased.Settings(), rng(0))
+
+
+def tell(learner: ModelBased, z: np.ndarray, error: np.ndarray, ret: float = 0.5) -> None:
+    learner.measure(z, error)
+    learner.tell(z, ret)
+
+
+def test_the_settings_have_their_defaults_and_are_refused_beyond_their_range() -> None:
+    settings = ModelBased.Settings()
+    assert (settings.simulations, settings.length) == (40, 10.0)
+    assert (settings.patience, settings.planned) == (8, 24)
+    fallback = Power.Settings(sigma=6, weights="sharpened", decay=0.97)
+    assert settings.fallback == fallback
+    for name in ("simulations", "length", "patience", "planned"):
+        with pytest.raises(ValueError, match=name):
+            ModelBased.Settings(**{name: 0})
+    for name in ("simulations", "patience", "planned"):
+        assert getattr(ModelBased.Settings(**{name: 1}), name) == 1
+    with pytest.raises(ValueError, match="length"):
+        ModelBased.Settings(length=math.inf)
+
+
+def test_the_mean_is_a_copy_of_the_plan() -> None:
+    learner = learner_of(LinearModel())
+    practise(learner, 1)
+    plan = learner.mean
+    learner.mean[:] = learner.ask()[:] = 7.0
+    np.testing.assert_array_equal(learner.mean, plan)
+
+
+def test_after_as_many_rollouts_as_are_planned_power_decides() -> None:
+    learner = learner_of(LinearModel(), patience=100)
+    practise(learner, 23, lambda z: np.array([0.5, 0.5]))
+    assert not learner.falls_back
+    tell(learner, np.zeros(SIZE), np.array([0.5, 0.5]))
+    assert learner.falls_back
+
+
+def test_a_rollout_without_an_error_counts_as_beyond_an_edge_only_if_it_earned_nothing() -> None:
+    learner = learner_of(LinearModel())
+    learner.tell(np.zeros(SIZE), 0.5)  # not seen
+    assert learner._errors.shape == (0, 2) and learner._faults == 0
+    learner.tell(np.zeros(SIZE), 0.0)
+    assert np.isnan(learner._errors).all() and learner._errors.shape == (1, 2)
+    tell(learner, np.zeros(SIZE), START, 0.0)
+    assert learner._faults == 1 and learner._errors[1].tolist() == START.tolist()
+
+
+def test_a_plan_takes_no_more_simulations_than_are_set() -> None:
+    for simulations in (1, 3):
+        model = LinearModel(limit=5.0)
+        settings = ModelBased.Settings(simulations=simulations)
+        learner = ModelBased(SIZE, settings, rng(0), model)
+        practise(learner, 1)
+        assert learner.mean.shape == (SIZE,)
+        assert model.count == 1 + simulations
