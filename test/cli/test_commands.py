@@ -291,7 +291,7 @@ def test_a_session_from_another_one_is_refused_where_that_does_not_fit(
     assert "is one of flip, not of reach" in refusal(*given, "--task", "reach")
     bag = read(origin).header.demonstrations[0]
     assert "brings its own demonstrations: omit --bags" in refusal(*given, "--bags", bag)
-    assert "task flip has no goal that can be changed" in refusal(*given, "--goal", "y=0.3")
+    assert "a goal of flip is apex, not 'y'" in refusal(*given, "--goal", "y=0.3")
     assert "--goal needs the session to predict from" in refusal("learn", "--goal", "y=0.3")
     for wrong in ("y", "y=", "=1", "y=nan", "y=near"):
         with pytest.raises(argparse.ArgumentTypeError, match="is not NAME=NUMBER"):
