@@ -304,3 +304,15 @@ def test_a_plan_takes_no_more_simulations_than_are_set() -> None:
         practise(learner, 1)
         assert learner.mean.shape == (SIZE,)
         assert model.count == 1 + simulations
+
+
+def test_what_slopes_leave_out_is_a_constant_and_a_quarter_that_changes_with_the_distance() -> None:
+    model = LinearModel()
+    model.predict = None
+    learner = learner_of(model)
+    tell(learner, np.zeros(SIZE), START)
+    far = 1e3 * np.eye(SIZE)[-1]  # which changes no error
+    weight = 16.0 / (16.0 * 1.25 + 0.25)
+    expected = learner._expected()
+    np.testing.assert_allclose(expected(far).values[:2], weight * START)
+    np.testing.assert_allclose(expected(np.zeros(SIZE)).values[:2], 1.25 * weight * START)

@@ -167,3 +167,15 @@ def test_what_a_task_predicts_sharpens_its_slopes() -> None:
 def test_errors_are_planned_on_only_where_what_moves_them_is_learnt() -> None:
     plain = Parametrization(POLICY, (Attractors(0.01),))
     assert TASK.error_model(plain, lambda policy: None) is None
+
+
+def test_an_error_is_shown_in_millimetres_degrees_or_its_own_unit() -> None:
+    shown = [Error("miss_x", "m", 0.01).shown(0.0123), Error("a", "rad", 0.1).shown(0.1)]
+    shown += [Error("b", "s", 1.0).shown(1.5), Error("b", "s", 1.0).shown(None)]
+    assert shown == ["miss x 12.3 mm", "a 5.7°", "b 1.5 s", "b unknown"]
+
+
+@pytest.mark.parametrize("name", ["shift_x", "vigour", "tempo"])
+def test_a_known_effect_is_explored_with_a_fifth_of_its_step(name: str) -> None:
+    parametrization = Parametrization(POLICY, [Effect(name, 0.2, {}).direction(POLICY)])
+    np.testing.assert_allclose(parametrization.scale, [0.04])
