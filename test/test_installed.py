@@ -4,13 +4,12 @@
 from __future__ import annotations
 
 import importlib
-import math
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from hardware_sim.scenes import scene_type
 from hardware_sim.scenes.flip import Flip as FlipScene
@@ -205,16 +204,21 @@ class Loose(BaseModel):
     settle_time: float = 0.5
 
 
+class Strict(Loose, extra="forbid"):
+    """Settings without those of the default parametrization."""
+
+
 def nothing(self: Task, rollout: Rollout) -> dict[str, float]:
     """A rollout tells nothing."""
     return {}
 
 
 LIMITED = Error("miss", "m", 0.01, limit=0.03)
+PUSHED = Effect("vigour", 0.2, {"miss": 0.5})
 STATED = {
     "name": "mine",
     "errors": (LIMITED,),
-    "effects": (Effect("vigour", 0.2, {"miss": 0.5}),),
+    "effects": (PUSHED,),
     "observe": nothing,
 }
 
@@ -222,22 +226,39 @@ STATED = {
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"name": ""}, "task Mine does not state name"),
-        ({"presets": {}}, "task Mine does not state presets"),
-        ({"body": "my body"}, "body = 'my body' of task Mine"),
+        ({"name": ""}, "name = '' must be a name of letters, digits and _"),
+        ({"name": "my task"}, "name = 'my task' must be a name"),
+        ({"body": "my body"}, "body = 'my body' must be a name"),
+        ({"obsreve": nothing}, "it has no member 'obsreve': 'observe' is meant, or choose"),
+        ({"settle_time": 2.0}, "settle_time is stated by `Settings`"),
+        ({"presets": {}}, "presets = {} must be a mapping of names to mappings"),
+        ({"presets": ["own"]}, r"presets = \['own'\] must be a mapping"),
         ({"Settings": Loose}, "Loose'> must refuse unknown fields"),
-        ({"observe": Task.observe}, "task Mine has no return: define observe, .*or define assess"),
-        ({"errors": ()}, "task Mine has no return"),
-        ({"errors": (LIMITED._replace(limit=math.inf),)}, "task Mine has no return"),
+        ({"Settings": {}}, "{} must refuse unknown fields"),
+        ({"Settings": Strict}, "Strict'> has no noise, variant: derive it from TaskSettings"),
+        ({"errors": LIMITED}, r"errors = Error\(name='miss', .* must be a tuple of Error"),
+        ({"effects": ("vigour",)}, r"effects = \('vigour',\) must be a tuple of Effect"),
+        ({"errors": (LIMITED, LIMITED)}, "'miss' is stated twice"),
+        ({"effects": (PUSHED, PUSHED)}, r"\('vigour', 0\) is stated twice"),
+        ({"observe": Task.observe}, "there is no return: define observe, .*or define assess"),
+        ({"errors": ()}, "there is no return"),
+        ({"errors": (Error("miss", "m", 0.01),)}, "there is no return"),
         (
             {"effects": (Effect("vigor", 0.2, {"miss": 0.5}),)},
-            "Mine: effect 'vigor' is not one of shift_x, shift_y, shift_z, vigour, tempo",
+            "effect 'vigor' is not one of shift_x, shift_y, shift_z, vigour, tempo",
         ),
+        (
+            {"effects": (Effect("vigour", 0.2, {"miss": 0.5, "mis": 1.0}),)},
+            "effects move 'mis', which is none of the errors miss",
+        ),
+        ({"effects": (), "predict": nothing}, "predict is never asked: effects move none"),
+        ({"targets": {"string": 0.4}}, "target 'string' is none of the errors, and .* no `carr"),
+        ({"gain": 1.5}, "gain = 1.5 must be 0 to 1"),
     ],
 )
 def test_a_task_is_checked_when_its_class_is_defined(changes: dict, says: str) -> None:
     assert type("Mine", (Task,), STATED).body == ""
-    with pytest.raises(TypeError, match=says):
+    with pytest.raises(TypeError, match=f"^task Mine: .*{says}"):
         type("Mine", (Task,), STATED | changes)
 
 
@@ -306,5 +327,5 @@ def test_the_budget_is_checked_also_where_a_task_knows_no_made_up_movement(
 
 
 def test_settings_of_a_task_that_forbid_what_they_do_not_know_are_accepted() -> None:
-    strict = type("Strict", (Loose,), {"model_config": ConfigDict(extra="forbid")})
-    assert type("Mine", (Task,), STATED | {"Settings": strict}).Settings is strict
+    own = STATED | {"Settings": Strict, "parametrization": lambda self, policy: None}
+    assert type("Mine", (Task,), own).Settings is Strict

@@ -57,9 +57,9 @@ def task_type(name: str) -> type[Task]:
     """
     from wam_power_ros.tasks.task import Task
 
-    module, _, own = name.partition(":")
-    found = getattr(sys.modules.get(module), own, None) if own else find("task", name)
-    if not (isinstance(found, type) and issubclass(found, Task) and (own or found.name == name)):
+    module, colon, own = name.partition(":")
+    found = getattr(sys.modules.get(module), own, None) if colon else find("task", name)
+    if not (isinstance(found, type) and issubclass(found, Task) and (colon or found.name == name)):
         raise ValueError(f"task {name!r}: {found} is not an imported subclass of Task so named")
     return found
 

@@ -79,7 +79,7 @@ def test_a_return_of_its_own_is_learnt_from_and_said_or_refused(
 ) -> None:
     kind = changed(task)
     if name == "corrections_only":
-        with pytest.raises(ValueError, match="CorrectionsOnly learns from errors, task"):
+        with pytest.raises(ValueError, match="'corrections_only' learns from errors, task"):
             monkeypatch.setattr(installed, "task_type", lambda _: kind)
             preset(kind.name, name).make_learner(4, np.random.default_rng(0))
         return
@@ -159,7 +159,15 @@ def test_margins_and_models_of_another_return_are_not_used(monkeypatch: pytest.M
     monkeypatch.undo()
 
 
+def test_a_correction_by_a_parameter_that_is_not_learnt_is_refused_for_every_learner() -> None:
+    """It would be said to the person, and not be made."""
+    for learner in ("power", "corrections_only"):
+        with pytest.raises(ValueError, match=r"corrects by its effects, .* vigour, sideways"):
+            preset("ball_in_cup", "cup", {"name": learner}, variant="attractors").check(1)
+    preset("ball_in_cup", "cup", variant="attractors", gain=0.0).check(1)
+
+
 def test_corrections_alone_without_corrections_are_refused() -> None:
-    with pytest.raises(ValueError, match="CorrectionsOnly learns from errors"):
+    with pytest.raises(ValueError, match="'corrections_only' learns from errors"):
         settings = preset("flip", "return_only", learner={"name": "corrections_only"})
         practice_of([demonstrated_policy()], settings, 0)

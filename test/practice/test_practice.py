@@ -442,6 +442,18 @@ def test_a_torque_that_stays_unexplained_when_a_policy_is_run_again_is_the_polic
     assert second.ret == 0.0 and second.learnt and second.z == first.z
 
 
+@pytest.mark.parametrize("told", [None, 0.5])
+def test_what_a_task_assesses_must_be_an_assessment(
+    told: object, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    practice = started("paper")
+    trial = practice.next_trial()
+    monkeypatch.setattr(practice.task, "assess", lambda policy, rollout: told)
+    with pytest.raises(TypeError, match=f"assess of task 'flip' told {told}: no Assessment"):
+        practice.learn(trial, Rollout(*paths(trial, 1.86, np.arange(0.01, 1.85, 1 / 30))))
+    assert not practice.records and practice.next_trial() is trial
+
+
 def test_paths_and_trials_that_are_not_due_are_refused_without_a_trace() -> None:
     practice = started("hindsight")
     trial = practice.next_trial()

@@ -83,11 +83,28 @@ def test_it_is_a_success_within_all_limits_and_an_unknown_error_is_none() -> Non
     assert not found.success and found.ret == pytest.approx(1.0 / (1.0 + math.sqrt(128.0 / 3.0)))
 
 
-@pytest.mark.parametrize("seen", [{}, {"beside": None}, {"beside": math.nan}])
+@pytest.mark.parametrize("seen", [{}, {"besides": 0.1}, {"beside": math.nan}])
 def test_a_rollout_that_tells_nothing_is_not_learnt_from(seen: dict[str, Any]) -> None:
     blind = type("Blind", (Push,), {"observe": lambda self, rollout: seen})(TaskSettings(), {})
     found = blind.assess(POLICY, rollout())
-    assert found.ret is None and found.why == "no error was measured"
+    assert found.ret is None and told(found) == found.why
+    assert found.why == (
+        f"observe told {', '.join(seen) or 'nothing'}, no known value of beside, off_line, late"
+    )
+
+
+@pytest.mark.parametrize(
+    ("seen", "says"),
+    [
+        (None, "observe of task 'push' told None, must be a mapping"),
+        ({"beside": "near"}, "push: beside = 'near' must be a number or None"),
+        ({"beside": np.zeros(3)}, r"push: beside = array\(.*\) must be a number or None"),
+    ],
+)
+def test_what_is_observed_must_be_numbers_by_name(seen: Any, says: str) -> None:  # noqa: ANN401
+    odd = type("Odd", (Push,), {"observe": lambda self, rollout: seen})(TaskSettings(), {})
+    with pytest.raises(TypeError, match=says):
+        odd.assess(POLICY, rollout())
 
 
 def test_a_rollout_counts_only_whole_and_with_the_body_seen_at_its_end() -> None:
@@ -111,8 +128,9 @@ def test_its_outcome_is_told_by_its_errors_with_their_units() -> None:
     )
     own = {"name": "alone", "assess": lambda self, policy, rollout: Assessment(1.0, {}, {"x": 1})}
     alone = type("Alone", (Task,), own)(TaskSettings(), {})
+    other = type("Other", (Push,), own)(TaskSettings(), {})  # whose errors are not its return's
     logged = type("Logged", (), {"fault": "", "observation": {"x": 1}, "why": "", "success": True})
-    assert alone.outcome(logged()) == "success"
+    assert alone.outcome(logged()) == other.outcome(logged()) == "success"
 
 
 def test_it_learns_what_the_settings_say_and_what_its_effects_move() -> None:

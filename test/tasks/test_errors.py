@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -134,6 +135,34 @@ def test_an_error_that_nothing_moves_is_a_margin_alone_and_without_a_limit_it_is
     assert model.slopes.shape == (2, 2)
     with pytest.raises(TypeError, match=r"Typo: error 'xx' has no limit, .* move only x, y"):
         type("Typo", (Push,), {"errors": (Error("xx", "m", 0.01),)})
+
+
+@pytest.mark.parametrize(
+    ("state", "says"),
+    [
+        (lambda: Error("x", 0.01, "m"), "unit=0.01, .*: name and unit must be text"),
+        (lambda: Error("x", "m", 0.0), "tolerance=0.0, .* must be above 0 and at most the limit"),
+        (lambda: Error("x", "m", math.nan), "tolerance=nan, .* must be above 0"),
+        (lambda: Error("x", "m", 0.02, limit=0.01), "limit=0.01, .* at most the limit"),
+        (lambda: Error("x", "m", 0.02, limit=math.nan), "limit=nan, .* at most the limit"),
+        (lambda: Error("x", "m", 0.02, scatter=-0.01), "scatter=-0.01, .* must be at least 0"),
+        (lambda: Effect("vigour", -0.1, {"x": 1.0}), "step=-0.1, .* the step must be above 0"),
+        (lambda: Effect("vigour", 0.1, {"x": 0.0}), "'x': 0.0}.* by a finite number, not 0"),
+        (lambda: Effect("vigour", 0.1, {"x": math.nan}), "'x': nan}.* by a finite number, not 0"),
+    ],
+)
+def test_an_error_or_effect_that_makes_no_sense_is_refused_with_its_values(
+    state: Callable[[], object], says: str
+) -> None:
+    with pytest.raises(ValueError, match=says):
+        state()
+
+
+def test_an_effect_of_a_place_that_its_group_does_not_have_is_refused() -> None:
+    beyond = Effect("sway", 0.1, {"x": SIDE}, place=1)
+    far = type("Far", (Push,), {"effects": (beyond,), "errors": Push.errors[:1]})(Settings(), {})
+    with pytest.raises(ValueError, match=r"place=1\): the group has 1 parameters"):
+        far.rough_errors(PARAMETRIZATION)
 
 
 def test_of_fewer_errors_only_what_moves_them_is_planned_and_corrected() -> None:

@@ -101,6 +101,11 @@ def test_an_arm_that_tries_in_vain_asks_for_a_person() -> None:
     assert course.resetting.by == "person" and course.asked == MOVES_MAX
 
 
+def test_what_a_task_may_not_answer_is_refused_and_not_waited_for() -> None:
+    with pytest.raises(ValueError, match="reset told 'nobody', must be a Move, 'wait' or 'pers"):
+        Course("nobody").go_on(0.1)
+
+
 @pytest.mark.parametrize("name", ["flip"])
 def test_a_task_that_does_not_know_how_leaves_it_to_a_person(name: str) -> None:
     task = preset(name).make_task({})

@@ -134,25 +134,6 @@ def needs_errors(learner: Any) -> bool:  # noqa: ANN401 - a `LearnerClass`
     return hasattr(learner, "measure") or getattr(learner, "needs_corrections", False)
 
 
-def check_errors(learner: Any, task: str, errors: bool) -> None:  # noqa: ANN401
-    """Check that a learner of corrections alone has some; others are refused without a model.
-
-    Args:
-        learner: Its class.
-        task: Name of the task.
-        errors: Whether it corrects rollouts by errors.
-
-    Raises:
-        ValueError: There are none.
-    """
-    if getattr(learner, "needs_corrections", False) and not errors:
-        raise ValueError(
-            f"learner {learner.__name__} learns from errors, task {task!r} with these settings "
-            "from its return alone: it has no errors and effects, no gain, or a return of its own "
-            "without errors of its own"
-        )
-
-
 class LearnerSettings(BaseModel):
     """Settings of a learner: frozen, without unknown fields."""
 

@@ -30,23 +30,19 @@ HALVINGS_MAX = 5  # of the distance from coordinates that ran without a fault to
 
 
 class ArmModel(Protocol):
-    """Model of the arm as a practice needs it."""
+    """Model of the arm as a practice needs it.
+
+    Both methods must be functions of their arguments: a replay depends on it.
+    """
 
     def infeasible(self, policy: Policy, overruns: int = 0) -> Fault | None:
         """Fault in which a simulated execution of a policy ends, None if it is feasible.
 
-        Must be a function of its arguments: a replay depends on it.
-
-        Args:
-            policy: Policy to simulate.
-            overruns: Number of rollouts in which the arm exceeded a limit that its model kept.
+        `overruns` is the number of rollouts in which the arm exceeded a limit that its model kept.
         """
 
     def foresee(self, policy: Policy) -> Foreseen | None:
-        """Simulated execution of a policy; None if it ends in a fault.
-
-        Must be a function of its arguments: a replay depends on it.
-        """
+        """Simulated execution of a policy; None if it ends in a fault."""
 
 
 def feasibility(

@@ -108,14 +108,8 @@ class Practice:
     ) -> None:
         """Begin a session, or resume it after the last line of `log`, oldest first.
 
-        Args:
-            settings: Settings of the session.
-            context: Data of the demonstrations that the task needs, see `Task.context_of`.
-            candidates: Policies fitted to the demonstrations. They are not simulated: the caller
-                checks `reproduction_of` each.
-            seed: Seed of the exploration, >= 0.
-            arm: Model of the arm.
-            log: Lines of the log.
+        The context is that of `Task.context_of`, the seed (>= 0) that of the exploration. The
+        candidates are not simulated: the caller checks `reproduction_of` each.
 
         Raises:
             ValueError: `check_candidates` refuses the candidates, the learner needs a model that
@@ -211,6 +205,8 @@ class Practice:
         if rollout.tool.id != trial.id:
             raise ValueError(f"paths are of rollout {rollout.tool.id!r}, expected {trial.id!r}")
         assessment, fault = self.task.assess(trial.policy, rollout), ""
+        if not isinstance(assessment, Assessment):
+            raise TypeError(f"assess of task {self.task.name!r} told {assessment!r}: no Assessment")
         if rollout.fault is not None:
             fault, before = rollout.fault.text, self._retried
             if rollout.fault.kind is FaultKind.EXTERNAL_TORQUE and before and before.fault:

@@ -11,8 +11,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, ValidationError, model_validator
 
 from wam_power_ros import installed
-from wam_power_ros.learning.demonstration import Demonstration
-from wam_power_ros.learning.learner import ErrorModel, Learner, check_errors
+from wam_power_ros.learning.demonstration import Demonstration, from_positions
+from wam_power_ros.learning.learner import ErrorModel, Learner
 from wam_power_ros.learning.model_based import ModelBased
 from wam_power_ros.learning.policy import PERIOD
 from wam_power_ros.tasks.task import Task
@@ -112,16 +112,25 @@ class SessionSettings(BaseModel):
         `corrects`: whether the task corrects rollouts, for a learner of corrections alone.
 
         Raises:
-            ValueError: The learner needs a model and the task has none; names those that work.
+            ValueError: The learner needs errors and the task has none, or corrects by what it does
+                not learn; names learners that work.
         """
+        task = f"task {self.task!r} with these settings"
+        if corrects and model is None:
+            moved = ", ".join(effect.group for effect in installed.task_type(self.task).effects)
+            raise ValueError(f"{task} corrects by its effects, but does not learn all of {moved}")
 
         def given(name: str) -> list[ErrorModel]:
             kind = installed.find("learner", name)
             needed = getattr(kind, "needs_error_model", False)
             if needed and model is None:
-                text = f"learner {name!r} needs a model of the vector error, which task"
-                raise ValueError(f"{text} {self.task!r} with these settings does not have")
-            check_errors(kind, self.task, corrects)
+                text = f"learner {name!r} needs a model of the vector error, which"
+                raise ValueError(f"{text} {task} does not have")
+            if getattr(kind, "needs_corrections", False) and not corrects:
+                raise ValueError(
+                    f"learner {name!r} learns from errors, {task} from its return alone: it has no "
+                    "errors and effects, no gain, or a return of its own without its own errors"
+                )
             return [model] if needed and model is not None else []
 
         kind = installed.find("learner", self.learner)
@@ -184,10 +193,7 @@ def _made_up_movement() -> Demonstration:
     t = PERIOD * np.arange(round(1.0 / PERIOD))
     s = t**3 * (10.0 - 15.0 * t + 6.0 * t**2)
     position = np.stack([0.6 + 0.1 * s, 0.4 * s - 0.2, 0.5 + 0.4 * s * (1.0 - s)], axis=1)
-    velocity = np.gradient(position, t, axis=0)
-    acceleration = np.gradient(velocity, t, axis=0)
-    q, upright = np.outer(s, np.full(7, 0.3)), np.tile([0.0, 0.0, 0.0, 1.0], (len(t), 1))
-    return Demonstration(t, q, position, velocity, acceleration, upright, PERIOD)
+    return from_positions(position, PERIOD)
 
 
 def validated(model: type[M], data: object, where: str = "", prefix: str = "") -> M:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,7 +18,8 @@ KNOWN = ("shift_x", "shift_y", "shift_z", "vigour", "tempo")  # see `direction`
 SHOWN_IN = {"m": (1000.0, ".1f", " mm"), "rad": (math.degrees(1.0), ".1f", "°")}  # by unit
 
 
-class Error(NamedTuple):
+@dataclass(frozen=True)
+class Error:
     """Something that a rollout measures and that is to become 0, or what a goal asks.
 
     One that no effect moves is not learnt from: its limit alone counts.
@@ -39,6 +40,14 @@ class Error(NamedTuple):
     scatter: float = 0.0
     target: float = 0.0
 
+    def __post_init__(self) -> None:
+        if not (isinstance(self.name, str) and isinstance(self.unit, str)):
+            raise ValueError(f"{self}: name and unit must be text, such as 'miss' and 'm'")
+        if not (0.0 < self.tolerance < math.inf and self.tolerance <= self.limit):
+            raise ValueError(f"{self}: the tolerance must be above 0 and at most the limit")
+        if not 0.0 <= self.scatter < math.inf:
+            raise ValueError(f"{self}: the scatter must be at least 0, which is unknown")
+
     def shown(self, value: float | None) -> str:
         """Name and value, such as "miss x 12 mm", for a person."""
         factor, digits, unit = SHOWN_IN.get(self.unit, (1.0, ".3g", f" {self.unit}"))
@@ -46,7 +55,8 @@ class Error(NamedTuple):
         return f"{self.name.replace('_', ' ')} {number}"
 
 
-class Effect(NamedTuple):
+@dataclass(frozen=True)
+class Effect:
     """What a learnt parameter does to the errors, roughly.
 
     Attributes:
@@ -61,6 +71,12 @@ class Effect(NamedTuple):
     step: float
     moves: Mapping[str, float]
     place: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.step < math.inf:
+            raise ValueError(f"{self}: the step must be above 0")
+        if not all(move and math.isfinite(move) for move in self.moves.values()):
+            raise ValueError(f"{self}: what it moves must change by a finite number, not 0")
 
     def direction(self, policy: Policy) -> Group:
         """The group of `KNOWN`, explored with a fifth of the step."""
@@ -104,11 +120,14 @@ class RoughErrors:
         effects = [each for each in effects if set(names) & each.moves.keys()]
         self.directions = np.zeros((len(effects), parametrization.size))
         self.slopes = np.zeros((len(errors), len(effects)))
-        for k, (group, step, moves, place) in enumerate(effects):
-            index = range(parametrization.size)[parametrization.groups[group]][place]
-            self.directions[k, index] = step / parametrization.scale[index]
-            moved = np.array([moves.get(name, 0.0) for name in names])
-            self.slopes[:, k] = step * moved / tolerances
+        for k, effect in enumerate(effects):
+            group = range(parametrization.size)[parametrization.groups[effect.group]]
+            if not -len(group) <= effect.place < len(group):
+                raise ValueError(f"{effect}: the group has {len(group)} parameters")
+            index = group[effect.place]
+            self.directions[k, index] = effect.step / parametrization.scale[index]
+            moved = np.array([effect.moves.get(name, 0.0) for name in names])
+            self.slopes[:, k] = effect.step * moved / tolerances
 
     def correction(self, error: np.ndarray, gain: float) -> list[np.ndarray]:
         """Shifts of z (size,), one for each effect, that would have reduced an error.

@@ -89,6 +89,8 @@ class Resetting:
             return
         self._count = 0
         action = self.reset(state) if self._moves < MOVES_MAX else "person"
+        if not (isinstance(action, Move) or action in ("wait", "person")):
+            raise ValueError(f"reset told {action!r}, must be a Move, 'wait' or 'person'")
         self.waits = action != "person"
         if self.waits:
             self._asked_ns = None

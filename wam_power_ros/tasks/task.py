@@ -2,16 +2,16 @@
 """Base of a task: everything that a session needs to know about one skill.
 
 A class derived from `Task` is found by its entry point in the group `wam_power_ros.tasks`, so a
-laboratory can keep its task in a package of its own. Everything specific to one task (its return,
-its tracked body, its corrections, its figures and the words of its reports) belongs to its class
-and nowhere else.
+laboratory can keep its task in a package of its own.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
+from numbers import Real
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
@@ -166,11 +166,9 @@ class Task:
         presets: Name -> settings of a session: fields of `Settings`, fields of
             `practice.settings.PracticeSettings`, and `learner`, a mapping with a learner's name and
             settings. What is left out has its default. The first preset is the default.
-        errors: Errors that a rollout measures, see `observe`, each with unit and tolerance; empty
-            for a task that is learnt from returns alone. A class that overrides `assess` alone has
-            another return than the errors of its base class: it is learnt from returns, too.
-        effects: Rough change of the errors by a learnt parameter, each with its largest step, by
-            which learners correct and plan.
+        errors: Errors that a rollout measures, see `observe`; empty for a task that is learnt from
+            returns alone. So is a class that overrides `assess` and states no errors of its own.
+        effects: Rough change of the errors by learnt parameters; learners correct and plan by it.
         targets: Numbers that a session's goal may state, by name. An error of that name is measured
             from its target; NaN: it does not count unless the goal states one.
         rest_time: Time for which the body must have been `ready` before a rollout [s].
@@ -204,38 +202,63 @@ class Task:
     region: Region | None = None
 
     def __init_subclass__(cls) -> None:
-        """Refuse an incomplete class, and an error that does nothing, when it is defined."""
-        if missing := [each for each in ("name", "presets") if not getattr(cls, each, None)]:
-            raise TypeError(f"task {cls.__qualname__} does not state {', '.join(missing)}")
+        """Refuse a class that cannot work, or a part of it that does nothing."""
+        if fault := next(cls._faults(), ""):
+            raise TypeError(f"task {cls.__qualname__}: {fault}")
+
+    @classmethod
+    def _faults(cls) -> Iterator[str]:
+        """What is wrong with the class: the values, and what is allowed."""
+        members = {*vars(Task), *Task.__annotations__}
+        for own in [each for each in vars(cls) if each[0] != "_" and each not in members]:
+            if own in ("settings", "settle_time"):
+                yield f"{own} is stated by `Settings`"
+            elif meant := get_close_matches(own, members, 1, 0.8):
+                yield f"it has no member {own!r}: {meant[0]!r} is meant, or choose another name"
+        for key, default in (("name", ""), ("body", "none")):  # which name files and topics
+            if not str((value := getattr(cls, key, "")) or default).isidentifier():
+                yield f"{key} = {value!r} must be a name of letters, digits and _"
+        presets = cls.presets if isinstance(cls.presets, Mapping) else {}
+        if not (presets and all(isinstance(each, Mapping) for each in presets.values())):
+            yield f"presets = {cls.presets!r} must be a mapping of names to mappings of settings"
+        if getattr(cls.Settings, "model_config", {}).get("extra") != "forbid":
+            yield f"{cls.Settings} must refuse unknown fields: ConfigDict(extra='forbid')"
+        needed = {"settle_time"}
+        needed |= {"variant", "noise"} if cls.parametrization is Task.parametrization else set()
+        if missing := sorted(needed - cls.Settings.model_fields.keys()):
+            yield f"{cls.Settings} has no {', '.join(missing)}: derive it from TaskSettings"
+        for key, kind in (("errors", Error), ("effects", Effect)):
+            value = getattr(cls, key)
+            if not (isinstance(value, Sequence) and all(isinstance(e, kind) for e in value)):
+                yield f"{key} = {value!r} must be a tuple of {kind.__name__}, such as (one,)"
+        names = [error.name for error in cls.errors]
+        stated = [*names, *((effect.group, effect.place) for effect in cls.effects)]
+        for twice in [each for each in stated if stated.count(each) > 1]:
+            yield f"{twice!r} is stated twice"
         limits = [error.limit for error in cls.errors if error.limit < math.inf]
         if cls.assess is Task.assess and (cls.observe is Task.observe or not limits):
-            raise TypeError(
-                f"task {cls.__qualname__} has no return: define observe, and errors of which one "
-                "has a limit; or define assess"
-            )
-        if not f"a{cls.body}".isidentifier():  # its topics are named after it
-            raise TypeError(f"body = {cls.body!r} of task {cls.__qualname__} must be a name or ''")
-        if cls.Settings.model_config.get("extra") != "forbid":
-            raise TypeError(
-                f"{cls.Settings} must refuse unknown fields: ConfigDict(extra='forbid')"
-            )
-        groups = [each.group for each in cls.effects if each.group not in KNOWN]
+            yield "there is no return: define observe, and an error with a limit; or define assess"
+        groups = {effect.group for effect in cls.effects} - {*KNOWN}
         if groups and cls.parametrization is Task.parametrization:
-            raise TypeError(
-                f"{cls.__name__}: effect {groups[0]!r} is not one of {', '.join(KNOWN)}, and the "
-                "task has no parametrization of its own"
-            )
-        moved = learnt(cls.errors, cls.effects)
+            known = f"{', '.join(KNOWN)}, and there is no parametrization of its own"
+            yield f"effect {min(groups)!r} is not one of {known}"
+        moved = {name for effect in cls.effects for name in effect.moves}
+        if "effects" in vars(cls) and (unknown := moved - {*names}):
+            yield f"effects move {min(unknown)!r}, which is none of the errors {', '.join(names)}"
         for error in cls.errors:
-            if error not in moved and error.limit == math.inf:
-                known = ", ".join(sorted({name for effect in cls.effects for name in effect.moves}))
-                raise TypeError(
-                    f"{cls.__name__}: error {error.name!r} has no limit, and effects move only "
-                    f"{known or 'nothing'}"
-                )
+            if error.name not in moved and error.limit == math.inf:
+                only = ", ".join(sorted(moved)) or "nothing"
+                yield f"error {error.name!r} has no limit, and effects move only {only}"
+        if "predict" in vars(cls) and not moved & {*names}:
+            yield "predict is never asked: effects move none of the errors"
+        targets = vars(cls).get("targets", {}).keys() - {*names}
+        if targets and cls.carried is Task.carried:
+            yield f"target {min(targets)!r} is none of the errors, and there is no `carried`"
+        if not 0.0 <= cls.gain <= 1.0:
+            yield f"gain = {cls.gain} must be 0 to 1"
 
     def __init__(self, settings: Any, context: Mapping[str, Any]) -> None:  # noqa: ANN401
-        """Construct the task from `Settings`, which include `settle_time`, and a goal if any."""
+        """Construct the task; see the class."""
         self.settings = settings
         self.settle_time: float = settings.settle_time
         self.targets = {**self.targets, **context.get("goal", {})}
@@ -253,7 +276,7 @@ class Task:
 
     def wanted_errors(self) -> list[Error]:
         """`errors` that count with these `targets`, each with its own."""
-        errors = [e._replace(target=self.targets.get(e.name, 0.0)) for e in self.errors]
+        errors = [replace(e, target=self.targets.get(e.name, 0.0)) for e in self.errors]
         return [error for error in errors if not math.isnan(error.target)]
 
     def learnt_errors(self) -> list[Error]:
@@ -269,11 +292,7 @@ class Task:
 
     @classmethod
     def policy_of(cls, demonstrations: Sequence[Demonstration], policy_id: str) -> Policy:
-        """Fit a policy to demonstrations.
-
-        Raises:
-            ValueError: If no policy can be fitted; the message gives the reason.
-        """
+        """Fit a policy to demonstrations; a ValueError says why none can be."""
         return fit(demonstrations, cls.fit_settings, policy_id)
 
     @classmethod
@@ -282,9 +301,7 @@ class Task:
     ) -> dict[str, Any]:
         """Data that the session stores for the constructor, as JSON data.
 
-        Args:
-            demonstrations: All demonstrations of the session.
-            region: Guarded region of the controller, None for none.
+        `demonstrations` are all of the session, `region` the controller's guarded one if any.
         """
         return {}
 
@@ -308,19 +325,14 @@ class Task:
 
         By default it may once the body is seen.
 
-        Args:
-            body: State of the tracked body, None if it is not seen or there is none.
-            tool: Pose of the tool at the start of the policy.
+        `body` is None if it is not seen or there is none; `tool` as at the start of the policy.
         """
         return f"the {self.body} is not seen" if self.body and body is None else ""
 
     def reset(self, body: BodyState | None, arm: ToolPose, q_start: np.ndarray) -> Action:
         """What puts back a body that is not `ready`, where no stand-in resets the scene.
 
-        Args:
-            body: State of the tracked body, None if it is not seen or there is none.
-            arm: Kinematics of the arm, at rest at the start of the policy.
-            q_start: Its joint angles there [rad]. Shape (n,).
+        The arm rests at the start of the policy, with joint angles `q_start` (n,) [rad].
 
         Returns:
             A movement of the arm; "wait" if the body will come to rest; otherwise "person".
@@ -348,9 +360,13 @@ class Task:
         if why := cut_short(policy, rollout, self.settle_time) or self._unseen(rollout):
             return Assessment(None, why=why)
         seen = self.observe(rollout)
+        if not isinstance(seen, Mapping):
+            raise TypeError(f"observe of task {self.name!r} told {seen!r}, must be a mapping")
         measured = self.measure(seen)
         if not measured:
-            return Assessment(None, observation=seen, why="no error was measured")
+            names = ", ".join(error.name for error in self.errors)
+            why = f"observe told {', '.join(seen) or 'nothing'}, no known value of {names}"
+            return Assessment(None, observation=seen, why=why)
         wanted = self.wanted_errors()
         error = told(wanted, measured)
         rms = np.sqrt(np.mean(np.nan_to_num(error, nan=UNKNOWN_ERROR) ** 2))
@@ -370,15 +386,11 @@ class Task:
     def hindsight(
         self, assessment: Assessment, parametrization: Parametrization
     ) -> Sequence[np.ndarray]:
-        """Hindsight corrections: shifts of z that would have reduced the measured errors.
-
-        The rollout is learnt from at the shifted coordinates. A measured error has a direction,
-        which a return has not.
+        """Shifts of z that would have reduced the measured errors; a rollout is learnt from there.
 
         Returns:
-            Shifts of z, shape (size,) each, one for each error, empty for no correction; if the sum
-            is not feasible, they are applied one after another, each as far as is feasible. By
-            default they follow from `errors` and `effects`.
+            Shifts of z, shape (size,) each, one for each effect, empty for no correction; if the
+            sum is not feasible, they are applied one after another, each as far as is feasible.
         """
         error, model = self.error(assessment.observation), self.rough_errors(parametrization)
         return () if error is None or model is None else model.correction(error, self.gain)
@@ -391,13 +403,12 @@ class Task:
     def margins(self, record: LoggedRollout) -> Sequence[float]:
         """How far inside each of its limits a rollout was, for the stopping rule.
 
-        It is also asked of rollouts that failed: one with positive margins failed for a reason that
-        no margin shows.
+        It is also asked of rollouts that failed.
 
         Returns:
-            Positive numbers inside, negative ones outside, in any units but the same for every
-            rollout; about normally distributed over rollouts of one policy. Empty: not known, so
-            that successes are counted alone. By default those of `errors` that have a limit.
+            Positive numbers inside, negative ones outside, about normally distributed over rollouts
+            of one policy. Empty: not known, so that successes are counted alone. By default those
+            of `errors` that have a limit.
         """
         seen = None if record.observation is None else self.measure(record.observation)
         limited = [error for error in self.wanted_errors() if error.limit < math.inf]
@@ -415,23 +426,19 @@ class Task:
         return limited if all(limited) else ()
 
     def measure(self, observation: Mapping[str, Any]) -> Mapping[str, float] | None:
-        """Values of `errors` by name, in their units, from what was observed in a rollout.
-
-        What is left out is unknown; None if the rollout tells nothing. By default those of
-        `observe`, as they are.
-        """
+        """Values of `errors` by name, as observed; None if the rollout tells nothing."""
         values = {error.name: observation.get(error.name) for error in self.errors}
+        for name, value in values.items():
+            if not isinstance(value, Real | None):
+                raise TypeError(f"{self.name}: {name} = {value!r} must be a number or None")
         known = {k: v for k, v in values.items() if v is not None and math.isfinite(v)}
         return known or None
 
     def error(self, observation: Mapping[str, Any] | None) -> np.ndarray | None:
         """Measured `learnt_errors` [tolerances], NaN where unknown, shape (m,); None for none."""
-        measured, errors = None, self.learnt_errors()
-        if observation is not None and errors:
-            measured = self.measure(observation)
-        if measured is None:
-            return None
-        return told(errors, measured)
+        errors = self.learnt_errors()
+        measured = self.measure(observation) if errors and observation is not None else None
+        return None if measured is None else told(errors, measured)
 
     def error_model(
         self,
@@ -440,9 +447,7 @@ class Task:
     ) -> ErrorModel | None:
         """Model of the errors, for learners that plan on it; None if the task has none.
 
-        Args:
-            parametrization: Map from coordinates to policies.
-            foresee: Simulates the execution of a policy, None if it ends in a fault.
+        `foresee` simulates the execution of a policy: None if it ends in a fault.
         """
         rough, predicted = self.rough_errors(parametrization), self.predict
         if rough is None or type(self).predict is Task.predict:
@@ -470,13 +475,13 @@ class Task:
     def outcome(self, record: LoggedRollout) -> str:
         """Outcome of a logged rollout in a few words, for one cell of a table.
 
-        By default the errors; of a task without errors, whether it was a success.
+        By default the errors; where none is known, a remark or whether it was a success.
         """
         if record.fault:
             return f"fault: {record.fault}"
-        if record.observation is None or not self.errors:
+        seen = record.observation if self.errors else None
+        if not (measured := self.measure(seen) if seen is not None else None):
             return record.why or ("success" if record.success else "no success")
-        measured = self.measure(record.observation) or {}
         return ", ".join(error.shown(measured.get(error.name)) for error in self.errors)
 
     def summary(self, records: Sequence[LoggedRollout]) -> list[str]:

@@ -23,8 +23,6 @@ CUP_FIT = FitSettings(
     damping=80.0,
     movement=Movement(start=0.05, end=0.05),
 )
-
-
 # Settings of stored sessions that are steps of the effects now, see `tasks.errors.Effect`.
 STEPS = (("vigour_limit", 0.05), ("sideways_limit", 0.05))
 

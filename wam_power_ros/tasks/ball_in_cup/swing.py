@@ -89,15 +89,7 @@ def landing(relative: np.ndarray) -> int | None:
 
 
 def observe_swing(cup: EndEffectorPath, ball: BodyPath) -> Swing | None:
-    """Observe a swing.
-
-    Args:
-        cup: Path of the cup.
-        ball: Path of the ball.
-
-    Returns:
-        None if the ball was not seen when it came down, or at the end.
-    """
+    """Observe a swing; None if the ball was not seen when it came down, or at the end."""
     if len(ball.t) < 2 or cup.t[-1] - ball.t[-1] > END_TIME:
         return None
     t = np.arange(ball.t[0], ball.t[-1], STEP)

@@ -30,7 +30,7 @@ def assess(policy: Policy, rollout: Rollout, settings: FlipSettings) -> Assessme
     if pancake is None or len(pancake.t) == 0:
         return Assessment(None, why="the pancake was never seen")
     flight = observe_flight(pan, pancake, settings.delta_h)
-    observation = _plain(flight)
+    observation = dataclasses.asdict(flight)
     lost = _lost_from_view(pan, pancake, flight)
     if lost:
         return Assessment(None, observation=observation, why=lost)
@@ -64,14 +64,6 @@ def flight_of(observation: Mapping[str, Any]) -> Flight | None:
         if name in {field.name for field in known}
     }
     return Flight(**fields)
-
-
-def _plain(flight: Flight) -> dict[str, Any]:
-    """Fields of a flight as JSON data."""
-    return {
-        name: value.tolist() if isinstance(value, np.ndarray | np.generic) else value
-        for name, value in dataclasses.asdict(flight).items()
-    }
 
 
 def _lost_from_view(pan: EndEffectorPath, pancake: BodyPath, flight: Flight) -> str:

@@ -28,7 +28,6 @@ from wam_power_ros.tasks.flip.frames import (
 from wam_power_ros.tasks.flip.spin_fit import angle_between, axis_between, fit_spin
 
 DELTA_H = 0.12  # larger than the pancake's radius, so that its edge is still above the pan [m]
-FLIP_ANGLES = (math.radians(150.0), math.radians(240.0))  # [rad] in the air of a true flip
 _POSITION_STD_MAX = 0.1  # with a larger one at t_f the pancake counts as lost from view [m]
 
 

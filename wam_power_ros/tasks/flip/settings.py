@@ -24,13 +24,9 @@ FLIP_FIT = FitSettings(
     damping=32.0,
     movement=Movement(end=0.05),  # the slow end of a catch is kept
 )
-
-
 # Rotation of a true flip in the air [degrees]: of a success, and in the ground truth of the
 # simulator. Turned further, a pancake may still fall flat, other side up.
 TRUE_TURN = (150.0, 240.0)
-
-
 # Settings of stored sessions of which the first became `gain`, and the limits the steps of the
 # effects, see `tasks.errors.Effect`.
 FORMER: Mapping[str, tuple[float, ...]] = {

@@ -16,12 +16,12 @@ from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Foreseen, Rollout
 from wam_power_ros.tasks.flip import assessment as flip_assessment
 from wam_power_ros.tasks.flip import paper
-from wam_power_ros.tasks.flip.flight import FLIP_ANGLES, observe_flight
+from wam_power_ros.tasks.flip.flight import observe_flight
 from wam_power_ros.tasks.flip.frames import REST_HEIGHT_MAX
 from wam_power_ros.tasks.flip.pan_toss import PANCAKE, predict_toss
 from wam_power_ros.tasks.flip.parametrization import flip_parametrization
 from wam_power_ros.tasks.flip.returns import pancake_return
-from wam_power_ros.tasks.flip.settings import FLIP_FIT, PRESETS, FlipSettings
+from wam_power_ros.tasks.flip.settings import FLIP_FIT, PRESETS, TRUE_TURN, FlipSettings
 from wam_power_ros.tasks.flip.toss_errors import (
     EFFECTS,
     ERRORS,
@@ -45,9 +45,7 @@ if TYPE_CHECKING:
 _OFFSET_MAX = 0.10  # largest distance of the pancake from the pan's centre before a rollout [m]
 _HEIGHT_RANGE = (-0.01, REST_HEIGHT_MAX)  # of its centre above the pan's floor, the same [m]
 _FLAT_OFFSET_MAX = 0.06  # largest distance of a pancake that lies on the floor, not on the rim [m]
-_MISPLACED_MAX = (
-    0.15  # height up to which a body at rest is one in the pan that is seen wrongly [m]
-)
+_MISPLACED_MAX = 0.15  # height up to which a body at rest is in the pan, seen wrongly [m]
 _REST_SPEED_MAX = 0.05  # largest speed at rest [m/s]
 
 
@@ -173,10 +171,10 @@ class Flip(Task):
         return lines
 
     def achieved(self, record: LoggedRollout) -> bool:
-        """Whether the observed pancake made a true flip: caught, and turned by `FLIP_ANGLES`."""
+        """Whether the observed pancake made a true flip: caught, and turned by `TRUE_TURN`."""
         seen = record.observation or {}
         turned_over = not record.fault and seen.get("flipped") and seen.get("resting")
-        low, high = FLIP_ANGLES
+        low, high = map(math.radians, TRUE_TURN)
         return bool(turned_over and low <= abs(seen.get("angle", 0.0)) <= high)
 
     def figure(self, rollout: Rollout) -> tuple[Figure, str] | None:

@@ -43,10 +43,7 @@ def reaching_return(path: np.ndarray, demonstrated: np.ndarray, goal: np.ndarray
         goal: x_G [m]. Shape (3,).
 
     Returns:
-        Returns. Shape (B,).
-
-    Raises:
-        ValueError: If shapes do not match or a value is not finite.
+        Returns, shape (B,); ValueErrors as of `reaching_terms`.
     """
     tracking, reached = reaching_terms(path, demonstrated, goal)
     return tracking + reached
