@@ -5,7 +5,7 @@ A study is a list of jobs. A result whose file exists is not computed again, so 
 can be resumed and ends with the same numbers: a job depends neither on the others nor on their
 order nor on how many run at a time.
 
-    pancake-default/seed-301.json      {"digest": ..., "result": {...}}
+    pancake-hindsight/seed-301.json      {"digest": ..., "result": {...}}
     times.jsonl                        one line per computed job: wall and processor time, host
 
 A result is used only if its digest matches. The digest covers the job's function and arguments, all
@@ -79,7 +79,7 @@ class Job:
     """One run of a study, with JSON data of finite numbers as arguments and result.
 
     Attributes:
-        study: Folder of its result, such as "pancake-default".
+        study: Folder of its result, such as "pancake-hindsight".
         key: Name of its file there, such as "seed-301".
         function: Function of an importable module, deterministic in its arguments. Of a module that
             is run by `python -m` it is taken from the module under its own name, where workers find

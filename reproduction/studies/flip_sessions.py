@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whole sessions of the pancake task in one process: teach, choose, practise, re-test.
 
-`jobs` are the sessions of the reproduction: the shipped default and its policies in other
+`jobs` are the sessions of the reproduction: the preset `hindsight` and its policies in other
 conditions, the paper's preset beside Fig. 5, and the ablation of the paper's stiffness matrices.
 """
 
@@ -35,7 +35,7 @@ from wam_power_ros.tasks.flip.flight import observe_flight
 from wam_power_ros.tasks.flip.returns import pancake_return
 from wam_power_ros.tasks.flip.settings import FLIP_FIT
 
-DEFAULT, PAPER, LONG = "pancake-default", "pancake-paper", "pancake-paper-100"  # studies
+HINDSIGHT, PAPER, LONG = "pancake-hindsight", "pancake-paper", "pancake-paper-100"  # studies
 LEARNT, ABLATION = "pancake-learnt-", "pancake-ablation-"
 HELD_OUT = range(301, 331)  # seeds not used for tuning
 TUNING = range(21, 23)  # for "quick"
@@ -301,7 +301,7 @@ def jobs(scale: Scale) -> list[Job]:
     retests = {"retests": 1 if quick else 30}
     fewer = {"retests": 1 if quick else 10}
     common = {"demonstrations": series, "repeats": 1 if quick else 3}
-    default = {
+    hindsight = {
         **common,
         "name": "hindsight",
         "changes": {**retests, **({"budget": 4} if quick else {})},
@@ -316,11 +316,11 @@ def jobs(scale: Scale) -> list[Job]:
             wanted.append(Job(study, f"seed-{seed}", session, {"seed": seed, **arguments}))
 
     for seed in seeds:
-        add(DEFAULT, [seed], **default, carried=conditions, keep_paths=seed == seeds[0])
+        add(HINDSIGHT, [seed], **hindsight, carried=conditions, keep_paths=seed == seeds[0])
     for name in LEARNT_UNDER[one]:
         study = f"{LEARNT}{name.replace(' ', '-').replace('/', '-')}"
         here = {"condition": CONDITIONS[name], "carried": {"as it is": {}}}
-        add(study, seeds[:5][one], **default, **here)
+        add(study, seeds[:5][one], **hindsight, **here)
     for seed in seeds[one]:
         add(PAPER, [seed], **paper, changes=changes[50], keep_paths=seed == seeds[0])
     add(LONG, seeds[:4][one], **paper, changes=changes[100])
