@@ -20,7 +20,6 @@ import ast
 import contextlib
 import functools
 import hashlib
-import importlib
 import importlib.metadata
 import importlib.resources
 import inspect
@@ -30,7 +29,6 @@ import os
 import platform
 import re
 import signal
-import sys
 import time
 import traceback
 import warnings
@@ -81,9 +79,7 @@ class Job:
     Attributes:
         study: Folder of its result, such as "pancake-hindsight".
         key: Name of its file there, such as "seed-301".
-        function: Function of an importable module, deterministic in its arguments. Of a module that
-            is run by `python -m` it is taken from the module under its own name, where workers find
-            it.
+        function: Function of an importable module, deterministic in its arguments.
         arguments: Keyword arguments.
 
     Raises:
@@ -102,10 +98,6 @@ class Job:
                 raise ValueError(
                     f"{name!r} must be a file name of letters, digits, '.', '_' and '-'"
                 )
-        spec = getattr(sys.modules["__main__"], "__spec__", None)
-        if self.function.__module__ == "__main__" and spec is not None:
-            module = importlib.import_module(spec.name)
-            object.__setattr__(self, "function", getattr(module, self.function.__name__))
         try:
             _json(self.arguments)
         except (TypeError, ValueError) as error:
