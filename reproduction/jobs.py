@@ -131,16 +131,8 @@ def run(
 ) -> Results:
     """Return the results of all jobs; compute and write those that the folder lacks.
 
-    Finished results survive Ctrl-C (KeyboardInterrupt) and errors.
-
-    Args:
-        jobs: Jobs with different names.
-        folder: Folder of the results; created if missing.
-        workers: Number of processes on this machine.
-        console: Console for progress; standard error if omitted.
-
-    Returns:
-        Study -> key -> result, in the order of `jobs`, as read from JSON.
+    Finished results survive Ctrl-C (KeyboardInterrupt) and errors. Results are in the order of
+    `jobs`, as read from JSON; `workers` is the number of processes.
 
     Raises:
         JobError: Some jobs failed; the others are computed and written.

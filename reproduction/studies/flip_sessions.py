@@ -69,12 +69,8 @@ def stand_in(
 ) -> Environment:
     """Environment with sensors and motors of the stand-in, in its normal or another condition.
 
-    Args:
-        seed: Seed of all noise.
-        believed_pan: Mass of the pan in the controller's model, as a fraction of its mass.
-        mocap: Settings of the motion capture; None for the defaults.
-        home: Posture in which demonstrations begin [rad]; None for that of the scene.
-        **world: Fields of `WorldSettings`.
+    The controller's model has `believed_pan` times the mass of the pan. Demonstrations begin at
+    `home` [rad], None for that of the scene; `world` are fields of `WorldSettings`.
     """
     world_ = World(scene_type("flip"), WorldSettings(**world), seed, mocap)
     if home is not None:
@@ -105,12 +101,8 @@ def teach(
 ) -> list[Policy]:
     """Fit a policy to each demonstration of a small series by the simulated demonstrator.
 
-    Args:
-        environment: Environment to teach in.
-        seed: Seed of the demonstrator; demonstration k of a seed is always the same.
-        count: Number of demonstrations.
-        pitch_rate: Pitch rate of the demonstrator, see `wrist_flick` [rad/s].
-        habit: Habit of the demonstrator, one of `habits.HABITS`; "" for none.
+    Demonstration k of a seed is always the same. `pitch_rate` [rad/s] is that of `wrist_flick`;
+    `habit` one of `habits.HABITS`, "" for none.
     """
     policies = []
     for number in range(count):
@@ -144,19 +136,12 @@ def session(
     repeats: int = 3,
     keep_paths: bool = False,
 ) -> dict[str, Any]:
-    """Run a session from its first demonstration to its last re-test; return plain data.
+    """Run a session of a preset from its first demonstration to its last re-test, as plain data.
 
-    Args:
-        seed: Seed of the demonstrator, the stand-in and the exploration.
-        name: Name of the preset.
-        demonstrations: Number of demonstrations.
-        pitch_rate: Pitch rate of the demonstrator, see `wrist_flick` [rad/s].
-        habit: Habit of the demonstrator, see `teach`.
-        changes: Changes to the preset.
-        condition: Condition of the environment, arguments of `stand_in`.
-        carried: Name -> other condition to run the final policy in.
-        repeats: Runs of the final policy in each of these.
-        keep_paths: True to keep the paths of demonstration, reproduction and final policy.
+    The seed is that of the demonstrator (see `teach`), the stand-in and the exploration;
+    `condition` are arguments of `stand_in`. The final policy is run `repeats` times in each of the
+    conditions `carried`, by name. `keep_paths` keeps the paths of demonstration, reproduction and
+    final policy.
     """
     environment = stand_in(seed, **(condition or {}))
     candidates = teach(environment, seed, demonstrations, pitch_rate, habit)
