@@ -75,9 +75,9 @@ class Circle:
         return Target(place, rotation, speed * (c * along + s * up), np.zeros(3))
 
 
-def hidden_world(seed: int, scene: str = "flip", mocap: MocapSettings | None = None) -> World:
+def hidden_world(seed: int) -> World:
     """World of the arm of a seed."""
-    return World(scene_type(scene), WorldSettings(unknown="lab"), seed, mocap)
+    return World(scene_type("flip"), WorldSettings(unknown="lab"), seed)
 
 
 def plain_arm(world: World) -> Arm:
@@ -317,9 +317,9 @@ def peaks(environment: Environment, policy: Policy) -> list[float]:
     ]
 
 
-def session(seed: int, setup: Setup | None, policy: Policy | None = None) -> dict[str, Any]:
+def session(seed: int, setup: Setup, policy: Policy | None = None) -> dict[str, Any]:
     """Learn the flip on the arm of a seed, from a demonstration or from a policy."""
-    environment = Environment(hidden_world(seed), setup=setup or overlay.setup())
+    environment = Environment(hidden_world(seed), setup=setup)
     own = taught(environment, seed) if policy is None else policy
     practice = Practice(
         preset("flip", "", budget=BUDGET, retests=RETESTS), {}, [own], seed, environment
@@ -378,8 +378,8 @@ def rows(seed: int, parts: list[str]) -> Iterator[dict[str, Any]]:
     for name in ("plain", "commissioned") if "peaks" in parts else ():
         yield {"seed": seed, "set-up": name, "peaks": peaks(arms[name], taught(arms[name], seed))}
     if "learn" in parts:
-        yield {"seed": seed, "set-up": "plain", **session(seed, None)}
-        yield {"seed": seed, "set-up": "commissioned", **session(seed, setup)}
+        for name in ("plain", "commissioned"):
+            yield {"seed": seed, "set-up": name, **session(seed, setups[name])}
         carried = session(seed, setup, rehearsed(seed))
         yield {"seed": seed, "set-up": "carried over", **carried}
 

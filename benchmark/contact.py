@@ -190,16 +190,7 @@ def replays(count: int) -> list[str]:
 
 
 class Force:
-    """A force on the tool, in a random direction.
-
-    Attributes:
-        peak: Its largest size [N].
-
-    Args:
-        peak: See there.
-        rng: Random generator of the direction.
-        share: Share of it that acts, by the time since it began [s].
-    """
+    """A force of `peak` [N] in a random direction, of which `share` acts by the time [s]."""
 
     def __init__(
         self, peak: float, rng: np.random.Generator, share: Callable[[float], float]
@@ -278,13 +269,7 @@ class Stop(NamedTuple):
 
 
 def touched(replay: Replay, moment: float, contact: Force | Wall) -> Stop:
-    """Run a replay with a contact at the tool.
-
-    Args:
-        replay: Replay to start.
-        moment: Start of the contact, as a share of the movement.
-        contact: Force or wall at the pan's centre from that moment on.
-    """
+    """Run a replay with a contact at the tool from a moment on, a share of the movement."""
     replay.begin(REPLAY_SPEED)
     controller, world = replay.environment.controller, replay.environment.world
     at, faulted, speed = round(moment * replay.periods), None, 0.0

@@ -52,16 +52,10 @@ def draw(seed: int) -> HiddenArm:
 class StandIn:
     """Arm of the stand-in at the start of the taught policy; its driver holds the last torque.
 
-    Attributes:
-        world: The simulated world.
-
-    Args:
-        hidden: Deviations of the arm from its model; None: none.
-        delay: Periods until a torque acts.
+    A torque acts after `delay` periods.
     """
 
-    def __init__(self, hidden: HiddenArm | None = None, delay: int = 2) -> None:
-        hidden = hidden or NOMINAL
+    def __init__(self, hidden: HiddenArm = NOMINAL, delay: int = 2) -> None:
         settings = WorldSettings(
             watchdog=False, command_delay_ticks=delay, torque_scale_sd=0.0, friction_sd=0.0
         )
@@ -105,7 +99,7 @@ def taught_fast(arm: Arm) -> Controller:
 
 
 def held(
-    delay: int, hidden: HiddenArm | None = None, make: Callable[[Arm], Controller] = taught_fast
+    delay: int, hidden: HiddenArm = NOMINAL, make: Callable[[Arm], Controller] = taught_fast
 ) -> Loop:
     """An arm of the stand-in that is held at the start of the policy."""
     plant = StandIn(hidden, delay)

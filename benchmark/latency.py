@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Latency from state to torque in real time: the controller compared with a bare echo node.
 
-    python -m benchmark.latency [--seconds 60] [--load 0] [--view] [--period 0.001] [--json FILE]
+    python -m benchmark.latency [--seconds 60] [--load 0] [--view] [--period 0.001]
 
 The stand-in publishes 500 states a second, or one each --period, on the wall clock. The controller
 answers each with a torque. The echo, a bare rclpy node in a separate process, answers with the same
@@ -13,7 +13,6 @@ as many busy processes run beside it; with --view, the page of `wam-power view` 
 from __future__ import annotations
 
 import fcntl
-import json
 import os
 import re
 import subprocess
@@ -141,20 +140,9 @@ def read_all(url: str) -> int:
 
 
 def measure(
-    seconds: float,
-    fifo: bool,
-    load: int,
-    view: bool = False,
-    period: float = PERIOD_NS * 1e-9,
+    seconds: float, fifo: bool, load: int, view: bool, period: float
 ) -> dict[str, dict[str, float]]:
     """Measure latencies of controller and echo in one run, and the CPU time of each process.
-
-    Args:
-        seconds: Duration of the measurement [s].
-        fifo: Use SCHED_FIFO.
-        load: Number of busy processes beside it.
-        view: Let the page of `wam-power view` follow the arm.
-        period: Time between two states [s].
 
     Returns:
         Per process: periods met [%], quantiles of the latency [us] or rate of the states [Hz],
@@ -240,16 +228,13 @@ def main() -> int:
             return node_runner.run(lambda: Echo(int(value)))
         return read_all(value) if role == "browser" else stand_in(Path(role))
     period = PERIOD_NS * 1e-9
-    given = options(__doc__, seconds=60.0, load=0, view=False, period=period, json=Path)
-    results = {}
+    given = options(__doc__, seconds=60.0, load=0, view=False, period=period)
     for title, fifo in (("SCHED_FIFO", True), ("plain scheduling", False)):
         if fifo and not may_schedule():
             print(f"{title}: skipped, not permitted here (rtprio in /etc/security/limits.d)")
             continue
-        results[title] = measure(given.seconds, fifo, given.load, given.view, given.period)
-        print_table(title, results[title])
-    if given.json:
-        given.json.write_text(json.dumps(results, indent=1) + "\n")
+        found = measure(given.seconds, fifo, given.load, given.view, given.period)
+        print_table(title, found)
     return 0
 
 

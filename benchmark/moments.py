@@ -61,10 +61,9 @@ def inject(name: str, phase: str, rng: np.random.Generator, delay: int) -> Outco
     return found._replace(peak=peak, rest=rest, after=max(loop.speeds[1:]), reset=loop.reset())
 
 
-def main(arguments: list[str] | None = None) -> int:
+def main() -> int:
     """Print a row for each kind of false state and phase; return 1 if the arm was not stopped."""
-    kinds = [*ALL_FALSE_STATES]
-    given = options(__doc__, arguments, repeats=12, kinds=kinds, delay=2)
+    given = options(__doc__, repeats=12, kinds=[*ALL_FALSE_STATES], delay=2)
     loop = held(given.delay)
     loop.controller.execute()
     most = loop.observe(1.2).peak + SPEED_MARGIN

@@ -31,7 +31,7 @@ def taught() -> Policy:
     """Policy fitted to the first shipped demonstration of the flip."""
     bag = min(share("bags").glob("demo_*"))
     arm = Arm(share("urdf/wam7.urdf").read_text(), JOINTS)
-    return fit([from_joint_samples(arm, *reader.read_demonstration(bag, JOINTS))], FLIP_FIT, "soak")
+    return fit([from_joint_samples(arm, *reader.read_demonstration(bag, JOINTS))], FLIP_FIT, "flip")
 
 
 def environment(domain: int | None = None) -> dict[str, str]:

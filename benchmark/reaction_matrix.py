@@ -394,11 +394,10 @@ def line(cell: Cell, found: Outcome) -> str:
     )
 
 
-def main(arguments: list[str] | None = None) -> int:
+def main() -> int:
     """Print a row for each cell, then the worst; return 1 if a bound was exceeded."""
     given = options(
         __doc__,
-        arguments,
         kinds=[*OF_JOINT, *CHANGES],
         modes=[*MODES],
         arms=[*ARMS],

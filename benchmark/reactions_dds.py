@@ -147,9 +147,9 @@ def lines(case: str, count: int) -> Iterator[Line]:
             yield from (hands_off if case == "hands_off" else faults)(lab, arm, name)
 
 
-def main(arguments: list[str] | None = None) -> int:
+def main() -> int:
     """Print a row for each case and phase; return 1 if the arm was not stopped."""
-    given = options(__doc__, arguments, cases=["cells", "faults", "hands_off"], arms=12)
+    given = options(__doc__, cases=["cells", "faults", "hands_off"], arms=12)
     scheduling._schedule(ARM)
     speeds = "peak (nominal) [m/s]", "after 0.5 s"
     print(

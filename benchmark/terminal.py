@@ -4,21 +4,15 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
 
 
 def options(
-    doc: str | None,
-    arguments: Sequence[str] | None = None,
-    **wanted: str | float | list[str] | tuple[str, ...] | type,
+    doc: str | None, **wanted: str | float | list[str] | tuple[str, ...] | type
 ) -> argparse.Namespace:
-    """Read the options of a benchmark.
+    """Read the options of a benchmark from the command line; `doc` is the text of `--help`.
 
-    Args:
-        doc: Text of `--help`.
-        arguments: Words; None for those of the command line.
-        **wanted: By its name, the default of each option. False makes it a switch; of a list the
-            user may name some words, of a tuple one, the first by default; a type may be None.
+    `wanted` has the default of each option. False makes it a switch; of a list the user may name
+    some words, of a tuple one, the first by default; an option that is a type may be None.
     """
     kind = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=doc, formatter_class=kind)
@@ -33,7 +27,7 @@ def options(
             parser.add_argument(f"--{name}", type=default)
         else:
             parser.add_argument(f"--{name}", type=type(default), default=default)
-    return parser.parse_args(arguments)
+    return parser.parse_args()
 
 
 def table_row(*cells: object) -> str:

@@ -63,13 +63,7 @@ def _joint_torques(motors: Sequence[float]) -> tuple[float, ...]:
 class DirectDrives:
     """One motor per joint with torque and speed limits of the URDF; for other arms than the WAM.
 
-    Attributes:
-        motor_of_joint: Matrix from joint speeds to motor speeds. Shape (n, n).
-        motor_no_load_speed: No-load speed of each motor [rad/s]. Shape (n,).
-
-    Args:
-        tau_max: Torque limits [N m]. Shape (n,).
-        qd_max: Speed limits [rad/s]. Shape (n,).
+    The limits are tau_max (n,) [N m] and qd_max (n,) [rad/s]; attributes are those of `Motors`.
     """
 
     def __init__(self, tau_max: np.ndarray, qd_max: np.ndarray) -> None:
@@ -104,11 +98,8 @@ class Motors:
         motor_no_load_speed: No-load speed of each motor [rad/s]. Shape (7,).
         motor_full_torque_speed: Speed up to which each motor has full torque [rad/s]. Shape (7,).
 
-    Args:
-        bus_voltage: Bus voltage [V]; nominal 48 V, allowed 36 to 90 V.
-
     Raises:
-        ValueError: The voltage is out of range.
+        ValueError: The bus voltage is not 36 to 90 V.
     """
 
     motor_of_joint = MOTOR_OF_JOINT

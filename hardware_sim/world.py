@@ -52,25 +52,15 @@ class JointSample(NamedTuple):
 class World:
     """One arm with its tool in a scene.
 
+    `hidden` says how the arm differs from its model; None: as the settings do.
+
     Attributes:
         settings: Settings, with what was drawn.
-        scene: Scene around the arm.
-        hidden: How the arm differs from its model.
         time_ns: Time of the simulation [ns].
         frozen: True while only clock and cameras go on; physics, encoders and commands wait for
             `release`.
         idle: True while the motors are shorted and commands have no effect.
-        urdf: Text of the arm's URDF.
         arm: The driver's model of the arm.
-        n: Number of its joints.
-        motors: Torque limits of the motors.
-
-    Args:
-        make_scene: Creates the scene.
-        settings: Settings of the world; None for the defaults.
-        seed: Seed of all noise.
-        mocap: Settings of the motion capture; None for the defaults.
-        hidden: How the arm differs from its model; None for what the settings say.
     """
 
     def __init__(

@@ -5,7 +5,7 @@ A study is a list of jobs. A result whose file exists is not computed again, so 
 can be resumed and ends with the same numbers: a job depends neither on the others nor on their
 order nor on how many run at a time.
 
-    pancake-default/seed-301.json      {"digest": ..., "result": {...}}
+    pancake-hindsight/seed-301.json      {"digest": ..., "result": {...}}
     times.jsonl                        one line per computed job: wall and processor time, host
 
 A result is used only if its digest matches. The digest covers the job's function and arguments, all
@@ -20,7 +20,6 @@ import ast
 import contextlib
 import functools
 import hashlib
-import importlib
 import importlib.metadata
 import importlib.resources
 import inspect
@@ -30,7 +29,6 @@ import os
 import platform
 import re
 import signal
-import sys
 import time
 import traceback
 import warnings
@@ -79,11 +77,9 @@ class Job:
     """One run of a study, with JSON data of finite numbers as arguments and result.
 
     Attributes:
-        study: Folder of its result, such as "pancake-default".
+        study: Folder of its result, such as "pancake-hindsight".
         key: Name of its file there, such as "seed-301".
-        function: Function of an importable module, deterministic in its arguments. Of a module that
-            is run by `python -m` it is taken from the module under its own name, where workers find
-            it.
+        function: Function of an importable module, deterministic in its arguments.
         arguments: Keyword arguments.
 
     Raises:
@@ -102,10 +98,6 @@ class Job:
                 raise ValueError(
                     f"{name!r} must be a file name of letters, digits, '.', '_' and '-'"
                 )
-        spec = getattr(sys.modules["__main__"], "__spec__", None)
-        if self.function.__module__ == "__main__" and spec is not None:
-            module = importlib.import_module(spec.name)
-            object.__setattr__(self, "function", getattr(module, self.function.__name__))
         try:
             _json(self.arguments)
         except (TypeError, ValueError) as error:
@@ -139,16 +131,8 @@ def run(
 ) -> Results:
     """Return the results of all jobs; compute and write those that the folder lacks.
 
-    Finished results survive Ctrl-C (KeyboardInterrupt) and errors.
-
-    Args:
-        jobs: Jobs with different names.
-        folder: Folder of the results; created if missing.
-        workers: Number of processes on this machine.
-        console: Console for progress; standard error if omitted.
-
-    Returns:
-        Study -> key -> result, in the order of `jobs`, as read from JSON.
+    Finished results survive Ctrl-C (KeyboardInterrupt) and errors. Results are in the order of
+    `jobs`, as read from JSON; `workers` is the number of processes.
 
     Raises:
         JobError: Some jobs failed; the others are computed and written.

@@ -49,11 +49,7 @@ def run(
 ) -> Path:
     """Compute the missing results, write the report, print its overview; return its path.
 
-    Args:
-        folder: Folder of results, report and figures.
-        scale: "quick" runs the same code with few seeds and small budgets, as a check.
-        workers: Number of processes on this machine.
-        only: Names of the studies to run.
+    "quick" runs the same code with few seeds and small budgets, as a check.
 
     Raises:
         JobError: Some runs failed; the results of the others are kept.

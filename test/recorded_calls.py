@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmark.false_states import ALL_FALSE_STATES, PERIOD, Falsifier
-from benchmark.hidden_arm import KNOWN, begin, draw, held
+from benchmark.hidden_arm import KNOWN, NOMINAL, begin, draw, held
 from benchmark.loop import PHASES, Loop
 from benchmark.nodes import JOINTS, taught
 from hardware_sim.hidden_arm import HiddenArm
@@ -182,17 +182,17 @@ def drives(every: int = 1) -> Iterator[Drive]:
         teaching_tool_speed=4.0,
         q_max=home + np.array([0.05, 2, 2, 0.02, 2, 2, 2]),
     )
-    rows: list[tuple[Callable[[Loop], None], dict[str, Any], HiddenArm | None]] = [
-        (whole, {}, None),
+    rows: list[tuple[Callable[[Loop], None], dict[str, Any], HiddenArm]] = [
+        (whole, {}, NOMINAL),
         (partial(begin, phase="hold"), {}, KNOWN["payload of 0.5 kg"]),
         (whole, {}, draw(9001)),
-        (rollout, {"law": "virtual_mass"}, None),
-        (pulled, {"driver_compensates_gravity": True}, None),
-        (rollout, {"limits": near}, None),
-        (pulled, {}, None),
-        (released, {"hold_to_run": True}, None),
-        (partial(changed, attractors=np.array([0.0, 0.0, 3.0])), {}, None),
-        (partial(changed, rotation_attractors=np.full(3, 2.0)), {}, None),
+        (rollout, {"law": "virtual_mass"}, NOMINAL),
+        (pulled, {"driver_compensates_gravity": True}, NOMINAL),
+        (rollout, {"limits": near}, NOMINAL),
+        (pulled, {}, NOMINAL),
+        (released, {"hold_to_run": True}, NOMINAL),
+        (partial(changed, attractors=np.array([0.0, 0.0, 3.0])), {}, NOMINAL),
+        (partial(changed, rotation_attractors=np.full(3, 2.0)), {}, NOMINAL),
     ]
     falsified = [
         (lambda state: state._replace(qd=None), "upwards"),
@@ -200,7 +200,9 @@ def drives(every: int = 1) -> Iterator[Drive]:
         (lambda state: state._replace(q=state.q + 0.5 * np.eye(7)[1]), "teaching"),
         *zip((make() for make in ALL_FALSE_STATES.values()), cycle(PHASES)),
     ]
-    rows += [(partial(recovered, falsify=each, phase=phase), {}, None) for each, phase in falsified]
+    rows += [
+        (partial(recovered, falsify=each, phase=phase), {}, NOMINAL) for each, phase in falsified
+    ]
     for drive, choices, hidden in rows[::every]:
         fast = {"limits": limits_of(Arm(URDF, JOINTS), teaching_tool_speed=4.0)}
         settings = ControllerSettings(**fast | choices)

@@ -113,11 +113,11 @@ BUDGET = {
     "reporting": 990,
     "in_process": 413,
     "cli": 3353,
-    "hardware_sim": 3072,
+    "hardware_sim": 3052,
     "launch": 260,
     "examples": 377,
-    "reproduction": 4535,  # learners that only studies compare with, and their models
-    "benchmark": 4086,  # the matrix of the reaction has a plant of its own
+    "reproduction": 4463,  # learners that only studies compare with, and their models
+    "benchmark": 4042,  # the matrix of the reaction has a plant of its own
 }
 PURE = (
     "faults",

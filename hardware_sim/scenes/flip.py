@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from hardware_sim.contact import WALLS, add_vessel, tool_contact
+from hardware_sim.contact import WALLS, add_vessel
 from hardware_sim.demonstrator import PAUSE, Target
 from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth, rotation_of
 from hardware_sim.scenes import Scene
@@ -46,7 +46,7 @@ class Flip(Scene):
 
     def build(self, spec: mujoco.MjSpec, tool: mujoco.MjsBody) -> None:
         """Add the pan, and the pancake, white above and yellow below as in the paper."""
-        add_pan(tool, self.settings.friction)
+        add_pan(tool, self.contact)
         radius = PANCAKE_RADIUS * self.settings.body_size
         body = self.add_body(
             spec,
@@ -112,11 +112,10 @@ class Flip(Scene):
         }
 
 
-def add_pan(tool: mujoco.MjsBody, friction: float) -> None:
+def add_pan(tool: mujoco.MjsBody, contact: dict[str, object]) -> None:
     """Add a pan without mass to the tool: a floor, and a flared rim of boxes."""
-    colour = [0.13, 0.13, 0.14, 1.0]
     width = np.pi * (PAN_RADIUS + RIM_HEIGHT * np.tan(RIM_FLARE)) / WALLS
-    contact = tool_contact(friction) | {"rgba": colour}
+    contact = contact | {"rgba": [0.13, 0.13, 0.14, 1.0]}
     add_vessel(tool, "pan", PAN_RADIUS, RIM_HEIGHT, width, RIM_FLARE, 0.004, **contact)
 
 

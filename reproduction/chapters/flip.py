@@ -16,7 +16,7 @@ from reproduction.chapter import Study
 from reproduction.flights import flights as draw_flights
 from reproduction.jobs import Results
 from reproduction.studies import flip_sessions
-from reproduction.studies.flip_sessions import ABLATION, DEFAULT, LEARNT, LONG, PAPER
+from reproduction.studies.flip_sessions import ABLATION, HINDSIGHT, LEARNT, LONG, PAPER
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
 from wam_power_ros.reporting.figures import stiffness
 from wam_power_ros.reporting.terminal import counted
@@ -97,7 +97,7 @@ class Sessions:
 
 def values(results: Results) -> dict[str, Any]:
     """Names of the template; ignores results of other studies."""
-    default, paper, long = (Sessions([*results[s].values()]) for s in (DEFAULT, PAPER, LONG))
+    hindsight, paper, long = (Sessions([*results[s].values()]) for s in (HINDSIGHT, PAPER, LONG))
     learnt, ablated = (
         {name.removeprefix(of): runs for name, runs in results.items() if name.startswith(of)}
         for of in (LEARNT, ABLATION)
@@ -109,22 +109,22 @@ def values(results: Results) -> dict[str, Any]:
         for some in (learnt, ablated)
     )
     return {
-        "default": default,
+        "hindsight": hindsight,
         "paper": paper,
         "reliable": RELIABLE,
         "block": BLOCK,
-        "default_shown": _shown(default),
+        "hindsight_shown": _shown(hindsight),
         "paper_shown": _shown(paper),
-        **_default(default),
-        **_robustness(default, conditions),
+        **_hindsight(hindsight),
+        **_robustness(hindsight, conditions),
         **_paper(paper, long),
-        **_stiffness(default, paper),
+        **_stiffness(hindsight, paper),
         **_ablation(ablation),
     }
 
 
-def _default(sessions: Sessions) -> dict[str, Any]:
-    """The shipped default."""
+def _hindsight(sessions: Sessions) -> dict[str, Any]:
+    """Our preset of PoWER with corrections."""
     retests = sessions.retests
     trials = [row for run in sessions.runs for row in run["trials"]]
     peaks = np.array([row["peak_qd"] for row in retests]).max(axis=0)
@@ -136,7 +136,7 @@ def _default(sessions: Sessions) -> dict[str, Any]:
         "elbow": column(retests, "elbow_speed"),
         "forearm": column(retests, "forearm_speed"),
         "speeds": ", ".join(f"J{k} {peak:.1f}" for k, peak in enumerate(peaks, start=1)),
-        "default_rows": [
+        "hindsight_rows": [
             ["landed, share of re-tests", *quantile_cells(sessions.landed, ".0%")],
             ["true flips, share of re-tests", *quantile_cells(sessions.true_flips, ".0%")],
             ["angle at t_f, mean [degrees]", *sessions.means("angle_deg", ".0f")],
@@ -148,7 +148,7 @@ def _default(sessions: Sessions) -> dict[str, Any]:
 
 
 def _robustness(sessions: Sessions, learnt: Mapping[str, Sessions]) -> dict[str, Any]:
-    """Policies of the default in other conditions, and sessions under such conditions."""
+    """Policies of this preset in other conditions, and sessions under such conditions."""
     carried: dict[str, list[Row]] = {}
     for run in sessions.runs:
         for condition, rows in run["carried"].items():
@@ -183,15 +183,15 @@ def _paper(sessions: Sessions, long: Sessions) -> dict[str, Any]:
     }
 
 
-def _stiffness(default: Sessions, paper: Sessions) -> dict[str, Any]:
+def _stiffness(hindsight: Sessions, paper: Sessions) -> dict[str, Any]:
     """Variation of the vertical stiffness along the movements."""
-    profiles = {"default": default.stiffness("learnt"), PAPER_LABEL: paper.stiffness("learnt")}
+    profiles = {"hindsight": hindsight.stiffness("learnt"), PAPER_LABEL: paper.stiffness("learnt")}
     ours, paper_like = (_variation(rows) for rows in profiles.values())
     return {
         "published": _variation(K33[:, 1]),
         "variation": {
             "demonstrated": _variation(paper.stiffness("demonstrated")),
-            "default": ours,
+            "hindsight": ours,
             "paper": paper_like,
         },
         "profiles": stiffness(profiles, STIFFNESS),

@@ -17,8 +17,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from reproduction import jobs as job_cache
-from reproduction.jobs import Job, study_of
-from reproduction.studies import ball_in_cup, equal_knowledge, grounds
+from reproduction.jobs import Job, Results, study_of
+from reproduction.studies import ball_in_cup, equal_knowledge, grounds, new_goals
+
+
+def runs_of(results: Results, place: str, learner: str) -> Mapping[str, Any]:
+    """Runs of a learner at a place, whose study they alone are."""
+    return results[study_of(place, learner)]
 
 
 class Table(NamedTuple):
@@ -32,15 +37,17 @@ class Table(NamedTuple):
         line: Statistics of the runs of a learner at a place.
         usual: Places and learners that are run if none is named; None for all.
         row: Figures of one run, a line of the file of `--table`; None for no such file.
+        runs: Runs of a learner at a place.
     """
 
     places: Collection[str]
     told: Mapping[str, str]
     seeds: Sequence[int]
     jobs: Callable[[Sequence[int], Sequence[str], Sequence[str]], list[Job]]
-    line: Callable[[Sequence[Mapping[str, Any]]], Mapping[str, Any]]
+    line: Callable[[Sequence[Any]], Mapping[str, Any]]
     usual: tuple[Collection[str] | None, Collection[str] | None] = (None, None)
     row: Callable[[Mapping[str, Any]], Mapping[str, Any]] | None = None
+    runs: Callable[[Results, str, str], Mapping[str, Any]] = runs_of
 
 
 GROUNDS = Table(
@@ -69,6 +76,14 @@ STUDIES = {
         equal_knowledge.HELD_OUT,
         equal_knowledge.jobs,
         equal_knowledge.line,
+    ),
+    "new_goals": Table(
+        new_goals.GOALS,
+        new_goals.WAYS,
+        new_goals.HELD_OUT,
+        new_goals.jobs,
+        new_goals.line,
+        runs=new_goals.runs,
     ),
 }
 
@@ -99,7 +114,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     rows: list[dict[str, Any]] = []
     for place in given.only:
         for learner in given.learners:
-            found, told = results[study_of(place, learner)], table.told[learner]
+            found, told = table.runs(results, place, learner), table.told[learner]
             line = table.line(list(found.values()))
             sys.stdout.write(f"{place}, {learner} (learns from {told}): {line}\n")
             for key, one in found.items() if given.table else ():

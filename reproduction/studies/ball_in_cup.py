@@ -7,12 +7,12 @@ python -m reproduction.studies ball_in_cup --seeds 20        # the practised: --
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from reproduction.jobs import Job, study_of
-from reproduction.rivals.learners import RIVALS
+from reproduction.studies.grounds import Learner
 from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.params import overlay
 from wam_power_ros.practice.practice import Practice
@@ -24,20 +24,6 @@ RETESTS = 30  # of the final policy
 SOLVED = 27  # or more of them in the cup in a solved session
 NEAR = 0.05  # [m] beside the middle of the cup, from where a ball usually falls into it
 HELD_OUT = range(9200, 9220)  # seeds not used for tuning
-
-
-class Learner(NamedTuple):
-    """A learner of the table.
-
-    Attributes:
-        told: Measurements of a rollout that the learner receives.
-        preset: Name of the preset.
-        name: Name of the learner, "" for that of the preset.
-    """
-
-    told: str
-    preset: str
-    name: str = ""
 
 
 DEMONSTRATORS = {"novice": {}, "practised": {"spread": 1.0}}  # arguments of `session`
@@ -55,7 +41,7 @@ LEARNERS = {
 
 
 def session(
-    seed: int, name: str, learner: str = "", spread: float | None = None, **changes: int
+    seed: int, name: str, changes: Mapping[str, Any], spread: float | None = None
 ) -> dict[str, Any]:
     """Run a session from its demonstration to its re-tests; return plain data.
 
@@ -64,9 +50,8 @@ def session(
     Args:
         seed: Seed of the demonstrator, the stand-in and the exploration.
         name: Name of the preset.
-        learner: Name of the learner, "" for that of the preset.
+        changes: Changes to the preset.
         spread: Spread of the demonstrations; None for that of the task's set-up.
-        **changes: Changes to the preset.
     """
     own = {"seed": seed} if spread is None else {"seed": seed, "spread": spread}
     environment = Environment.of(overlay.setup(task=TASK).changed({"wam_sim": own}))
@@ -74,10 +59,7 @@ def session(
     recorded = environment.demonstrate(script, "demonstration-0")
     demonstration = BallInCup.demonstration_of(environment.arm, *recorded)
     policy = BallInCup.policy_of([demonstration], "demonstration-1")
-    settings = preset(
-        TASK, name, {"name": RIVALS.get(learner, learner)} if learner else None, **changes
-    )
-    practice = Practice(settings, {}, [policy], seed, environment)
+    practice = Practice(preset(TASK, name, **changes), {}, [policy], seed, environment)
     records, failed = [], 0
     for record in environment.practise(practice):
         records.append(record)
@@ -87,7 +69,7 @@ def session(
     return {
         "used": practice.used,
         "stopped": practice.stopped,
-        "confirmed": practice.used < settings.practice.budget or "in a row" in practice.stopped,
+        "confirmed": practice.confirmed > 0,
         "trials": [
             {
                 "kind": record.kind,
@@ -107,8 +89,8 @@ def jobs(seeds: Sequence[int], demonstrators: Sequence[str], learners: Sequence[
     for seed in seeds:
         for demonstrator in demonstrators:
             for learner in learners:
-                _, name, other = LEARNERS[learner]
-                own = {"seed": seed, "name": name, "learner": other, "retests": RETESTS}
+                row = LEARNERS[learner]
+                own = {"seed": seed, "name": row.preset, "changes": row.changes(RETESTS)}
                 own |= DEMONSTRATORS[demonstrator]
                 study = study_of(demonstrator, learner)
                 wanted.append(Job(study, f"seed-{seed}", session, own))
@@ -121,7 +103,7 @@ def line(sessions: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     Returns:
         "sessions": their number; "near": those whose reproduction came down within NEAR;
         "solved": those with at least SOLVED re-tests in the cup; "confirmed": those that the
-        stopping rule ended; "rollouts": median and quartiles of the number of rollouts,
+        stopping rule ended; "rollouts": median, least and most of the number of rollouts,
         confirmation included, where a session without one counts with its budget.
     """
     caught = [
@@ -134,5 +116,5 @@ def line(sessions: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "near": sum(distance is not None and distance < NEAR for distance in first),
         "solved": sum(count >= SOLVED for count in caught),
         "confirmed": sum(each["confirmed"] for each in sessions),
-        "rollouts": np.quantile([each["used"] for each in sessions], (0.5, 0.25, 0.75)).tolist(),
+        "rollouts": np.quantile([each["used"] for each in sessions], (0.5, 0.0, 1.0)).tolist(),
     }

@@ -112,10 +112,6 @@ def tune(task: str, name: str) -> list[tuple[float, Choice]]:
     """Choices for a learner with their mean final return on the last seeds, best first.
 
     Results in the folder `tuning` are not computed again.
-
-    Args:
-        task: "reaching" or "pancake".
-        name: Name of the learner, a key of GRID.
     """
     effort = EFFORT[task]
     final = "final" if task == "reaching" else "repeats"

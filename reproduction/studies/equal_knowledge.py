@@ -47,14 +47,7 @@ LEARNERS = {  # what each learns from
 
 
 class InformedLearner:
-    """A learner with noisy returns that, given a model, screens its candidates by it.
-
-    Args:
-        learner: Learner that receives the returns.
-        model: Model of the returns; None for no screening.
-        noise: Standard deviation of the noise.
-        rng: Random generator of the noise.
-    """
+    """A learner with noisy returns that screens its candidates by a model, if there is one."""
 
     def __init__(
         self, learner: Learner, model: Model | None, noise: float, rng: np.random.Generator
@@ -118,13 +111,7 @@ class Planner(RandomSearch):
 
 
 def runs(learner: str, noise: float, seeds: list[int], rollouts: int) -> dict[str, Any]:
-    """Run one row of the table.
-
-    Args:
-        learner: A key of LEARNERS.
-        noise: Standard deviation of the noise on the returns.
-        seeds: One seed for each run.
-        rollouts: Number of rollouts of each run.
+    """Run a learner of LEARNERS with a standard deviation of the noise, once for each seed.
 
     Returns:
         Noise-free return of the mean of each run: "early" after 5 rollouts, "final" after the last.

@@ -73,17 +73,11 @@ def session(
     ratings: int = 0,
     given_after: int = 0,
 ) -> dict[str, Any]:
-    """Run a session of the pancake in which a person may take part.
+    """Run a session of the pancake in which a person may take part; see `flip_sessions.session`.
 
-    Args:
-        seed: Seed of the demonstrator, the stand-in and the exploration.
-        name: Name of the preset.
-        changes: Changes to the preset.
-        demonstrations: Number of initial demonstrations.
-        pitch_rate: Pitch rate of their demonstrator, see `wrist_flick` [rad/s].
-        ratings: Largest number of rollouts that the person rates: rewards true flips and punishes
-            drops, by the simulator's ground truth.
-        given_after: Rollout after which the practised demonstrator demonstrates; 0 for none.
+    The person rates `ratings` rollouts at most: rewards true flips and punishes drops, by the
+    simulator's ground truth. After rollout `given_after` a practised demonstrator demonstrates; 0:
+    never.
     """
     environment = stand_in(seed)
     candidates = teach(environment, seed, demonstrations, pitch_rate=pitch_rate)

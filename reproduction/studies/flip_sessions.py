@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whole sessions of the pancake task in one process: teach, choose, practise, re-test.
 
-`jobs` are the sessions of the reproduction: the shipped default and its policies in other
+`jobs` are the sessions of the reproduction: the preset `hindsight` and its policies in other
 conditions, the paper's preset beside Fig. 5, and the ablation of the paper's stiffness matrices.
 """
 
@@ -35,7 +35,7 @@ from wam_power_ros.tasks.flip.flight import observe_flight
 from wam_power_ros.tasks.flip.returns import pancake_return
 from wam_power_ros.tasks.flip.settings import FLIP_FIT
 
-DEFAULT, PAPER, LONG = "pancake-default", "pancake-paper", "pancake-paper-100"  # studies
+HINDSIGHT, PAPER, LONG = "pancake-hindsight", "pancake-paper", "pancake-paper-100"  # studies
 LEARNT, ABLATION = "pancake-learnt-", "pancake-ablation-"
 HELD_OUT = range(301, 331)  # seeds not used for tuning
 TUNING = range(21, 23)  # for "quick"
@@ -69,12 +69,8 @@ def stand_in(
 ) -> Environment:
     """Environment with sensors and motors of the stand-in, in its normal or another condition.
 
-    Args:
-        seed: Seed of all noise.
-        believed_pan: Mass of the pan in the controller's model, as a fraction of its mass.
-        mocap: Settings of the motion capture; None for the defaults.
-        home: Posture in which demonstrations begin [rad]; None for that of the scene.
-        **world: Fields of `WorldSettings`.
+    The controller's model has `believed_pan` times the mass of the pan. Demonstrations begin at
+    `home` [rad], None for that of the scene; `world` are fields of `WorldSettings`.
     """
     world_ = World(scene_type("flip"), WorldSettings(**world), seed, mocap)
     if home is not None:
@@ -105,12 +101,8 @@ def teach(
 ) -> list[Policy]:
     """Fit a policy to each demonstration of a small series by the simulated demonstrator.
 
-    Args:
-        environment: Environment to teach in.
-        seed: Seed of the demonstrator; demonstration k of a seed is always the same.
-        count: Number of demonstrations.
-        pitch_rate: Pitch rate of the demonstrator, see `wrist_flick` [rad/s].
-        habit: Habit of the demonstrator, one of `habits.HABITS`; "" for none.
+    Demonstration k of a seed is always the same. `pitch_rate` [rad/s] is that of `wrist_flick`;
+    `habit` one of `habits.HABITS`, "" for none.
     """
     policies = []
     for number in range(count):
@@ -144,19 +136,12 @@ def session(
     repeats: int = 3,
     keep_paths: bool = False,
 ) -> dict[str, Any]:
-    """Run a session from its first demonstration to its last re-test; return plain data.
+    """Run a session of a preset from its first demonstration to its last re-test, as plain data.
 
-    Args:
-        seed: Seed of the demonstrator, the stand-in and the exploration.
-        name: Name of the preset.
-        demonstrations: Number of demonstrations.
-        pitch_rate: Pitch rate of the demonstrator, see `wrist_flick` [rad/s].
-        habit: Habit of the demonstrator, see `teach`.
-        changes: Changes to the preset.
-        condition: Condition of the environment, arguments of `stand_in`.
-        carried: Name -> other condition to run the final policy in.
-        repeats: Runs of the final policy in each of these.
-        keep_paths: True to keep the paths of demonstration, reproduction and final policy.
+    The seed is that of the demonstrator (see `teach`), the stand-in and the exploration;
+    `condition` are arguments of `stand_in`. The final policy is run `repeats` times in each of the
+    conditions `carried`, by name. `keep_paths` keeps the paths of demonstration, reproduction and
+    final policy.
     """
     environment = stand_in(seed, **(condition or {}))
     candidates = teach(environment, seed, demonstrations, pitch_rate, habit)
@@ -301,7 +286,7 @@ def jobs(scale: Scale) -> list[Job]:
     retests = {"retests": 1 if quick else 30}
     fewer = {"retests": 1 if quick else 10}
     common = {"demonstrations": series, "repeats": 1 if quick else 3}
-    default = {
+    hindsight = {
         **common,
         "name": "hindsight",
         "changes": {**retests, **({"budget": 4} if quick else {})},
@@ -316,11 +301,11 @@ def jobs(scale: Scale) -> list[Job]:
             wanted.append(Job(study, f"seed-{seed}", session, {"seed": seed, **arguments}))
 
     for seed in seeds:
-        add(DEFAULT, [seed], **default, carried=conditions, keep_paths=seed == seeds[0])
+        add(HINDSIGHT, [seed], **hindsight, carried=conditions, keep_paths=seed == seeds[0])
     for name in LEARNT_UNDER[one]:
         study = f"{LEARNT}{name.replace(' ', '-').replace('/', '-')}"
         here = {"condition": CONDITIONS[name], "carried": {"as it is": {}}}
-        add(study, seeds[:5][one], **default, **here)
+        add(study, seeds[:5][one], **hindsight, **here)
     for seed in seeds[one]:
         add(PAPER, [seed], **paper, changes=changes[50], keep_paths=seed == seeds[0])
     add(LONG, seeds[:4][one], **paper, changes=changes[100])

@@ -63,13 +63,18 @@ class Learner(NamedTuple):
 
     Attributes:
         told: Measurements of a rollout that it receives.
-        preset: Name of the preset of the task `flip`.
+        preset: Name of the preset of the task.
         name: Name of the learner, "" for that of the preset.
     """
 
     told: str
     preset: str
     name: str = ""
+
+    def changes(self, retests: int) -> dict[str, Any]:
+        """Changes to the preset, with this number of re-tests."""
+        named = {"learner": {"name": RIVALS.get(self.name, self.name)}} if self.name else {}
+        return {"retests": retests, **named}
 
 
 LEARNERS = {
@@ -97,10 +102,9 @@ def jobs(
     for seed in seeds:
         for ground in grounds:
             for learner in learners:
-                _, name, other = LEARNERS[learner]
-                settings = {"budget": BUDGET, "retests": RETESTS}
-                settings |= {"learner": {"name": RIVALS.get(other, other)}} if other else {}
-                own = {"seed": seed, "name": name, "changes": settings, **arguments(ground)}
+                row = LEARNERS[learner]
+                changes = {"budget": BUDGET, **row.changes(RETESTS)}
+                own = {"seed": seed, "name": row.preset, "changes": changes, **arguments(ground)}
                 own |= ELSEWHERE if elsewhere else {}
                 wanted.append(Job(study_of(ground, learner), f"seed-{seed}", session, own))
     return wanted

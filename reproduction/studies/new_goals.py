@@ -1,26 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Goals that were never tried, of every task: predicted from a session, or its policy as it is.
 
-    python -m reproduction.studies.new_goals [TASK ...] [--folder DIR] [--seeds N] [--workers N]
+    python -m reproduction.studies new_goals [--only TASK ...]
 
-prints a row for each task and way to begin. Flips and swings are executed on the simulated arm. A
-reach is the path of Eq. 1, with noise at its end, stopped at the obstacle: every arm can follow.
+Flips and swings are executed on the simulated arm. A reach is the path of Eq. 1, with noise at its
+end, stopped at the obstacle: every arm can follow.
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hardware_sim.demonstrator import PAUSE
 from hardware_sim.scenes.reach import reach
-from reproduction import jobs as job_cache
-from reproduction.jobs import Job
+from reproduction.jobs import Job, Results
 from wam_power_ros import installed
 from wam_power_ros.faults import Fault
 from wam_power_ros.in_process.environment import Environment
@@ -52,7 +48,11 @@ GOALS: Mapping[str, Sequence[Mapping[str, float]]] = {
     "ball_in_cup": ({"string": 0.35}, {"string": 0.30}, {"string": 0.25}),  # instead of 0.40 m
     "flip": ({"apex": 0.55}, {"apex": 0.50}, {"apex": 0.45}),  # most are tossed to about 0.60 m
 }
-WAYS = ("predicted", "carried over")
+WAYS = {  # what each session begins with
+    "origin": "demonstrations",
+    "predicted": "the policy predicted for the goal",
+    "carried over": "the policy of the session before, as it is",
+}
 
 
 class Equation:
@@ -143,8 +143,8 @@ def session(task: str, seed: int) -> dict[str, Any]:
     except ValueError:  # no rollout told an error
         pass
     result: dict[str, Any] = {"origin": outcome(known), "goal": goal}
-    for way in WAYS:
-        begun, policy = None, begins[way]
+    for way, policy in begins.items():
+        begun = None
         if policy is not None:
             begun = outcome(practised(task, again, there, moved, with_id(policy, "begun")))
         result[way] = begun
@@ -170,23 +170,15 @@ def line(outcomes: Sequence[Mapping[str, Any] | None]) -> dict[str, Any]:
     }
 
 
-def main() -> None:
-    """Run the sessions and print a line for each task and way to begin."""
-    parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("tasks", nargs="*", default=list(GOALS), metavar="TASK")
-    parser.add_argument("--folder", type=Path, default=Path("new_goals"))
-    parser.add_argument("--seeds", type=int, default=len(HELD_OUT))
-    parser.add_argument("--workers", type=int, default=1)
-    args = parser.parse_args()
-    wanted = [
+def jobs(seeds: Sequence[int], tasks: Sequence[str], _: Sequence[str]) -> list[Job]:
+    """Sessions of every task, which begin in every way."""
+    return [
         Job(task, f"seed-{seed}", session, {"task": task, "seed": seed})
-        for task in args.tasks
-        for seed in HELD_OUT[: args.seeds]
+        for task in tasks
+        for seed in seeds
     ]
-    for task, found in job_cache.run(wanted, args.folder, workers=args.workers).items():
-        for way in ("origin", *WAYS):
-            sys.stdout.write(f"{task}, {way}: {line([one[way] for one in found.values()])}\n")
 
 
-if __name__ == "__main__":
-    main()
+def runs(results: Results, task: str, way: str) -> dict[str, Any]:
+    """Sessions of a task that began in one way; None for one that could not."""
+    return {key: one[way] for key, one in results[task].items()}

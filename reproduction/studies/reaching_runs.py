@@ -88,14 +88,7 @@ class Run:
 def learn_many(
     learners: Sequence[Learner], parameters: Parametrization, scenario: Scenario, rollouts: int
 ) -> list[Run]:
-    """Run learners; each learns from the clipped policies, whose stiffness is positive definite.
-
-    Args:
-        learners: Independent learners of `parameters.size` coordinates; modified.
-        parameters: Parametrization around `scenario.policy`.
-        scenario: Reaching scenario.
-        rollouts: Number of rollouts of each.
-    """
+    """Run independent learners; each learns from the clipped policies, of positive stiffness."""
     returns, means = np.empty((2, rollouts, len(learners)))
     for k in range(rollouts):
         drawn = np.stack([parameters.clip(learner.ask()) for learner in learners])

@@ -3,21 +3,20 @@
 
 from typing import Any
 
-from reproduction.rivals.learners import RIVALS
 from reproduction.studies import ball_in_cup
 from wam_power_ros.practice.settings import preset
 
 
 def test_rows_differ_only_in_the_learner_and_its_information() -> None:
     found = ball_in_cup.jobs([1, 2], ["novice"], list(ball_in_cup.LEARNERS))
-    blank = {"seed": 0, "name": "", "learner": ""}
+    blank = {"seed": 0, "name": "", "changes": 0}
     assert {job.arguments["seed"] for job in found} == {1, 2}
-    plain = preset("ball_in_cup").practice
+    plain = preset("ball_in_cup", retests=ball_in_cup.RETESTS).practice
     for job in found:
         assert {**job.arguments, **blank} == {**found[0].arguments, **blank}
         row = ball_in_cup.LEARNERS[job.study.removeprefix("novice-")]
-        other = {"name": RIVALS.get(row.name, row.name)} if row.name else None
-        settings = preset("ball_in_cup", row.preset, other)
+        settings = preset("ball_in_cup", row.preset, **job.arguments["changes"])
+        assert settings.practice.retests == ball_in_cup.RETESTS
         assert settings.practice.model_copy(update={"mean_every": plain.mean_every}) == plain
         assert ("miss" in row.told) == (settings.task_settings.gain > 0.0)
 
@@ -38,4 +37,4 @@ def test_the_statistics_of_a_row_count_sessions_and_not_rollouts() -> None:
         ]
     )
     assert (found["sessions"], found["near"], found["solved"]) == (4, 1, 2)
-    assert found["confirmed"] == 3 and found["rollouts"] == [33.0, 25.5, 47.25]
+    assert found["confirmed"] == 3 and found["rollouts"] == [33.0, 18.0, 75.0]

@@ -101,7 +101,7 @@ def held(seed: int, landed: bool = True, angle: float = 175.0) -> dict[str, Any]
 def results(default: list[dict[str, Any]]) -> dict[str, dict[str, dict[str, Any]]]:
     few = {f"seed-{seed}": held(seed) for seed in range(6)}
     return {
-        "pancake-default": {f"seed-{seed}": session for seed, session in enumerate(default)},
+        "pancake-hindsight": {f"seed-{seed}": session for seed, session in enumerate(default)},
         "pancake-paper": few,
         "pancake-paper-100": few,
         "pancake-learnt-80-V": few,
@@ -116,7 +116,7 @@ def claim(chapter: Chapter, words: str) -> Claim:
 
 def test_a_claim_of_the_chapter_is_met_only_if_the_sessions_meet_it() -> None:
     good = [held(seed) for seed in range(9)]
-    landed, true = "default: landed in at least 90%", "default: true flips"
+    landed, true = "hindsight: landed in at least 90%", "hindsight: true flips"
     chapter = STUDY.chapter(results([*good, held(9, angle=147.0)]))
     assert claim(chapter, landed).met
     assert claim(chapter, true).met

@@ -27,7 +27,7 @@ class Ball(Scene):
 
     def build(self, spec: mujoco.MjSpec, tool: mujoco.MjsBody) -> None:
         """Add the pan, the ball, and an untracked flag on a hinge."""
-        add_pan(tool, self.settings.friction)
+        add_pan(tool, self.contact)
         still = spec.worldbody.add_body(name="stand", pos=[1.5, 0.0, 0.0])
         still.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.1, 0.1, 0.1])
         hinged = still.add_body(name="flag", pos=[0.0, 0.0, 0.5])
@@ -70,7 +70,7 @@ class Stone(Scene):
 
     def build(self, spec: mujoco.MjSpec, tool: mujoco.MjsBody) -> None:
         """Add the pan and the stone, which cannot roll."""
-        add_pan(tool, self.settings.friction)
+        add_pan(tool, self.contact)
         self.add_body(spec, type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.02] * 3, mass=0.05)
 
     def truth(self, log: RolloutLog, now: Snapshot) -> Truth:
