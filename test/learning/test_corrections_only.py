@@ -2,12 +2,9 @@
 """The baseline that follows the task's corrections and nothing else."""
 
 import numpy as np
-import pytest
 from hill_task import SIZE, rng
 
 from wam_power_ros.learning.corrections_only import CorrectionsOnly
-from wam_power_ros.learning.learner import check_errors
-from wam_power_ros.learning.power import Power
 
 
 def test_the_last_corrected_rollout_is_tried_next_whatever_its_return() -> None:
@@ -22,10 +19,3 @@ def test_it_draws_nothing() -> None:
     source = rng(0)
     CorrectionsOnly(SIZE, CorrectionsOnly.Settings(), source).ask()
     assert source.random() == rng(0).random()
-
-
-def test_it_alone_is_refused_where_nothing_is_corrected() -> None:
-    check_errors(Power, "tap", errors=False)
-    check_errors(CorrectionsOnly, "tap", errors=True)
-    with pytest.raises(ValueError, match="CorrectionsOnly learns from errors, task 'tap'"):
-        check_errors(CorrectionsOnly, "tap", errors=False)
