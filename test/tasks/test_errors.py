@@ -19,7 +19,7 @@ from wam_power_ros.learning.parametrization import Attractors, Direction, Parame
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import EndEffectorPath, Foreseen, Rollout
 from wam_power_ros.practice.settings import preset
-from wam_power_ros.tasks.errors import Effect, Error
+from wam_power_ros.tasks.errors import Effect, Error, told
 from wam_power_ros.tasks.reach.settings import REACH_FIT
 from wam_power_ros.tasks.task import Assessment, LoggedRollout, Task
 
@@ -208,3 +208,8 @@ def test_an_error_is_shown_in_millimetres_degrees_or_its_own_unit() -> None:
 def test_a_known_effect_is_explored_with_a_fifth_of_its_step(name: str) -> None:
     parametrization = Parametrization(POLICY, [Effect(name, 0.2, {}).direction(POLICY)])
     np.testing.assert_allclose(parametrization.scale, [0.04])
+
+
+def test_an_error_is_told_from_its_target_in_tolerances_and_from_zero_without_one() -> None:
+    errors = [Error("a", "m", 0.1, target=0.5), Error("b", "m", 0.1), Error("c", "m", 0.1)]
+    np.testing.assert_allclose(told(errors, {"a": 0.6, "b": 0.3}), [1.0, 3.0, np.nan])
