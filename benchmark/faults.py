@@ -53,7 +53,7 @@ class Case(NamedTuple):
 
     Attributes:
         requirement: Id in docs/safety.md.
-        text: What is required.
+        text: Requirement that the row measures, for a person.
         run: Runs it in a lab, so many times.
         repeats: Usual number of repeats.
         priority: Real-time priority of this process; 0 for none, as busy processes would inherit.

@@ -28,7 +28,7 @@ class Scene:
     Attributes:
         body: Name of the tracked MuJoCo body, on a free joint unless it is mounted; "" for none.
             Topics and services are named after it. A class attribute.
-        at: Where the body is put, in the frame of the tool [m].
+        at: Initial position of the body in the frame of the tool [m], three numbers.
         home: Posture of the WAM in which demonstrations begin [rad], shape (7,); that of another
             arm is a parameter of `wam_sim`.
         home_sd: Standard deviation of that posture, per joint [rad].

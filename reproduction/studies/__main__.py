@@ -30,7 +30,7 @@ class Table(NamedTuple):
     """A study of this form.
 
     Attributes:
-        places: Where the learners learn.
+        places: Names of the worlds in which the learners learn.
         told: Learner -> what it is told of a rollout.
         seeds: Seeds, which were not used for tuning.
         jobs: Runs on some seeds, at some places, of some learners.

@@ -78,6 +78,14 @@ def test_an_arm_that_follows_a_drift_unseen_is_held_by_what_its_torque_shows(mod
     assert outcome.peak < outcome.nominal + 0.4  # 12 m/s where its torque was kept as it was
 
 
+@pytest.mark.requirement("S-132")
+def test_a_hold_that_settles_after_a_move_is_not_taken_for_one_that_follows_a_drift() -> None:
+    outcome = run(Cell("drift +0.3", 3, "hold after move", "model"))
+    assert outcome.fault
+    assert outcome.peak < 0.3  # 5 m/s where the settling torque counted as that of a drift
+    assert outcome.way < 0.05
+
+
 @pytest.mark.requirement("S-133")
 def test_an_arm_from_which_a_tool_is_taken_in_a_fault_is_caught() -> None:
     outcome = run(Cell("-0.55 kg", -1, "fault", "model"))

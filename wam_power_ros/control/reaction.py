@@ -316,7 +316,7 @@ class Reaction:
         """Carry an arm that truly falls where it is reported, by a torque beyond g(q).
 
         Args:
-            q: Where it is reported [rad]. Shape (n,).
+            q: Reported joint positions [rad]. Shape (n,).
             beyond: Torque that would carry it, as its fall shows [N m]. Shape (n,).
         """
         model = self._model = self._model or self._at_posture(q)
@@ -433,8 +433,7 @@ class Reaction:
         moved = np.abs(drag) > friction
         self._frozen = tau - np.where(moved, np.copysign(0.5 * friction, drag), 0.0)
         if (found := self.followed()) is not None:
-            joint, torque = found
-            self._frozen[joint] = torque
+            self._frozen[found[0]] = found[1]
 
     def _advance(
         self,

@@ -157,7 +157,9 @@ class Supervision:
         """Torque (n,) [N m] beyond g(q) that held the arm until a fault.
 
         Friction holds a joint as well under the least as under the most torque under which it
-        stood since it moved; the one that held it last may be at the edge. So take half-way.
+        stood since it moved; the one that held it last may be at the edge. So take half-way. At a
+        joint that follows the drift of its zero it is what would rest it; a hold that still settles
+        after a move looks alike, but leaves no more unexplained than friction explains.
         """
         past = self.reaction.past
         at = past[max(0, len(past) - self._belief_states)].q if past else self.reaction.posture
@@ -217,11 +219,11 @@ class Supervision:
         if mode is not Mode.FAULT:
             return fault
         braking = self.believed and not self._doubted and not self.reaction.rested
-        lifts = self.believed and self.reaction.frozen
-        if lifts and np.abs(self.reaction.reported()).max() < SLIDING:
-            self._payload.begin()
-            lifts = False
-        weighs = braking or lifts
+        frozen = self.believed and self.reaction.frozen
+        moves = bool(np.abs(self.reaction.reported()).max() >= SLIDING)
+        if frozen and not moves:
+            self._payload.begin()  # a mass may be lost or put on later
+        weighs = braking or (frozen and moves)
         self._weight = self._payload.torque(self.reaction.past) if weighs else None
         left = np.abs(residual - self._usual)
         self._explains = self._weight is not None or bool((left <= self._explainable).all())
@@ -309,8 +311,7 @@ class Supervision:
             return False
         if self._weight is not None:  # not one that only an acceleration makes so heavy
             least = np.maximum(self._arm.friction, FALL_SHARE * np.abs(self._weight))
-            borne = np.abs(residual) > least
-            return self.reaction.frozen and bool(borne.sum() > 1)
+            return self.reaction.frozen and bool((np.abs(residual) > least).sum() > 1)
         if self._explained <= 0:
             self._fall = speeds, residual, np.zeros(self._arm.n)
         begun, usual, impulse = self._fall
