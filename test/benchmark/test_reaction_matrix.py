@@ -134,6 +134,22 @@ def test_a_drifting_zero_does_not_lead_a_held_arm_away_after_its_fault(
 
 
 @pytest.mark.requirement("S-121")
+@pytest.mark.parametrize(
+    "cell",
+    [
+        Cell("smooth bump", 5, "rollout early", "drawn 5"),  # states not believed: 13.6 before
+        Cell("soft drift +0.3", 3, "guided", "drawn 5"),
+        Cell("drift +0.3", 3, "replay", "model"),  # believed, and the arm follows the drift: 4.8
+    ],
+    ids=str,
+)
+def test_an_arm_that_falls_where_its_states_are_off_is_braked_anew(cell: Cell) -> None:
+    outcome = run(cell)
+    assert outcome.fault
+    assert outcome.peak < outcome.nominal + 1.0
+
+
+@pytest.mark.requirement("S-121")
 def test_a_held_arm_that_is_not_its_model_stays_where_a_joint_jumped() -> None:
     outcome = run(Cell("swap", 5, "hold", "-0.5 kg"))
     assert outcome.fault == "jump"

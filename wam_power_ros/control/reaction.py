@@ -116,6 +116,7 @@ class Reaction:
             `ANSWER_TIME` although the torque brakes it, so that the states are false.
         carried: Torque beyond g(q) that carried the arm before the fault [N m]. Shape (n,).
         known: Torque [N m] within which friction and model explain a difference. Shape (n,).
+        alone: True while the model alone tells the motion, and no reported speed corrects it.
         was_held: True if the fault was found in a hold, so that `carried` has held the arm at rest.
 
     Args:
@@ -165,7 +166,7 @@ class Reaction:
         model = self._model
         if model is None or np.abs(model.qd).max() > SETTLED_SPEED:
             return False
-        return not self._alone or self._seconds > BRAKE_TIME
+        return not self.alone or self._seconds > BRAKE_TIME
 
     @property
     def frozen(self) -> bool:
@@ -182,7 +183,7 @@ class Reaction:
         self._model = self._reference = self._asked = None
         self._weight = self._held = self._kept = self._beyond = self._frozen = self._anchor = None
         self._external = np.zeros(self._arm.n)
-        self._believed = self._alone = True
+        self._believed = self.alone = True
         self.unanswered = self._slow = self.was_held = False
         self._seconds = self._calm = 0.0
         self._recent.clear()
@@ -203,7 +204,7 @@ class Reaction:
         if self._model is None:
             self.end()
             self.was_held = held
-            self._model, self._alone = self._before(before), alone
+            self._model, self.alone = self._before(before), alone
             if self._model is None and held and self.past:  # held for less than RATE_STATES
                 self._model = self._at_posture(self.past[-1].q)
                 self._model.external = self._external = -self.carried
@@ -220,8 +221,8 @@ class Reaction:
     def distrust(self) -> None:
         """Let the model alone tell what an arm did since it was held, if it was not long ago."""
         known = BEFORE + self._seconds < BEFORE_GUIDED and self._weight is None
-        if self.was_held and self._slow and known and not self._alone:
-            self._model, self._alone = self._before(BEFORE + self._seconds) or self._model, True
+        if self.was_held and self._slow and known and not self.alone:
+            self._model, self.alone = self._before(BEFORE + self._seconds) or self._model, True
 
     def followed(self) -> tuple[int, float] | None:
         """Joint that follows the drift of its zero, and torque that would rest it [N m], or None.
@@ -320,8 +321,8 @@ class Reaction:
             beyond: Torque that would carry it, as its fall shows [N m]. Shape (n,).
         """
         model = self._model = self._model or self._at_posture(q)
-        self._kept = beyond
-        self._frozen = self._anchor = None
+        self._kept, self._frozen, self._anchor = beyond, None, None
+        self._seconds, self.alone = 0.0, False  # it is braked anew
         model.q, model.qd, self._held, self._believed = q, self.reported(), None, True
 
     def reported(self) -> np.ndarray:
@@ -369,7 +370,7 @@ class Reaction:
             return self._answer(state, reported, mass, gravity, carrying)
         self._reference, self.unanswered = None, False
         self._recent.clear()
-        qd = model.qd if self._alone else confirmed(model.qd, reported)
+        qd = model.qd if self.alone else confirmed(model.qd, reported)
         return resting - safety.FAULT_DAMPING * mass.dot(qd)
 
     def _answer(
@@ -447,9 +448,9 @@ class Reaction:
         before, self._seconds = model.qd, self._seconds + dt
         if not self.settled:
             model.advance(self._motor_torque(model.q), dt)
-        if not self._alone or self._seconds > BRAKE_TIME:
+        if not self.alone or self._seconds > BRAKE_TIME:
             model.qd = confirmed(model.qd, before)  # a brake starts no motion
-        if not self._alone or (explained and self._seconds > ANSWER_TIME):
+        if not self.alone or (explained and self._seconds > ANSWER_TIME):
             model.qd = confirmed(model.qd, reported)  # explained so long, they are true
         elif believed:
             slower = confirmed(model.qd, before)  # no error of the model moves it against them

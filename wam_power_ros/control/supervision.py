@@ -280,13 +280,12 @@ class Supervision:
         weight = np.array(self._plausibility.residual) if self._gravity_wrong else self._weight
         explained = self.believed and not (self._suspect and self._unexplained)
         tau = self.reaction.torque(state, self.believed, explained, weight)
-        if self._lasting or (self.believed and not self.reaction.frozen):
-            self._explained = -self._fall_states
+        if self._lasting:
             return tau
         if self._falls(state):
             beyond = self._plausibility.residual if self._weight is None else self._weight
             self.reaction.follow(state.q, -np.array(beyond))
-            self.believed, self._explained = True, 0
+            self.believed, self._explained, self._suspect = True, 0, False
         elif not self.believed:
             agrees = self._agrees(state.q - self.reaction.posture)
             rests = self._rest_since_ns is not None
@@ -299,13 +298,14 @@ class Supervision:
     def _falls(self, state: JointState) -> bool:
         """Whether states have long reported an arm that falls, ever faster as the torques explain.
 
-        A zero that drifts at a constant speed is explained as well, and so is an answer to the
-        brake, which is added to whatever is false: neither goes on changing its speed.
+        A drift at a constant speed is explained as well, and so is an answer to the brake: neither
+        goes on changing its speed. With a false zero gravity is false, too.
         """
         speeds, residual = self.reaction.reported(), np.array(self._plausibility.residual)
         if np.abs(speeds).max() < SLIDING:
             self._at_rest = residual
         near = self._explains or (np.abs(residual - self._at_rest) <= self._explainable).all()
+        near |= self.reaction.alone and not self.believed
         if not (self.reaction.settled and near):
             self._explained = min(self._explained, 0)
             return False
@@ -319,9 +319,8 @@ class Supervision:
         self._explained += 1
         if self._explained <= self._fall_states:
             return False
-        changed = speeds - begun
-        joint = int(np.abs(changed).argmax())
-        momentum = self._arm.mass_matrix(state.q).dot(changed)[joint]
+        joint = int(np.abs(speeds - begun).argmax())
+        momentum = self._arm.mass_matrix(state.q)[joint].dot(speeds - begun)
         if abs(impulse[joint]) > FALL_SHARE * abs(momentum):
             self._explained = 0
             return False
