@@ -170,23 +170,18 @@ class Driver:
         self.published_ns = time.monotonic_ns()
         publisher.publish(message)
 
-    def ready(self, enough: Callable[[], bool] = lambda: False) -> bool:
-        """Bring the arm to the start of the policy and hold, resetting a fault.
-
-        Returns:
-            True; False if it was `enough` before that.
-        """
+    def ready(self) -> None:
+        """Bring the arm to the start of the policy and hold, resetting a fault."""
         self.falsify, self.relayed, lab = lambda state: state, 0, self._lab
         self.plant.let_go()
-        while not enough():
+        while True:
             self.play(0.5)
             if lab.label == "fault":
                 self.call(interface.RESET)
             elif lab.label == "gravity_compensation":
                 self.call(interface.GRAVITY_COMPENSATION, False)
             elif lab.label == "hold" and self.request("move_to_start"):
-                return True
-        return False
+                return
 
     def call(self, name: str, data: bool | None = None) -> bool:
         """Call a service while the arm keeps running; return True on success."""

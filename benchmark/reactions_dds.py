@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Faults and reactions over DDS in real time, with the controller as a process.
 
-    python -m benchmark.reactions_dds [--cases stale ended false_states ...] [--arms 12]
+    python -m benchmark.reactions_dds [--cases stale ended false_states cells]
 
 stale: states stop at a random moment of the period. ended: the controller is ended or deactivated
 in a rollout. false_states: all of `benchmark.false_states.FALSE_STATES`, and a second publisher
 that repeats the states 6 ms late, in each phase of a session, for 1.2 s. cells: a dozen cells of
-`benchmark.reaction_matrix`. faults, hands_off: arms that are not their model, after a fault of true
-states and under gravity compensation that nobody guides.
+`benchmark.reaction_matrix`.
 
 The arm is simulated in this process and keeps the last torque, which tells the mode. The largest
 speed of the tool is printed, also that from 0.5 s after the fault on, and how far the tool travels
@@ -27,16 +26,14 @@ from pathlib import Path
 import numpy as np
 from lifecycle_msgs.msg import Transition
 
-from benchmark.false_states import FALSE_STATES, OF_JOINT, Falsifier, N, Reading
-from benchmark.hidden_arm import KNOWN, NOMINAL, StandIn, draw
+from benchmark.false_states import FALSE_STATES, OF_JOINT, Falsifier
+from benchmark.hidden_arm import StandIn
 from benchmark.lab import ARM, WATCH_TIME, Driver, Lab, inject
-from benchmark.loop import AFTER, PHASES, TRAVEL_MAX, Outcome, acceptable, stopped
+from benchmark.loop import AFTER, PHASES, Outcome, stopped
 from benchmark.terminal import options, table_head, table_row
-from hardware_sim.hidden_arm import HiddenArm
 from wam_power_ros.control.safety import REST_SPEED
 from wam_power_ros.ros import interface, scheduling
 
-HANDS_OFF_SPEED = 0.3  # [m/s] largest speed of an arm that leaves by itself until it is stopped
 MARGIN = 0.2  # [m/s] above the nominal speed: 0.1, and what a busy machine adds
 CELLS = (
     *(("runaway step", joint, phase) for joint in (1, 3) for phase in ("hold", "teaching")),
@@ -45,21 +42,10 @@ CELLS = (
     *(("gradual swap", 1, "hold"), ("swap", 3, "upwards"), ("sign", 1, "late")),
 )
 RELAY = "states relayed 6 ms late"
-READY_TIMEOUT = 20.0  # [s] until an arm that is not its model holds at the start of its policy
+STOPS, ENDS = 100, 17  # repeats; the latter of each way to end the controller
 LATEST = 8.0  # [ms] from the last state to the first torque without one
 OFF_GRAVITY = 0.5  # [N m] of the last torque of a controller that ends
 Line = tuple[str, bool]
-
-
-def unreadable() -> Falsifier:
-    """Make six states unreadable: a fault after which the states are true."""
-    left = [6]
-
-    def falsify(state: Reading) -> Reading:
-        left[0] -= 1
-        return state if left[0] < 0 else state._replace(q=np.full(N, np.nan))
-
-    return falsify
 
 
 def line(name: str, phase: str, nominal: float, found: Outcome, good: bool) -> Line:
@@ -75,28 +61,15 @@ def told(good: bool, *cells: object) -> Line:
     return table_row(*cells, *[""] * (8 - len(cells)), "good" if good else "**bad**"), good
 
 
-def started(lab: Lab, arm: HiddenArm) -> Driver:
+def started(lab: Lab) -> Driver:
     """An arm, and a controller that is started for it."""
     lab.controller()
-    return Driver(lab, StandIn(arm))
+    return Driver(lab, StandIn())
 
 
-def observed(driver: Driver, found: Outcome | None = None) -> Outcome:
-    """Watch the arm if it was not yet, then reset its fault."""
-    found = found or driver.observe(AFTER)
+def observed(driver: Driver, found: Outcome) -> Outcome:
+    """What was found, after the reset of its fault."""
     return found._replace(reset=found.noticed is None or driver.call(interface.RESET))
-
-
-def ready(driver: Driver) -> bool:
-    """Bring the arm to hold at the start of the policy; whether that was possible."""
-    end = time.monotonic() + READY_TIMEOUT
-    return driver.ready(lambda: time.monotonic() > end)
-
-
-def refused(driver: Driver, name: str, phase: str) -> Line:
-    """An arm that does not reach a phase, because a fault ends every attempt, must still rest."""
-    found = observed(driver)
-    return line(f"{name}, did not get there", phase, 0.0, found, acceptable(found, 0.0))
 
 
 def nominal_peak(driver: Driver, phase: str) -> float:
@@ -109,9 +82,9 @@ def nominal_peak(driver: Driver, phase: str) -> float:
 
 def stale(lab: Lab) -> Iterator[Line]:
     """States stop: the first torque without them must come soon."""
-    driver = started(lab, NOMINAL)
+    driver = started(lab)
     rng, first = np.random.default_rng(21), []
-    for _ in range(100):
+    for _ in range(STOPS):
         driver.ready()
         driver.play(rng.uniform(0.02, 0.1))
         lab.spin(0.003, lambda: lab.torques[-1][1].stamp_ns == driver.stamp_ns)
@@ -121,7 +94,7 @@ def stale(lab: Lab) -> Iterator[Line]:
         first.append((lab.torques[1][0] - lost) * 1e-6 if len(lab.torques) > 1 else np.inf)
         driver.stamp_ns += time.monotonic_ns() - lost
     worst = f"torque after {max(first):.1f} ms at most, median {np.median(first):.1f}"
-    yield told(max(first) <= LATEST, "states stop, 100 times", "hold", worst)
+    yield told(max(first) <= LATEST, f"states stop, {STOPS} times", "hold", worst)
 
 
 def ended(lab: Lab) -> Iterator[Line]:
@@ -129,7 +102,7 @@ def ended(lab: Lab) -> Iterator[Line]:
     driver, rng = Driver(lab, StandIn()), np.random.default_rng(21)
     for how in (signal.SIGTERM, signal.SIGINT, None):
         rests, wrong = [], []
-        for _ in range(5):
+        for _ in range(ENDS):
             controller = lab.controller()
             driver.begin("early")
             driver.play(rng.uniform(0.0, 0.8))
@@ -147,12 +120,12 @@ def ended(lab: Lab) -> Iterator[Line]:
         good = max(rests) < REST_SPEED and max(wrong) < OFF_GRAVITY
         name = "deactivated" if how is None else how.name
         worst = f"{max(wrong):.2f} N m off gravity"
-        yield told(good, f"{name}, 5 times", "rollout", worst, "", f"{max(rests):.3f}")
+        yield told(good, f"{name}, {ENDS} times", "rollout", worst, "", f"{max(rests):.3f}")
 
 
 def false_state(lab: Lab, name: str, make: Callable[[], Falsifier]) -> Iterator[Line]:
     """False states, or a relay of true ones, in every phase."""
-    driver, relayed = started(lab, NOMINAL), 3 if name == RELAY else 0
+    driver, relayed = started(lab), 3 if name == RELAY else 0
     for phase in PHASES:
         nominal = nominal_peak(driver, phase)
         found = inject(driver, lab, phase, make(), relayed)
@@ -163,64 +136,21 @@ def false_state(lab: Lab, name: str, make: Callable[[], Falsifier]) -> Iterator[
 
 def cell(lab: Lab, name: str, joint: int, phase: str) -> Iterator[Line]:
     """A false state of `benchmark.reaction_matrix`."""
-    driver = started(lab, NOMINAL)
+    driver = started(lab)
     nominal = nominal_peak(driver, phase)
     found = observed(driver, inject(driver, lab, phase, OF_JOINT[name](joint), seconds=AFTER))
     good = found.noticed is not None and found.peak <= nominal + MARGIN
     yield line(f"{name}, joint {joint + 1}", phase, nominal, found, good)
 
 
-def faults(lab: Lab, name: str, arm: HiddenArm) -> Iterator[Line]:
-    """A fault of an arm that is not the model."""
-    driver = started(lab, arm)
-    for phase in ("upwards", "hold", "teaching"):
-        nominal = 0.0
-        for falsify in (None, unreadable()):
-            if not ready(driver):
-                yield refused(driver, name, phase)
-                break
-            driver.begin(phase)
-            if falsify is None:
-                nominal = driver.observe(WATCH_TIME).peak
-                continue
-            driver.falsify = falsify
-            found = observed(driver)
-            good = acceptable(found, nominal) and found.reset and found.noticed is not None
-            yield line(name, phase, nominal, found, good)
-
-
-def hands_off(lab: Lab, name: str, arm: HiddenArm) -> Iterator[Line]:
-    """Gravity compensation of an arm that is not the model and that nobody touches."""
-    driver = started(lab, arm)
-    if not ready(driver):
-        yield refused(driver, name, "hands off")
-        return
-    driver.play(1.0)
-    answer = lab.ask(interface.GRAVITY_COMPENSATION, True)
-    driver.play(5.0, answer.done)
-    given = answer.result()
-    if given is None or not given.success:
-        yield told(True, name, "hands off", given or "no answer")
-        return
-    found = observed(driver)
-    stayed = found.travel < TRAVEL_MAX
-    good = stayed or (found.noticed is not None and found.peak < HANDS_OFF_SPEED)
-    yield line(name, "hands off", 0.0, found, good)
-
-
-def lines(case: str, count: int) -> Iterator[Line]:
-    """All lines of a case; each kind of false state, each cell and each arm has its own lab."""
-    arms = KNOWN | {f"drawn arm {seed}": draw(seed) for seed in range(9000, 9000 + count)}
+def lines(case: str) -> Iterator[Line]:
+    """All lines of a case; each kind of false state and each cell has its own lab."""
+    kinds = {**FALSE_STATES, RELAY: lambda: lambda state: state}
     measures: dict[str, list[Callable[[Lab], Iterator[Line]]]] = {
         "stale": [stale],
         "ended": [ended],
-        "false_states": [
-            partial(false_state, name=name, make=make)
-            for name, make in {**FALSE_STATES, RELAY: lambda: lambda state: state}.items()
-        ],
+        "false_states": [partial(false_state, name=name, make=kinds[name]) for name in kinds],
         "cells": [partial(cell, name=name, joint=j, phase=phase) for name, j, phase in CELLS],
-        "faults": [partial(faults, name=name, arm=arm) for name, arm in arms.items()],
-        "hands_off": [partial(hands_off, name=name, arm=arm) for name, arm in arms.items()],
     }
     for measure in measures[case]:
         with tempfile.TemporaryDirectory() as folder, Lab(Path(folder)).open() as lab:
@@ -229,8 +159,7 @@ def lines(case: str, count: int) -> Iterator[Line]:
 
 def main() -> int:
     """Print a row for each case and phase; return 1 if the arm was not stopped."""
-    cases = ["stale", "ended", "false_states", "cells", "faults", "hands_off"]
-    given = options(__doc__, cases=cases, arms=12)
+    given = options(__doc__, cases=["stale", "ended", "false_states", "cells"])
     scheduling._schedule(ARM)
     speeds = "peak (nominal) [m/s]", "after 0.5 s"
     print(
@@ -238,7 +167,7 @@ def main() -> int:
     )
     bad = 0
     for case in given.cases:
-        for text, good in lines(case, given.arms):
+        for text, good in lines(case):
             bad += not good
             print(text, flush=True)
     print(f"{bad} bad")
