@@ -28,7 +28,7 @@ VARIANTS = ("full", "diagonal")
 # either scale; diagonal .598.
 NOISE = {"full": scales(0.6, 0.00625), "diagonal": scales(0.6, 0.1)}
 POWER = Power.Settings(sigma=3, decay=0.965)  # as in the authors' scripts
-CHUNK = 10  # runs of a job, evaluated together
+CHUNK = 10  # runs of a job, evaluated together: another number changes last digits
 PATH_SAMPLES = 50  # samples of a path kept for a figure
 # Of the synthetic demonstrations:
 DURATION = 2.0  # of a demonstration [s]
