@@ -130,6 +130,7 @@ def false_state(lab: Lab, name: str, make: Callable[[], Falsifier]) -> Iterator[
         nominal = nominal_peak(driver, phase)
         found = inject(driver, lab, phase, make(), relayed)
         driver.falsify, driver.relayed = lambda state: state, 0
+        driver.play(2.0)  # true states, for so long that a reset is allowed
         good = stopped(found, nominal) and (found.noticed is not None or not relayed)
         yield line(name, phase, nominal, observed(driver, found), good)
 
