@@ -27,7 +27,7 @@ endif
 
 help:
 	@echo 'make learn [ARGS="--seed 3"]   learn to flip a pancake in simulation'
-	@echo 'make reproduce                 run the experiments of the paper and write a report (about an hour on 2 cores: 1 h 40 min of processor time)'
+	@echo 'make reproduce                 run the experiments of the paper and write a report (within an hour on 2 cores)'
 	@echo 'make test  [ARGS="-k power"]   run the tests'
 	@echo 'make lint                      check rules and format (ruff) and types (mypy)'
 	@echo 'make format                    apply the automatic fixes and the format of ruff'

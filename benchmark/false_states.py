@@ -38,12 +38,7 @@ def from_past(report: Callable[[list[Reading]], Reading | None]) -> Falsifier:
 
 
 def frozen(*joints: int, still: bool = False) -> Falsifier:
-    """Freeze position and velocity of joints.
-
-    Args:
-        joints: Indices of the joints; all joints if none is given.
-        still: Set the velocity to zero instead of freezing it.
-    """
+    """Freeze position and velocity of joints, of all if none is given; `still`: velocity zero."""
     at = list(joints) or list(range(N))
 
     def report(past: list[Reading]) -> Reading:
@@ -52,11 +47,6 @@ def frozen(*joints: int, still: bool = False) -> Falsifier:
         return Reading(past[-1].stamp_ns, q, qd)
 
     return from_past(report)
-
-
-def velocities(change: Callable[[np.ndarray], np.ndarray]) -> Falsifier:
-    """Change the velocities."""
-    return lambda state: state._replace(qd=change(state.qd))
 
 
 def stamps(rate: float) -> Falsifier:
@@ -119,13 +109,8 @@ def mirrored(joint: int) -> Falsifier:
 
 def quantised(joint: int) -> Falsifier:
     """The resolution of a joint becomes 0.01 rad."""
-
-    def falsify(state: Reading) -> Reading:
-        q = state.q.copy()
-        q[joint] = np.round(q[joint] / 0.01) * 0.01
-        return state._replace(q=q)
-
-    return falsify
+    at = np.arange(N) == joint
+    return lambda state: state._replace(q=np.where(at, np.round(state.q / 0.01) * 0.01, state.q))
 
 
 # Of one joint, and below of no joint in particular.
@@ -166,10 +151,10 @@ FALSE_STATES: dict[str, Callable[[], Falsifier]] = {
     "frozen, velocities zero": lambda: frozen(still=True),
     "joint 2 frozen": lambda: frozen(1),
     "joint 4 frozen, its velocity zero": lambda: frozen(3, still=True),
-    "velocities zero": lambda: velocities(np.zeros_like),
-    "velocities negated": lambda: velocities(np.negative),
-    "velocities doubled": lambda: velocities(lambda qd: 2.0 * qd),
-    "velocities permuted": lambda: velocities(lambda qd: np.roll(qd, 1)),
+    "velocities zero": lambda: lambda state: state._replace(qd=np.zeros(N)),
+    "velocities negated": lambda: lambda state: state._replace(qd=-state.qd),
+    "velocities doubled": lambda: lambda state: state._replace(qd=2.0 * state.qd),
+    "velocities permuted": lambda: lambda state: state._replace(qd=np.roll(state.qd, 1)),
     # Every other state is that of an arm 0.02 rad away.
     "two drivers": lambda: from_past(lambda p: p[-1]._replace(q=p[-1].q + 0.02 * (len(p) % 2))),
 }

@@ -50,14 +50,11 @@ def draw(seed: int) -> HiddenArm:
 
 
 class StandIn:
-    """Arm of the stand-in at the start of the taught policy; its driver holds the last torque.
+    """Arm of the stand-in at the start of the taught policy; its driver holds the last torque."""
 
-    A torque acts after `delay` periods.
-    """
-
-    def __init__(self, hidden: HiddenArm = NOMINAL, delay: int = 2) -> None:
+    def __init__(self, hidden: HiddenArm = NOMINAL) -> None:
         settings = WorldSettings(
-            watchdog=False, command_delay_ticks=delay, torque_scale_sd=0.0, friction_sd=0.0
+            watchdog=False, command_delay_ticks=2, torque_scale_sd=0.0, friction_sd=0.0
         )
         self.world, self._zeros = World(scene_type("flip"), settings, hidden=hidden), hidden.zeros
         self._arm = Arm(self.world.urdf, JOINTS)
@@ -98,11 +95,9 @@ def taught_fast(arm: Arm) -> Controller:
     return Controller(arm, ControllerSettings(limits=limits_of(arm, teaching_tool_speed=4.0)))
 
 
-def held(
-    delay: int, hidden: HiddenArm = NOMINAL, make: Callable[[Arm], Controller] = taught_fast
-) -> Loop:
+def held(hidden: HiddenArm = NOMINAL, make: Callable[[Arm], Controller] = taught_fast) -> Loop:
     """An arm of the stand-in that is held at the start of the policy."""
-    plant = StandIn(hidden, delay)
+    plant = StandIn(hidden)
     loop = Loop(plant, make(Arm(plant.world.urdf, JOINTS)))
     loop.hold(0.3)
     return loop

@@ -19,7 +19,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -51,23 +50,14 @@ def lines(folder: Path) -> list[bytes]:
     return log.read_bytes().splitlines(keepends=True) if log.exists() else []
 
 
-def records(folder: Path) -> list[dict[str, object]]:
-    """Records of a session, without what may differ."""
-    found = [json.loads(line) for line in lines(folder)]
-    return [{key: row[key] for key in row if key not in ("clock", "bag")} for row in found]
-
-
-def differences(one: object, other: object, where: str = "") -> Iterator[str]:
-    """Yield a line for every leaf in which two JSON values differ, bit for bit."""
-    if isinstance(one, dict) and isinstance(other, dict):
-        for key in sorted(one.keys() | other.keys()):
-            yield from differences(one.get(key), other.get(key), f"{where}.{key}")
-    elif isinstance(one, list) and isinstance(other, list) and len(one) == len(other):
-        for index, pair in enumerate(zip(one, other, strict=True)):
-            yield from differences(*pair, f"{where}[{index}]")
-    elif repr(one) != repr(other):
-        lengths = [f"{len(x)} items" if isinstance(x, list) else repr(x) for x in (one, other)]
-        yield f"{where}: {lengths[0]} and {lengths[1]}"
+def differences(one: Path, other: Path) -> list[str]:
+    """Fields of the records of two sessions that differ, bit for bit, but for what may differ."""
+    logs = [[json.loads(line) for line in lines(folder)] for folder in (one, other)]
+    found = [] if len(logs[0]) == len(logs[1]) else [f"{len(logs[0])} and {len(logs[1])} records"]
+    for number, (a, b) in enumerate(zip(*logs, strict=False)):
+        names = sorted((a.keys() | b.keys()) - {"clock", "bag"})
+        found += [f"[{number}].{name}" for name in names if repr(a.get(name)) != repr(b.get(name))]
+    return found
 
 
 def descendants(parent: int) -> dict[str, int]:
@@ -138,7 +128,7 @@ def main() -> int:
         if learning(undisturbed, *words).wait():
             raise RuntimeError((undisturbed / "learn.log").read_text()[-2000:])
         found = learn_killed(killed, words, given.of, given.kills, rng)
-        found += differences(records(undisturbed), records(killed))
+        found += differences(undisturbed, killed)
         for line in lines(killed):
             bag = json.loads(line)["bag"]
             if not (killed / "bags" / str(bag) / "metadata.yaml").exists():

@@ -2,13 +2,12 @@
 """A private DDS domain with nodes as processes, and an arm that this process plays.
 
 The arm keeps the last torque indefinitely, as ros2_control and libbarrett do, so only the
-controller can stop it. An arm that must survive the end of its controller is the stand-in's.
+controller can stop it.
 """
 
 from __future__ import annotations
 
 import os
-import signal
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -26,76 +25,60 @@ from std_msgs.msg import Float64MultiArray
 
 from benchmark.false_states import Falsifier, N, Reading
 from benchmark.loop import MOMENTS, Outcome, Plant, outcome
-from benchmark.nodes import HOME, JOINTS, PERIOD_NS, environment, node_command, taught
+from benchmark.nodes import JOINTS, PERIOD_NS, environment, node_command, taught
 from wam_power_ros.cli.processes import Processes, Running
 from wam_power_ros.client.link import Data, Link
 from wam_power_ros.client.requests import Asked, Requests
-from wam_power_ros.control.controller import Controller
 from wam_power_ros.learning.policy import Policy, to_json
-from wam_power_ros.params.resources import share
-from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.ros.answers import Answer
 from wam_power_ros.ros.domain import private_domain
 from wam_power_ros.ros.simulation_guard import STAND_IN
 
 TIMEOUT = 90.0  # [s] for a node to start, to hold, to fault
-ARM, CONTROLLER, WATCHER = 70, 60, 50  # real-time priorities
+ARM, CONTROLLER = 70, 60  # real-time priorities
 WATCH_TIME = 1.2  # [s] of observation after false states began
-
-
-def new_controller() -> Controller:
-    """A controller with the parameters of config/ and the shipped URDF."""
-    params = TorqueControllerParams.of_file(
-        share("config/torque_controller.yaml"), "torque_controller", share("config/simulation.yaml")
-    )
-    return params.controller(share("urdf/wam7.urdf").read_text())
 
 
 class Lab:
     """A private DDS domain with an observing node.
 
     Attributes:
-        domain: Number of the domain; set by `open`.
-        link: Link of a node beside the observing one; set by `open`.
         torques: Reception times [ns, steady clock] and readings of the last torques.
-        readings: States of the stand-in, if it is the arm.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.torques: list[tuple[int, joint_messages.TorqueReading]] = []
-        self.readings: list[joint_messages.JointReading] = []
 
     @contextmanager
     def open(self) -> Iterator[Lab]:
         """Enter the domain; on leaving, end all processes."""
         with private_domain() as domain:
-            self.domain = domain
             reach = os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
             given = environment(domain) | {"ROS_AUTOMATIC_DISCOVERY_RANGE": reach}
             self._context = rclpy.Context()
             rclpy.init(context=self._context, domain_id=domain)
-            self.node = Node("faults", context=self._context)
-            self.driver_node = Node(STAND_IN, context=self._context)
-            self.link = Link(Node("person", context=self._context))
+            self._node = Node("observer", context=self._context)
+            self._driver_node = Node(STAND_IN, context=self._context)
+            self._link = Link(Node("person", context=self._context))
             self._requests = Requests(
-                self.link, interface.CONTROLLER_REQUEST, interface.CONTROLLER_ANSWER
+                self._link, interface.CONTROLLER_REQUEST, interface.CONTROLLER_ANSWER
             )
             self._threads = ThreadPoolExecutor()
             self._executor = EventsExecutor(context=self._context)
-            self._executor.add_node(self.node)
-            self.node.create_subscription(
+            self._executor.add_node(self._node)
+            self._node.create_subscription(
                 Float64MultiArray, interface.EFFORT_COMMANDS, self._on_torque, interface.COMMAND
             )
             try:
-                with Processes(self.folder, given) as self.processes, self.link:
+                with Processes(self.folder, given) as self._processes, self._link:
                     yield self
             finally:
                 self._threads.shutdown()
                 self._executor.shutdown()
-                self.node.destroy_node()
-                self.driver_node.destroy_node()
+                self._node.destroy_node()
+                self._driver_node.destroy_node()
                 rclpy.shutdown(context=self._context)
 
     def _on_torque(self, message: Float64MultiArray) -> None:
@@ -110,26 +93,13 @@ class Lab:
     def controller(self, priority: int = CONTROLLER) -> Running:
         """Start the controller."""
         command = node_command("torque_controller", "simulation", realtime_priority=priority)
-        return self.processes.start("torque_controller", command)
+        return self._processes.start("torque_controller", command)
 
-    def stand_in(self, priority: int = ARM) -> Running:
-        """Start the stand-ins in real time and subscribe to their states."""
-        if not hasattr(self, "_reader"):
-            self._reader = joint_messages.JointStateReader(JOINTS)
-            self.node.create_subscription(
-                JointState,
-                interface.JOINT_STATES,
-                lambda message: self.readings.append(self._reader(message)),
-                interface.STATE_RECORD,
-            )
-        given = {"pace": "real_time", "realtime_priority": priority, "listeners": ["faults"]}
-        return self.processes.start("wam_sim", node_command("wam_sim", "optitrack_sim", **given))
-
-    def end(self, running: Running, how: int = signal.SIGKILL) -> None:
-        """Send a signal to a process and wait for its end."""
-        running.process.send_signal(how)
+    def end(self, running: Running) -> None:
+        """Kill a process."""
+        running.process.kill()
         running.process.wait()
-        self.processes._running.remove(running)
+        self._processes._running.remove(running)
 
     def spin(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
         """Dispatch callbacks for a time [s] or until a condition holds; return whether it holds."""
@@ -138,49 +108,13 @@ class Lab:
             self._executor.spin_once(timeout_sec=min(left, 0.005))
         return done
 
-    def wait(self, until: Callable[[], bool], what: str) -> None:
-        """Dispatch callbacks until a condition holds.
-
-        Raises:
-            TimeoutError: If it does not hold within `TIMEOUT`.
-        """
-        if not self.spin(TIMEOUT, until):
-            raise TimeoutError(f"no {what} within {TIMEOUT:.0f} s (last torque: {self.label!r})")
-
-    def held(self) -> None:
-        """Wait until the controller holds the stand-in's arm, resetting a fault."""
-        while self.label != "hold":
-            if self.label == "fault":
-                self.wait(self.ask(interface.RESET).done, "response to a reset")
-            self.spin(2.0, lambda: self.label == "hold")
-            self.processes.check()
-
-    def ask(self, name: str, data: Data = None, **options: float) -> Future[Answer | None]:
+    def ask(self, name: str, data: Data = None) -> Future[Answer | None]:
         """Call a service in another thread: this one may have to play the arm meanwhile."""
-        return self._threads.submit(self.link.call, name, data, **options)
+        return self._threads.submit(self._link.call, name, data)
 
     def request(self, do: str, policy: Policy) -> Future[Asked]:
         """Send a request about a policy, in another thread; done once it has begun or not."""
         return self._threads.submit(self._requests.begin, do, policy=to_json(policy))
-
-
-class RestingArm:
-    """An arm that stays at `HOME` whatever the torque; see `Plant`."""
-
-    def step(self, tau: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """See `Plant`."""
-        return HOME, np.zeros(N)
-
-    def tool_position(self) -> np.ndarray:
-        """See `Plant`."""
-        return np.zeros(3)
-
-    def tool_speed(self) -> float:
-        """See `Plant`."""
-        return 0.0
-
-    def let_go(self) -> None:
-        """See `Plant`."""
 
 
 class Driver:
@@ -192,7 +126,6 @@ class Driver:
         relayed: States after which a second publisher repeats each one; 0 without a relay.
         speeds: Speed of the tool in every period [m/s].
         path: Position of the tool in every period [m].
-        states: Publisher of the states.
         stamp_ns: Stamp of the last state.
         published_ns: Time at which it was published [ns, steady clock].
     """
@@ -205,7 +138,7 @@ class Driver:
         self.path: list[np.ndarray] = []
         self.stamp_ns, self.published_ns = time.time_ns(), 0
         given = JointState, interface.JOINT_STATES, interface.STATE_OUT
-        self.states, self._relay = (lab.driver_node.create_publisher(*given) for _ in range(2))
+        self._states, self._relay = (lab._driver_node.create_publisher(*given) for _ in range(2))
         self.relayed = 0
         self._published: deque[Reading] = deque(maxlen=100)
 
@@ -220,7 +153,7 @@ class Driver:
             self.path.append(self.plant.tool_position())
             self.stamp_ns += PERIOD_NS
             if (state := self.falsify(Reading(self.stamp_ns, q, qd))) is not None:
-                self._publish(self.states, state)
+                self._publish(self._states, state)
                 self._published.append(state)
             if self.relayed and len(self._published) > self.relayed:
                 self._publish(self._relay, self._published[-1 - self.relayed])
@@ -237,40 +170,18 @@ class Driver:
         self.published_ns = time.monotonic_ns()
         publisher.publish(message)
 
-    def wait(self, until: Callable[[], bool], what: str) -> None:
-        """Run the arm until a condition holds.
-
-        Raises:
-            TimeoutError: If it does not hold within `TIMEOUT`.
-        """
-        if not self.play(TIMEOUT, until):
-            raise TimeoutError(f"no {what} within {TIMEOUT:.0f} s")
-
-    def held(self) -> None:
-        """Run the arm until the controller holds it, resetting a fault."""
-        while self._lab.label != "hold":
-            if self._lab.label == "fault":
-                self.play(0.1)
-                self.call(interface.RESET)
-            self.play(5.0, lambda: self._lab.label == "hold")
-
-    def ready(self, enough: Callable[[], bool] = lambda: False) -> bool:
-        """Bring the arm to the start of the policy and hold, resetting a fault.
-
-        Returns:
-            True; False if it was `enough` before that.
-        """
+    def ready(self) -> None:
+        """Bring the arm to the start of the policy and hold, resetting a fault."""
         self.falsify, self.relayed, lab = lambda state: state, 0, self._lab
         self.plant.let_go()
-        while not enough():
+        while True:
             self.play(0.5)
             if lab.label == "fault":
                 self.call(interface.RESET)
             elif lab.label == "gravity_compensation":
                 self.call(interface.GRAVITY_COMPENSATION, False)
             elif lab.label == "hold" and self.request("move_to_start"):
-                return True
-        return False
+                return
 
     def call(self, name: str, data: bool | None = None) -> bool:
         """Call a service while the arm keeps running; return True on success."""
@@ -326,10 +237,17 @@ class Driver:
         return outcome(None, noticed[0] if noticed else None, self.speeds, self.path)
 
 
-def inject(driver: Driver, lab: Lab, phase: str, falsify: Falsifier, relayed: int = 0) -> Outcome:
+def inject(
+    driver: Driver,
+    lab: Lab,
+    phase: str,
+    falsify: Falsifier,
+    relayed: int = 0,
+    seconds: float = WATCH_TIME,
+) -> Outcome:
     """Publish false states, or each again some states later, in one phase and observe the arm."""
     driver.begin(phase)
     while lab.label == "fault":  # a busy machine has delayed a process
         driver.begin(phase)
     driver.falsify, driver.relayed = falsify, relayed
-    return driver.observe(WATCH_TIME)
+    return driver.observe(seconds)

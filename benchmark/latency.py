@@ -13,7 +13,6 @@ as many busy processes run beside it; with --view, the page of `wam-power view` 
 from __future__ import annotations
 
 import fcntl
-import os
 import re
 import subprocess
 import sys
@@ -31,7 +30,7 @@ from std_msgs.msg import Float64MultiArray
 
 from benchmark.nodes import JOINTS, PERIOD_NS, environment, ros_arguments, taught
 from benchmark.terminal import options, table_head, table_row
-from wam_power_ros.cli.processes import Processes, Running
+from wam_power_ros.cli.processes import Processes
 from wam_power_ros.learning.policy import with_id
 from wam_power_ros.practice.session import Session
 from wam_power_ros.practice.settings import preset
@@ -42,7 +41,7 @@ from wam_power_ros.ros.stamps import nanoseconds
 ECHO = "/echo/commands"
 MODULE = [sys.executable, "-m"]
 ROLE = "--role"  # of a process that this script starts
-KEYS = ("p50", "p99", "p99.9", "cpu")  # columns of the table
+KEYS = ("p50", "p99", "p99.9")  # columns of the table
 PRIORITY = {"stand-in": 70, "controller": 60, "echo": 60}
 
 
@@ -142,12 +141,7 @@ def read_all(url: str) -> int:
 def measure(
     seconds: float, fifo: bool, load: int, view: bool, period: float
 ) -> dict[str, dict[str, float]]:
-    """Measure latencies of controller and echo in one run, and the CPU time of each process.
-
-    Returns:
-        Per process: periods met [%], quantiles of the latency [us] or rate of the states [Hz],
-        and CPU time [%].
-    """
+    """Periods met [%] and quantiles of the latency [us] of controller and echo in one run."""
     own = [*MODULE, "benchmark.latency", ROLE]
     with tempfile.TemporaryDirectory() as folder, private_domain() as domain:
         report = Path(folder) / "times.npy"
@@ -158,29 +152,21 @@ def measure(
         words = ros_arguments("torque_controller", "simulation", **of_loop)
         with Processes(Path(folder), environment(domain)) as processes, ExitStack() as stack:
             start, loop = processes.start, [*MODULE, "wam_power_ros.nodes.torque_controller"]
-            measured = [
-                start("stand-in", [*own, str(report), *arm_words]),
-                start("controller", [*loop, *words]),
-                start("echo", [*own, f"echo {priority['echo']}"]),
-            ]
+            start("stand-in", [*own, str(report), *arm_words])
+            start("controller", [*loop, *words])
+            start("echo", [*own, f"echo {priority['echo']}"])
             if view:
                 stack.enter_context(start_page(processes, Path(folder), domain))
             for i in range(load):
                 start(f"load {i}", [sys.executable, "-c", "while True: pass"])
             time.sleep(10.0)  # for imports and discovery
-            begun_ns, before = time.monotonic_ns(), _cpu(measured)
+            begun_ns = time.monotonic_ns()
             time.sleep(seconds)
-            ended_ns, after = time.monotonic_ns(), _cpu(measured)
+            ended_ns = time.monotonic_ns()
             processes.check()
         rows = np.load(report)
     rows = rows[(rows[:, 0] >= begun_ns) & (rows[:, 0] < ended_ns)]
-    seconds = (ended_ns - begun_ns) * 1e-9
-    cpu = {name: 100.0 * (after[name] - before[name]) / seconds for name in after}
-    return {
-        "controller": {**_figures(rows, 1, period), "cpu": cpu["controller"]},
-        "echo": {**_figures(rows, 2, period), "cpu": cpu["echo"]},
-        "stand-in": {"rate": len(rows) / seconds, "cpu": cpu["stand-in"]},
-    }
+    return {name: _figures(rows, k, period) for k, name in enumerate(("controller", "echo"), 1)}
 
 
 def _figures(rows: np.ndarray, column: int, period: float) -> dict[str, float]:
@@ -189,17 +175,7 @@ def _figures(rows: np.ndarray, column: int, period: float) -> dict[str, float]:
     latency = (answered[:, column] - answered[:, 0]) * 1e-3
     met = 100.0 * np.count_nonzero(latency <= period * 1e6) / max(len(rows), 1)
     quantiles = np.percentile(latency, [50.0, 99.0, 99.9]) if len(latency) else np.full(3, np.nan)
-    return {"met": met, **dict(zip(("p50", "p99", "p99.9"), quantiles.tolist(), strict=True))}
-
-
-def _cpu(running: list[Running]) -> dict[str, float]:
-    """CPU time used by each process so far [s]."""
-    tick = os.sysconf("SC_CLK_TCK")
-    times = {}
-    for item in running:
-        fields = Path(f"/proc/{item.process.pid}/stat").read_text().rpartition(")")[2].split()
-        times[item.name] = (int(fields[11]) + int(fields[12])) / tick
-    return times
+    return {"states": len(rows), "met": met, **dict(zip(KEYS, quantiles.tolist(), strict=True))}
 
 
 def may_schedule() -> bool:
@@ -210,14 +186,12 @@ def may_schedule() -> bool:
 
 def print_table(title: str, figures: dict[str, dict[str, float]]) -> None:
     """Print the figures of one run, and the ratio of controller and echo."""
-    controller, echo, arm = figures["controller"], figures["echo"], figures["stand-in"]
-    print(f"{title} (stand-in: {arm['rate']:.1f} states/s, {arm['cpu']:.0f} % CPU)")
-    print(table_head("", "periods met [%]", "p50 [us]", "p99 [us]", "p99.9 [us]", "CPU [%]"))
-    for name, each in (("controller", controller), ("echo", echo)):
+    print(f"{title} ({figures['echo']['states']:.0f} states)")
+    print(table_head("", "periods met [%]", *(f"{key} [us]" for key in KEYS)))
+    for name, each in figures.items():
         print(table_row(name, f"{each['met']:.2f}", *(f"{each[key]:.0f}" for key in KEYS)))
-    print(
-        table_row("ratio", "", *(f"{controller[key] / echo[key]:.2f}" for key in KEYS)), flush=True
-    )
+    ratios = (figures["controller"][key] / figures["echo"][key] for key in KEYS)
+    print(table_row("ratio", "", *(f"{ratio:.2f}" for ratio in ratios)), flush=True)
 
 
 def main() -> int:

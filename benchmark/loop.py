@@ -43,36 +43,20 @@ class Plant(Protocol):
 
 
 class Outcome(NamedTuple):
-    """What came of a cause.
+    """What came of a cause; all speeds [m/s] and distances [m] are of the tool, and the largest."""
 
-    Attributes:
-        fault: Kind of the fault; None without one.
-        noticed: Periods until the fault; None without one.
-        peak: Largest speed of the tool [m/s].
-        rest: Largest speed of the tool from 0.5 s after the fault on, or in all without one [m/s].
-        travel: Largest distance of the tool from where it was 0.5 s after the fault, or from its
-            beginning without a fault [m].
-        stop: The same distance from where the tool was at the fault [m].
-        reset: True if a fault could be reset after the observation, or there was none.
-        after: Largest speed of the tool after true states have returned [m/s].
-        nominal: Largest speed of the tool without the cause [m/s].
-        before: Largest distance of the tool from the nominal path until the fault [m].
-        way: Way of the tool after the fault beyond that of a stop from true states [m].
-        unreached: Why the cause did not come; empty if it did.
-    """
-
-    fault: FaultKind | None
-    noticed: int | None
-    peak: float
-    rest: float
-    travel: float
-    stop: float
-    reset: bool = True
-    after: float = 0.0
-    nominal: float = 0.0
-    before: float = 0.0
-    way: float = 0.0
-    unreached: str = ""
+    fault: FaultKind | None  # None without one
+    noticed: int | None  # periods until the fault
+    peak: float  # speed
+    rest: float  # speed from 0.5 s after the fault on, or in all without one
+    travel: float  # distance from where it was 0.5 s after the fault, or at the beginning
+    stop: float  # distance from where it was at the fault
+    reset: bool = True  # a fault could be reset after the observation, or there was none
+    after: float = 0.0  # speed after true states have returned
+    nominal: float = 0.0  # speed without the cause
+    before: float = 0.0  # distance from the nominal path until the fault
+    way: float = 0.0  # way after the fault beyond that of a stop from true states
+    unreached: str = ""  # why the cause did not come
 
 
 def outcome(
@@ -105,8 +89,8 @@ class Loop:
 
     Attributes:
         falsify: Changes a state before the controller receives it; returns None for silence.
-        speeds: Speed of the tool at the beginning of the last `play`, and after each period [m/s].
-        path: Positions of the tool, likewise [m].
+        speeds, path: Speeds [m/s] and positions [m] of the tool, at the beginning of the last
+            `play` and after each period.
     """
 
     def __init__(self, plant: Plant, controller: Controller) -> None:
@@ -156,9 +140,7 @@ class Loop:
     ) -> Outcome:
         """Run for some time [s]; a fault lets the person let go.
 
-        Args:
-            seconds: Time to the end [s].
-            enough: Returns True to end early; gets the periods until the fault, None before it.
+        `enough` ends it early; it gets the periods until the fault, None before it.
         """
         core, noticed = self.controller, list[int]()
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """False joint states that begin at random moments, and end: controller and arm in one process.
 
-    python -m benchmark.moments [--repeats 12] [--kinds frozen ...] [--delay 2]
+    python -m benchmark.moments [--repeats 12] [--kinds frozen ...]
 
 The false states of `benchmark.false_states` are passed to a controller that is connected by calls
 to the simulated arm, which keeps the last torque. They begin at a random moment of a rollout, a
@@ -43,13 +43,13 @@ def begin(loop: Loop, phase: str, rng: np.random.Generator) -> None:
         loop.play(rng.uniform(0.05, 0.4))
 
 
-def inject(name: str, phase: str, rng: np.random.Generator, delay: int) -> Outcome:
+def inject(name: str, phase: str, rng: np.random.Generator) -> Outcome:
     """Let false states begin at a random moment of a phase, and end.
 
     Returns:
         Outcome, whose peak is that of the first 1.2 s; `rest` is 0 without a fault.
     """
-    loop = held(delay)
+    loop = held()
     begin(loop, phase, rng)
     loop.falsify = ALL_FALSE_STATES[name]()
     found = loop.observe(3.2, lambda at: at is None and len(loop.speeds) > WATCH_TICKS)
@@ -63,8 +63,8 @@ def inject(name: str, phase: str, rng: np.random.Generator, delay: int) -> Outco
 
 def main() -> int:
     """Print a row for each kind of false state and phase; return 1 if the arm was not stopped."""
-    given = options(__doc__, repeats=12, kinds=[*ALL_FALSE_STATES], delay=2)
-    loop = held(given.delay)
+    given = options(__doc__, repeats=12, kinds=[*ALL_FALSE_STATES])
+    loop = held()
     loop.controller.execute()
     most = loop.observe(1.2).peak + SPEED_MARGIN
     titles = ("false state", "phase", "faults", "within [ms]", "peak [m/s]", "rest", "after")
@@ -73,7 +73,7 @@ def main() -> int:
     for name in given.kinds:
         for phase in PHASES:
             seeds = range(7000, 7000 + given.repeats)
-            found = [inject(name, phase, np.random.default_rng(k), given.delay) for k in seeds]
+            found = [inject(name, phase, np.random.default_rng(k)) for k in seeds]
             late = [each.noticed for each in found if each.noticed is not None]
             guided = phase == "teaching"  # as fast as the demonstrator guides it
             good = [

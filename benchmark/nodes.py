@@ -9,8 +9,6 @@ import sys
 from functools import cache
 from pathlib import Path
 
-import numpy as np
-
 from wam_power_ros.bags import reader
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.demonstration import from_joint_samples
@@ -22,7 +20,6 @@ from wam_power_ros.tasks.flip.settings import FLIP_FIT
 
 ROOT = Path(__file__).resolve().parents[1]
 JOINTS = [f"wam_j{number}" for number in range(1, 8)]
-HOME = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
 PERIOD_NS = 2_000_000
 
 

@@ -16,7 +16,7 @@ import itertools
 import sys
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from functools import cache
+from functools import cache, partial
 from typing import NamedTuple
 from xml.etree import ElementTree
 
@@ -28,6 +28,7 @@ from benchmark.false_states import FALSIFIED, NO_JOINT, OF_JOINT, PERIOD, N
 from benchmark.loop import A_FAULT, AFTER, Loop, Outcome
 from benchmark.nodes import JOINTS
 from benchmark.terminal import options, table_head, table_row
+from hardware_sim.hidden_arm import HiddenArm
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.controller_settings import ControllerSettings
@@ -46,34 +47,24 @@ HAND = 35.0  # [N] of a hand that presses and lets go at the fault
 HOME = np.array([0.0, 0.349, 0.0, 2.129, 0.0, -0.471, 0.0])  # [rad]
 
 
-class Deviation(NamedTuple):
-    """How an arm differs from the model of the controller."""
-
-    payload: float = 0.0  # [kg] at the tool
-    motors: tuple[float, ...] = (1.0,) * N  # true torque over commanded one
-    friction: tuple[float, ...] = (1.0,) * N  # factor on the Coulomb friction
-    links: tuple[float, ...] = (1.0,) * N  # factor on masses
-    zeros: tuple[float, ...] = (0.0,) * N  # reported minus true position [rad]
-
-
-def drawn(seed: int) -> Deviation:
-    """Deviation of a laboratory's first day."""
+def drawn(seed: int) -> HiddenArm:
+    """Deviations of a laboratory's first day."""
     rng = np.random.default_rng([seed, 0x5AFE])
-    return Deviation(
-        float(0.6 * rng.uniform(-0.2, 0.2)),
-        tuple(rng.uniform(0.95, 1.05, N)),
-        tuple(2.0 ** rng.uniform(-1.0, 1.0, N)),
-        tuple(rng.uniform(0.95, 1.05, N)),
-        tuple(np.deg2rad(rng.uniform(1.0, 3.0, N)) * rng.choice([-1.0, 1.0], N)),
+    return HiddenArm(
+        payload=0.6 * rng.uniform(-0.2, 0.2),
+        motors=rng.uniform(0.95, 1.05, N),
+        friction=2.0 ** rng.uniform(-1.0, 1.0, N),
+        links=rng.uniform(0.95, 1.05, N),
+        zeros=np.deg2rad(rng.uniform(1.0, 3.0, N)) * rng.choice([-1.0, 1.0], N),
     )
 
 
 ARMS = {
-    "model": Deviation(),
-    "+0.5 kg": Deviation(payload=0.5),
-    "-0.5 kg": Deviation(payload=-0.5),
-    "motor 2 at 70 %": Deviation(motors=(1.0, 0.7) + (1.0,) * 5),
-    "friction halved": Deviation(friction=(0.5,) * N),
+    "model": HiddenArm(),
+    "+0.5 kg": HiddenArm(payload=0.5),
+    "-0.5 kg": HiddenArm(payload=-0.5),
+    "motor 2 at 70 %": HiddenArm(motors=np.array([1.0, 0.7] + [1.0] * 5)),
+    "friction halved": HiddenArm(friction=0.5),
     **{f"drawn {k}": drawn(k) for k in range(6)},
 }
 
@@ -83,24 +74,26 @@ class Plant:
 
     Attributes:
         model: MuJoCo's model; may be changed while it runs.
-        data: MuJoCo's data.
         motors: True torque over commanded one. Shape (n,).
         hand: Force on the tool [N] by time [s] and position of the tool [m]; None: no hand.
         seconds: Time since the beginning [s].
         driver: Share of g(q) that the driver adds.
     """
 
-    def __init__(self, deviation: Deviation) -> None:
+    def __init__(self, hidden: HiddenArm) -> None:
         tree = ElementTree.fromstring(share("urdf/wam7.urdf").read_text())
         compiler = ElementTree.SubElement(ElementTree.SubElement(tree, "mujoco"), "compiler")
         compiler.set("fusestatic", "false")
         spec = mujoco.MjSpec.from_string(ElementTree.tostring(tree, encoding="unicode"))
+        links, friction, motors = (
+            np.ones(N) * share for share in (hidden.links, hidden.friction, hidden.motors)
+        )
         for row, name in enumerate(JOINTS):
             joint, dynamics = spec.joint(name), tree.find(f"./joint[@name='{name}']/dynamics")
             joint.armature = float(dynamics.get("armature"))
-            joint.frictionloss = float(dynamics.get("friction")) * deviation.friction[row]
+            joint.frictionloss = float(dynamics.get("friction")) * friction[row]
             joint.solimp_friction = [0.99, 0.999, 0.001, 0.5, 2.0]
-            joint.parent.mass *= deviation.links[row]
+            joint.parent.mass *= links[row]
         for geom in spec.geoms:
             geom.contype = geom.conaffinity = 0
             geom.mass = 0.0
@@ -109,12 +102,12 @@ class Plant:
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
         self.tool = self.model.body(TOOL).id
-        self.model.body_mass[self.tool] += deviation.payload
-        self.motors = np.array(deviation.motors)
+        self.model.body_mass[self.tool] += hidden.payload
+        self.motors = motors
         self.hand: Callable[[float, np.ndarray], np.ndarray] | None = None
         self.seconds = 0.0
         self.driver = 0.0
-        self._zeros = np.array(deviation.zeros)
+        self._zeros = hidden.zeros
         self._acting = deque([np.zeros(N)] * DELAY)
         self.place(HOME)
 
@@ -218,28 +211,26 @@ def begin(loop: Loop, mode: str) -> None:
         if mode != "move":
             loop.play(4.0, lambda: core.mode is Mode.HOLD)
             loop.play(0.3)
-    elif mode.startswith("rollout"):
+        return
+    if mode.startswith("rollout"):
         hold(loop, start)
         core.move_to_start()
         loop.play(1.0)
         core.execute()
         loop.play({"rollout early": 0.1, "rollout late": 0.4}[mode] * loop.policy.basis.duration)
-    else:
-        hold(loop, HOME)
-        if mode == "fault":
-            core.fault(A_FAULT)
-            loop.play(1.0)
-        elif mode in ("untouched", "guided"):
-            core.set_gravity_compensation(True)
-            if mode == "guided":
-                _guide(loop.plant)
-            loop.play(1.0)
-        elif mode == "replay":
-            _waves(loop, 2.0, 0.3)
-            loop.play(2.4)
-        elif mode == "sweep":
-            _waves(loop, 0.6, 0.1)
-            loop.play(2.4)
+        return
+    hold(loop, HOME)
+    if mode == "fault":
+        core.fault(A_FAULT)
+    elif mode in ("untouched", "guided"):
+        core.set_gravity_compensation(True)
+        if mode == "guided":
+            _guide(loop.plant)
+    elif mode in ("replay", "sweep"):
+        _waves(loop, *{"replay": (2.0, 0.3), "sweep": (0.6, 0.1)}[mode])
+        loop.play(1.4)
+    if mode != "hold":
+        loop.play(1.0)
 
 
 MODES = (
@@ -248,22 +239,12 @@ MODES = (
 )
 
 
-# True states
-
-
-def _payload(mass: float) -> Callable[[Loop], None]:
-    def change(loop: Loop) -> None:
-        loop.plant.model.body_mass[loop.plant.tool] += mass
-
-    return change
+def _loaded(loop: Loop, mass: float) -> None:
+    loop.plant.model.body_mass[loop.plant.tool] += mass
 
 
 def _weak(loop: Loop) -> None:
     loop.plant.motors[1] *= 0.7
-
-
-def _twice(loop: Loop) -> None:
-    loop.plant.driver = 1.0
 
 
 def _pressed(loop: Loop) -> None:
@@ -274,19 +255,15 @@ def _pressed(loop: Loop) -> None:
     loop.plant.let_go()
 
 
-def _faulted(loop: Loop) -> None:
-    loop.controller.fault(A_FAULT)
-
-
-CHANGES: dict[str, Callable[[Loop], None]] = {
-    "-0.55 kg": _payload(-0.55),
-    "+0.5 kg": _payload(0.5),
-    "+2 kg": _payload(2.0),
+CHANGES: dict[str, Callable[[Loop], None]] = {  # with true states
+    "-0.55 kg": partial(_loaded, mass=-0.55),
+    "+0.5 kg": partial(_loaded, mass=0.5),
+    "+2 kg": partial(_loaded, mass=2.0),
     "motor 2 to 70 %": _weak,
-    "gravity twice": _twice,
+    "gravity twice": lambda loop: setattr(loop.plant, "driver", 1.0),
     "pressed, fault": _pressed,
     "pressed": _press,
-    "fault": _faulted,
+    "fault": lambda loop: loop.controller.fault(A_FAULT),
 }
 
 

@@ -20,19 +20,12 @@ CENTRE = np.array([1.5, 1.0, 2.0])  # [m] of the cameras, about which they are t
 
 @dataclass(frozen=True, eq=False)
 class Laboratory:
-    """What a laboratory measures and tells.
-
-    Attributes:
-        plan: The movement.
-        recorded: Recording of it, which begins with the movement.
-        payload: Mass of the tool beyond the URDF's, as told [kg].
-        gravity_added: Whether the driver is said to add gravity.
-    """
+    """What a laboratory measures and tells."""
 
     plan: Excitation
-    recorded: Recording
-    payload: float
-    gravity_added: bool = False
+    recorded: Recording  # begins with the movement
+    payload: float  # mass of the tool beyond the URDF's, as told [kg]
+    gravity_added: bool = False  # whether the driver is said to add gravity
 
     @property
     def t(self) -> np.ndarray:
@@ -73,14 +66,6 @@ def _direction(rng: Rng) -> np.ndarray:
 def _knocked(low: float, high: float, mm: float, degrees: float = 0.0) -> Spoil:
     """Cameras are knocked between two shares of the rests."""
     return lambda lab, rng: lab.with_cameras(lab.after(rng.uniform(low, high)), mm, degrees, rng)
-
-
-def _knocked_late(lab: Laboratory, rng: Rng) -> Laboratory:
-    return lab.with_cameras((lab.t > lab.plan.sweeps[2, 0]).astype(float), 10.0, 0.0, rng)
-
-
-def _drifting(lab: Laboratory, rng: Rng) -> Laboratory:
-    return lab.with_cameras(lab.t / lab.t[-1], 10.0, 0.0, rng)
 
 
 def _loose(lab: Laboratory, rng: Rng) -> Laboratory:
@@ -156,17 +141,15 @@ def _tilted(low: float, high: float, mounted: float = 0.3) -> Spoil:
     return spoil
 
 
-def _told_mass(lab: Laboratory, rng: Rng) -> Laboratory:
-    return replace(lab, payload=lab.payload + rng.choice([-1.0, 1.0]) * rng.uniform(0.12, 0.3))
-
-
 SPOILT: dict[str, Spoil] = {
     "cameras knocked by 20 mm in mid-course": _knocked(0.4, 0.6, 20.0),
     "cameras knocked by 20 mm soon": _knocked(0.08, 0.15, 20.0),
     "cameras knocked by 5 mm": _knocked(0.3, 0.7, 5.0),
     "cameras turned by 0.5 degrees after the postures": _knocked(1.0, 1.0, 0.0, 0.5),
-    "cameras knocked by 10 mm in the sweeps": _knocked_late,
-    "cameras drift by 10 mm": _drifting,
+    "cameras knocked by 10 mm in the sweeps": lambda lab, rng: lab.with_cameras(
+        (lab.t > lab.plan.sweeps[2, 0]).astype(float), 10.0, 0.0, rng
+    ),
+    "cameras drift by 10 mm": lambda lab, rng: lab.with_cameras(lab.t / lab.t[-1], 10.0, 0.0, rng),
     "cameras' clock 20 ms ahead": _clock(20.0, 0.0),
     "cameras' clock drifts by 20 ms": _clock(0.0, 20.0),
     "body loose": _loose,
@@ -179,6 +162,8 @@ SPOILT: dict[str, Spoil] = {
     "an encoder slips by 1 degree": _slipped_encoder,
     "plate 3 degrees off flat": _tilted(0.0, 360.0),
     "plate 3 degrees off flat about the last axis": _tilted(-5.0, 5.0),
-    "tool's mass told wrongly": _told_mass,
+    "tool's mass told wrongly": lambda lab, rng: replace(
+        lab, payload=lab.payload + rng.choice([-1.0, 1.0]) * rng.uniform(0.12, 0.3)
+    ),
     "driver said to add gravity": lambda lab, rng: replace(lab, gravity_added=True),
 }

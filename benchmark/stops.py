@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """A person ends the movements of a session, in each phase and by each means: what moves after it?
 
-    python -m benchmark.stops [--pace real_time] [--switch] [--kill NODE]
+    python -m benchmark.stops [--pace real_time] [--kill NODE]
     python -m benchmark.stops --phases retest --means page     # a phase that ends the session
 
 Every node runs for itself, as `ros2 run` starts them, and the arm puts the ball back between the
-rollouts, so that a session has every phase: move, replay, wait, rollout and re-test. With --switch
-the person holds the enabling switch, and releases it. After each stop nothing may begin, and the
-arm may not move, until the person continues; a node that is killed (-9) and started again meanwhile
-changes nothing. At the end no policy may have run after a person had stopped it.
+rollouts, so that a session has every phase: move, replay, wait, rollout and re-test. After each
+stop nothing may begin, and the arm may not move, until the person continues; a node that is killed
+(-9) and started again meanwhile changes nothing. At the end no policy may have run after a person
+had stopped it.
 """
 
 from __future__ import annotations
@@ -21,9 +21,8 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from multiprocessing import get_context
-from multiprocessing.synchronize import Event
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -31,13 +30,13 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool, String
+from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
 from benchmark.kill import learning, lines
 from benchmark.nodes import environment
 from benchmark.terminal import options
-from wam_power_ros.cli.processes import Processes, Running
+from wam_power_ros.cli.processes import Processes
 from wam_power_ros.client.link import Link
 from wam_power_ros.params import overlay
 from wam_power_ros.practice import session
@@ -51,8 +50,6 @@ NODES = ("wam_sim", "torque_controller", "pancake_tracker", "demonstration_recor
 AWAY = 5.0  # [s] from a kill to the next start
 PHASES = ("move_to_start", "replay", "wait", "execute", "retest")  # the last one ends a session
 MEANS = ("service", "page", "key", "gravity compensation", "deactivation")
-SWITCH = "switch"
-WITH_SWITCH = ("replay", "execute")  # phases that need the switch; a re-test has run before
 WAITS = ("rest", "put back")  # states of a session
 REPORT = 0.2  # [s] in which a report that is under way has come
 QUIET = 3.0  # [s] in which nothing may move
@@ -73,41 +70,28 @@ def demonstrated(task: str, seed: int, folder: Path) -> list[str]:
     return bags
 
 
-class Nodes:
-    """The nodes of a session, each in a process of its own that can be killed alone.
+def start(processes: Processes, name: str, file: Path) -> None:
+    """Start a node with the parameters of a file."""
+    words = ["run", name, "--ros-args", "--params-file", str(file)]
+    processes.start(name, [sys.executable, "-m", "wam_power_ros.cli", *words])
 
-    Args:
-        processes: Their processes.
-        file: Parameters of all nodes.
-    """
 
-    def __init__(self, processes: Processes, file: Path) -> None:
-        self.check, self._processes, self._file = processes.check, processes, file
-        self._running: dict[str, Running] = {}
-
-    def start(self, name: str) -> None:
-        """Start a node, again if it was killed."""
-        words = ["run", name, "--ros-args", "--params-file", str(self._file)]
-        command = [sys.executable, "-m", "wam_power_ros.cli", *words]
-        self._running[name] = self._processes.start(name, command)
-
-    def kill(self, name: str) -> None:
-        """Kill a node (-9), and start it again later."""
-        running = self._running[name]
-        running.process.kill()
-        running.process.wait()
-        self._processes._running.remove(running)
-        time.sleep(AWAY)
-        self.start(name)
+def restart(processes: Processes, name: str, file: Path) -> None:
+    """Kill a node (-9), and start it again later."""
+    running = next(each for each in processes._running if each.name == name)
+    running.process.kill()
+    running.process.wait()
+    processes._running.remove(running)
+    time.sleep(AWAY)
+    start(processes, name, file)
 
 
 class Person:
-    """Person beside the arm: holds the switch, sees what begins and ends it.
+    """Person beside the arm: sees what begins and ends it.
 
     Attributes:
-        begun: What the controller has begun, with the policy: (do, text), oldest first.
+        begun: What the controller has begun, oldest first.
         state: What the learner has said of the session last, "" before.
-        late: Number of pauses because the switch was published too late, by a busy machine.
     """
 
     def __init__(
@@ -115,15 +99,14 @@ class Person:
         link: Link,
         view: View,
         keys: subprocess.Popen[str],
-        held: Event,
         state: str,
         check: Callable[[], None],
     ) -> None:
         self._check = check
-        self.link, self.state, self._held, self.late = link, "", held, 0
-        self.begun: list[tuple[str, str]] = []
+        self.link, self.state = link, ""
+        self.begun: list[str] = []
         self.view, self._keys = view, keys
-        self._asked: dict[str, tuple[str, str]] = {}
+        self._asked: dict[str, str] = {}
         self._take, self._q = link.newest(JointState, state), np.zeros(0)
         listen = link.listen
         listen(String, interface.CONTROLLER_REQUEST, self._on_request, interface.REQUESTS)
@@ -134,15 +117,15 @@ class Person:
 
     def _on_request(self, message: String) -> None:
         asked = requests.request(message.data)
-        self._asked[asked.id] = asked.do, json.dumps(json.loads(asked.about["policy"])["id"])
+        self._asked[asked.id] = asked.do
 
     def _on_replay(self, message: JointTrajectory) -> None:
-        self._asked[message.header.frame_id.partition(" ")[0]] = "replay", ""
+        self._asked[message.header.frame_id.partition(" ")[0]] = "replay"
 
     def _on_answer(self, message: String) -> None:
         id, answer = requests.read_answer(message)
         if answer.code is Code.BEGUN:
-            self.begun.append(self._asked.get(id, ("", "")))
+            self.begun.append(self._asked.get(id, ""))
 
     def _on_report(self, message: DiagnosticArray) -> None:
         values = {each.key: each.value for status in message.status for each in status.values}
@@ -155,15 +138,12 @@ class Person:
         def begun() -> bool:
             if phase == "wait":
                 return self.state in WAITS
-            return any(each == do for each, _ in self.begun[seen:])
+            return do in self.begun[seen:]
 
-        for condition in ([retest_due] if phase == "retest" else []) + [begun]:
-            seen = len(self.begun)
-            self.expect(lambda: condition() or self.state == "paused", phase)  # noqa: B023
-            while not condition():
-                self.late += 1
-                self.go_on(SWITCH)
-                self.expect(lambda: condition() or self.state == "paused", phase)  # noqa: B023
+        if phase == "retest":
+            self.expect(retest_due, phase)
+        seen = len(self.begun)
+        self.expect(begun, phase)
 
     def expect(self, condition: Callable[[], object], what: str) -> None:
         """Wait for a condition.
@@ -189,18 +169,12 @@ class Person:
             self._keys.stdout.readline()
         elif means == "gravity compensation":
             self.link.call(interface.GRAVITY_COMPENSATION, True)
-        elif means == "deactivation":
-            self.link.call(CHANGE, Transition(id=Transition.TRANSITION_DEACTIVATE))
         else:
-            self._held.clear()
+            self.link.call(CHANGE, Transition(id=Transition.TRANSITION_DEACTIVATE))
 
     def go_on(self, means: str) -> None:
         """Make the arm ready again, and continue."""
-        if means == SWITCH:
-            self._held.set()
-            self.link.sleep(0.2)
-            self.link.call(interface.RESET)
-        elif means == "deactivation":
+        if means == "deactivation":
             self.link.call(CHANGE, Transition(id=Transition.TRANSITION_ACTIVATE))
         self.link.insist(interface.LEARNER_PAUSE, False)
         self.state = ""  # the last report is out of date
@@ -222,25 +196,9 @@ class Person:
         return self._q
 
 
-def publish_switch(held: Event) -> None:
-    """Publish whether the enabling switch is held, in a process of its own, to the end of it."""
-    with suppress(PermissionError):
-        os.nice(-10)
-    rclpy.init()
-    node = rclpy.create_node("switch")
-    enable = node.create_publisher(Bool, interface.ENABLE, interface.ENABLE_OUT)
-    while True:
-        enable.publish(Bool(data=held.is_set()))
-        time.sleep(0.02)
-
-
 @contextmanager
 def person(setup: overlay.Setup, check: Callable[[], None]) -> Iterator[Person]:
     """A person in the domain of this process."""
-    spawn = get_context("spawn")
-    held = spawn.Event()
-    switch = spawn.Process(target=publish_switch, args=(held,), daemon=True)
-    switch.start()
     command = [sys.executable, "-m", "wam_power_ros.console.feedback"]
     pipe = subprocess.PIPE
     keys = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, text=True)
@@ -248,14 +206,12 @@ def person(setup: overlay.Setup, check: Callable[[], None]) -> Iterator[Person]:
     try:
         with Link(rclpy.create_node("person")) as link:
             view = View(setup["torque_controller"], setup["pancake_tracker"]["body"])
-            link.prepare(interface.STOP, interface.RESET)
+            link.prepare(interface.STOP)
             link.prepare(interface.GRAVITY_COMPENSATION, interface.LEARNER_PAUSE, data=True)
             link.prepare(CHANGE, data=Transition())
             with view.link:
-                held.set()
-                yield Person(link, view, keys, held, state, check)
+                yield Person(link, view, keys, state, check)
     finally:
-        switch.kill()
         keys.stdin.close()
         keys.wait()
 
@@ -272,7 +228,7 @@ def run_again(folder: Path) -> list[str]:
 
 
 def measure(
-    nodes: Nodes, who: Person, folder: Path, cells: list[tuple[str, str]], kill: str
+    who: Person, folder: Path, cells: list[tuple[str, str]], kill: Callable[[], None] | None
 ) -> int:
     """End the session in each of the cells; print what came of it, return the number of faults."""
     budget, wrong = session.read(folder).header.settings.practice.budget, 0
@@ -281,10 +237,10 @@ def measure(
         return sum(record.ret is not None for record in session.read(folder).records) >= budget
 
     who.await_phase("execute", bool)
-    for name in (interface.STOP, interface.RESET, interface.GRAVITY_COMPENSATION, CHANGE):
+    for name in (interface.STOP, interface.GRAVITY_COMPENSATION, CHANGE):
         who.link.offers(name)  # so that no stop waits for the discovery
     who.view.link.offers(interface.STOP)
-    who.expect(lambda: session.read(folder).records or who.state == "paused", "rollout")
+    who.expect(lambda: session.read(folder).records, "rollout")
     for phase, means in cells:
         who.await_phase(phase, retest_due)
         who.end(means)
@@ -296,7 +252,7 @@ def measure(
         way = who.moved()
         if kill and phase != "retest":
             who.state = ""
-            nodes.kill(kill)
+            kill()
             who.expect(lambda: who.state == "paused", "pause after the kill")
             way = max(way, who.moved())
         begun = who.begun[before:]
@@ -316,14 +272,11 @@ def main() -> int:
         pace=("lockstep", "real_time"),
         kill=("", "learner", *NODES),
         seed=9300,
-        switch=False,
         phases=[*PHASES],
         means=[*MEANS],
     )
     phases = [each for each in given.phases if each != "retest" or given.phases == ["retest"]]
     cells = [*itertools.product(phases, given.means)]
-    if given.switch:
-        cells = [(phase, SWITCH) for phase in WITH_SWITCH]
     with private_domain() as domain:
         folder = Path(tempfile.mkdtemp())  # stays, to be looked at
         bags = demonstrated("ball_in_cup", given.seed, folder / "begun")
@@ -334,7 +287,7 @@ def main() -> int:
         setup = setup.changed(
             {
                 "wam_sim": {"seed": given.seed},
-                "torque_controller": {"hold_to_run": given.switch},
+                "torque_controller": {"hold_to_run": False},
                 "demonstration_recorder": {"directory": str(folder / "session/bags")},
                 "learner": {**practice, "scene_reset": False, "seed": given.seed},
             }
@@ -348,18 +301,17 @@ def main() -> int:
                 Processes(folder / "logs", environment(domain)) as processes,
                 person(setup, processes.check) as who,
             ):
-                nodes = Nodes(processes, file)
                 for name in (*NODES, "learner"):
-                    nodes.start(name)
+                    start(processes, name, file)
+                kill = partial(restart, processes, given.kill, file) if given.kill else None
                 who.expect(lambda: session.Session.exists(folder / "session"), "session")
-                wrong = measure(nodes, who, folder / "session", cells, given.kill)
+                wrong = measure(who, folder / "session", cells, kill)
         finally:
             rclpy.try_shutdown()
         again = run_again(folder / "session")
         refused = sum(record.refused for record in session.read(folder / "session").records)
     print(f"{given.pace}, kill {given.kill or 'nothing'}: {len(cells)} stops")
     print(f"{wrong} of them followed by a movement; {refused} policies refused, run again: {again}")
-    print(f"{who.late} more pauses by a switch that a busy machine published too late")
     return int(bool(wrong or again))
 
 

@@ -25,7 +25,7 @@ from rich.text import Text
 
 from reproduction import jobs as job_cache
 from reproduction.chapter import RUNS_MIN, TEMPLATES, Chapter, table
-from reproduction.chapters import comparison, extensions, flip, reaching
+from reproduction.chapters import flip, reaching
 from reproduction.jobs import Job, JobError, Scale
 from wam_power_ros import durable_files
 from wam_power_ros.entry import INTERRUPTED
@@ -33,12 +33,7 @@ from wam_power_ros.reporting import html_page
 
 MACHINE = "Machine, versions, seeds, time"  # heading
 TEMPLATE = Path(__file__).with_suffix(".html.j2")
-STUDIES = {  # in the order of the paper
-    "reaching": reaching.STUDY,
-    "comparison": comparison.STUDY,
-    "pancake": flip.STUDY,
-    "extensions": extensions.STUDY,
-}
+STUDIES = {"reaching": reaching.STUDY, "pancake": flip.STUDY}  # in the order of the paper
 
 
 def run(

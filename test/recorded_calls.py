@@ -206,7 +206,7 @@ def drives(every: int = 1) -> Iterator[Drive]:
     for drive, choices, hidden in rows[::every]:
         fast = {"limits": limits_of(Arm(URDF, JOINTS), teaching_tool_speed=4.0)}
         settings = ControllerSettings(**fast | choices)
-        loop = held(2, hidden, partial(Recorded, settings=settings))
+        loop = held(hidden, partial(Recorded, settings=settings))
         with suppress(ControllerError):  # of an arm that has faulted
             drive(loop)
         yield Drive(settings, loop.controller.calls)

@@ -116,8 +116,8 @@ BUDGET = {
     "hardware_sim": 3052,
     "launch": 260,
     "examples": 377,
-    "reproduction": 4463,  # learners that only studies compare with, and their models
-    "benchmark": 4042,  # the matrix of the reaction has a plant of its own
+    "reproduction": 3307,  # learners that only studies compare with
+    "benchmark": 2747,  # the matrix of the reaction has a plant of its own
 }
 PURE = (
     "faults",

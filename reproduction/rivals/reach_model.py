@@ -14,7 +14,7 @@ CHECK_STRIDE = 4  # samples of a path from one contact check to the next, at mos
 
 
 class ReachModel:
-    """A `learners.Model` of Eq. 4: the path of Eq. 1, stopped at contacts of earlier rollouts.
+    """A model of Eq. 4: the path of Eq. 1, stopped at contacts of earlier rollouts.
 
     Eq. 1, the demonstration and the return are known, the obstacle is not: the location of a
     contact is inferred from the known path and the return of a rollout. Later paths are predicted

@@ -13,7 +13,7 @@ from benchmark.moments import inject
 def test_an_arm_whose_driver_falls_silent_while_a_person_guides_it_comes_to_rest(
     name: str, seed: int
 ) -> None:
-    outcome = inject(name, "teaching", np.random.default_rng(seed), 2)
+    outcome = inject(name, "teaching", np.random.default_rng(seed))
     assert outcome.noticed
     assert outcome.rest < 0.1
     assert outcome.after < 0.1
@@ -23,7 +23,7 @@ def test_an_arm_whose_driver_falls_silent_while_a_person_guides_it_comes_to_rest
 @pytest.mark.requirement("S-121")
 @pytest.mark.parametrize("seed", [8, 13])
 def test_an_arm_whose_joint_seems_not_to_move_is_braked_by_its_model(seed: int) -> None:
-    outcome = inject("joint 2 frozen", "move", np.random.default_rng([seed, 5]), 2)
+    outcome = inject("joint 2 frozen", "move", np.random.default_rng([seed, 5]))
     assert outcome.noticed
     assert outcome.rest < 0.1
     assert outcome.reset

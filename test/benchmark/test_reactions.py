@@ -24,7 +24,7 @@ from wam_power_ros.faults import FaultKind
 def test_states_that_agree_with_each_other_and_are_false_end_in_a_stop(
     name: str, phase: str
 ) -> None:
-    true, loop = held(2), held(2)
+    true, loop = held(), held()
     assert begin(true, phase) == begin(loop, phase) == ""
     loop.falsify = OF_JOINT[name](1)
     outcome = loop.observe(3.0)
@@ -35,7 +35,7 @@ def test_states_that_agree_with_each_other_and_are_false_end_in_a_stop(
 @pytest.mark.requirement("S-44", "S-121")
 @pytest.mark.parametrize(("joint", "size"), [(1, 0.2), (1, 1.0), (1, -0.5), (3, 2.0 * np.pi)])
 def test_a_jump_of_an_arm_that_nobody_holds_moves_nothing(joint: int, size: float) -> None:
-    loop = held(2)
+    loop = held()
     loop.controller.set_gravity_compensation(True)
     loop.play(0.1)
     loop.falsify = lambda state: state._replace(q=state.q + size * np.eye(7)[joint])
@@ -51,7 +51,7 @@ def test_an_arm_that_is_not_its_model_stays_where_a_fault_stopped_it(
     arm: str | int, phase: str
 ) -> None:
     hidden = draw(arm) if isinstance(arm, int) else KNOWN[arm]
-    loop = held(2, hidden)
+    loop = held(hidden)
     begin(loop, phase)  # the fault of an arm that does not get there counts, too
     loop.controller.fault(A_FAULT)
     outcome = loop.observe(4.0)
@@ -61,7 +61,7 @@ def test_an_arm_that_is_not_its_model_stays_where_a_fault_stopped_it(
 @pytest.mark.requirement("S-126")
 @pytest.mark.parametrize("arm", ["base tilted 10 degrees", 9100, 9101, 9102], ids=str)
 def test_an_arm_that_is_not_its_model_stays_under_gravity_compensation(arm: str | int) -> None:
-    loop = held(2, draw(arm) if isinstance(arm, int) else KNOWN[arm])
+    loop = held(draw(arm) if isinstance(arm, int) else KNOWN[arm])
     loop.play(1.0)
     loop.controller.set_gravity_compensation(True)
     at = loop.plant.tool_position()
@@ -73,7 +73,7 @@ def test_an_arm_that_is_not_its_model_stays_under_gravity_compensation(arm: str 
 @pytest.mark.requirement("S-121")
 @pytest.mark.parametrize("seconds", [0.0, 0.004, 0.02, 0.1, 0.3])
 def test_a_zero_that_jumps_back_after_the_reset_of_its_fault_moves_nothing(seconds: float) -> None:
-    loop = held(2)
+    loop = held()
     loop.falsify = OF_JOINT["smooth bump"](1)
     assert loop.observe(3.0).fault is not None
     loop.controller.reset()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Return with a single peak, for tests of the learners, and a crude model of it."""
+"""Return with a single peak, for tests of the learners."""
 
 from __future__ import annotations
 
@@ -20,21 +20,6 @@ def rng(seed: int) -> np.random.Generator:
 
 def hill(z: np.ndarray) -> float:
     return float(np.exp(-0.3 * ((z - TOP) ** 2).sum()))
-
-
-class CrudeModel:
-    """Model with an approximate peak; counts the rollouts."""
-
-    def __init__(self) -> None:
-        self.count = 0
-
-    def predict(self, z: np.ndarray) -> np.ndarray:
-        """Predict returns on an arbitrary scale."""
-        return -((z - 0.5) ** 2).sum(axis=1) / (1 + self.count)
-
-    def learn(self, z: np.ndarray, ret: float) -> None:
-        """Count the rollout."""
-        self.count += 1
 
 
 def climb(learner: L, rollouts: int) -> L:

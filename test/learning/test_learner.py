@@ -6,18 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hill_task import SIZE, TOP, CrudeModel, climb, hill, rng
+from hill_task import SIZE, TOP, climb, hill, rng
 from hypothesis import given
 from hypothesis import strategies as st
 
-from reproduction.rivals.learners import (
-    AdaptivePower,
-    Enac,
-    Pi2,
-    RandomSearch,
-    Reinforce,
-    ScreenedPower,
-)
+from reproduction.rivals.learners import AdaptivePower, Pi2, RandomSearch
 from wam_power_ros.learning.cma_es import CmaEs
 from wam_power_ros.learning.learner import (
     Learner,
@@ -37,9 +30,6 @@ CLIMBERS: list[tuple[LearnerClass, dict[str, Any]]] = [
     (AdaptivePower, {}),
     (Pi2, {}),
     (CmaEs, {}),
-    (Reinforce, {}),
-    (Enac, {}),
-    (ScreenedPower, {"candidates": 20}),
 ]
 ALL = [*CLIMBERS, (RandomSearch, {})]
 every_learner = pytest.mark.parametrize(("found", "values"), ALL)
@@ -60,32 +50,15 @@ SETTINGS: list[tuple[LearnerClass, str, Any, tuple[list[Any], list[Any]]]] = [
     (AdaptivePower, "variance_sigma", 100, COUNT),
     (AdaptivePower, "smallest", 0.1, SHARE),
     (AdaptivePower, "largest", 10.0, ([1.0, 1e9], [0.99, math.inf])),
-    (ScreenedPower, "sigma", 3, COUNT),
-    (ScreenedPower, "decay", 0.965, SHARE),
-    (ScreenedPower, "candidates", 200, COUNT),
-    (ScreenedPower, "half_life", 16.0, ([1e-9, 1e9], [0.0])),
     (Pi2, "population", 10, ([2, 10**6], [1])),
     (Pi2, "eliteness", 10.0, POSITIVE),
     (Pi2, "decay", 0.9, SHARE),
     (CmaEs, "population", None, ([5, 10**6], [4])),
-    *(
-        (found, name, default, allowed)
-        for found, population, decay in ((Reinforce, 10, 0.95), (Enac, 20, 0.9))
-        for name, default, allowed in (
-            ("population", population, ([2, 10**6], [1])),
-            ("rate", 1.0, POSITIVE),
-            ("decay", decay, SHARE),
-        )
-    ),
 ]
 
 
-def model_for(found: LearnerClass) -> list[Any]:
-    return [CrudeModel()] if found is ScreenedPower else []
-
-
 def started(found: LearnerClass, values: dict[str, Any], seed: int) -> Learner:
-    return found(SIZE, found.Settings(**values), rng(seed), *model_for(found))
+    return found(SIZE, found.Settings(**values), rng(seed))
 
 
 @pytest.mark.parametrize(("found", "values"), CLIMBERS)
@@ -120,8 +93,7 @@ def test_every_setting_of_every_learner_is_in_that_table() -> None:
 def test_exploration_starts_about_zero_with_unit_variance_and_never_repeats(
     found: LearnerClass, values: dict[str, Any]
 ) -> None:
-    plain = values | ({"candidates": 1} if "candidates" in values else {})
-    learner = started(found, plain, 0)
+    learner = started(found, values, 0)
     samples = np.stack([learner.ask() for _ in range(500)])
     assert not learner.mean.any()
     np.testing.assert_allclose(samples.mean(axis=0), 0.0, atol=0.2)
@@ -137,7 +109,7 @@ def test_a_sample_is_the_mean_plus_the_noise() -> None:
     np.testing.assert_array_equal(learner.ask(), TOP + 0.5 * source.standard_normal(SIZE))
 
 
-@pytest.mark.parametrize("found", [Pi2, Reinforce, Enac, CmaEs])
+@pytest.mark.parametrize("found", [Pi2, CmaEs])
 def test_each_population_moves_the_mean_once_and_the_next_begins_anew(found: LearnerClass) -> None:
     learner = started(found, {"population": 7}, 0)
     means = [learner.mean, *(climb(learner, 1).mean for _ in range(21))]
@@ -178,7 +150,7 @@ def test_the_seed_decides_and_tell_draws_nothing(
     found: LearnerClass, values: dict[str, Any]
 ) -> None:
     source = rng(4)
-    first = climb(found(SIZE, found.Settings(**values), source, *model_for(found)), 30)
+    first = climb(found(SIZE, found.Settings(**values), source), 30)
     second, other = (climb(started(found, values, seed), 30) for seed in (4, 5))
     np.testing.assert_array_equal(first.mean, second.mean)
     assert not np.array_equal(second.mean, other.mean)
@@ -256,14 +228,13 @@ def test_settings_are_frozen_and_have_no_other_fields(
 def test_a_learner_without_parameters_or_with_an_unused_model_is_refused(
     found: LearnerClass, values: dict[str, Any]
 ) -> None:
-    model, least = model_for(found), found.size_min
+    least = found.size_min
     with pytest.raises(ValueError, match="size is 0"):
-        found(0, found.Settings(), rng(0), *model)
-    assert found(least, found.Settings(), rng(0), *model).ask().shape == (least,)
+        found(0, found.Settings(), rng(0))
+    assert found(least, found.Settings(), rng(0)).ask().shape == (least,)
     assert least == (2 if found is CmaEs else 1)
-    if found is not ScreenedPower:
-        with pytest.raises(ValueError, match="model"):
-            found(SIZE, found.Settings(), rng(0), CrudeModel())
+    with pytest.raises(ValueError, match="model"):
+        found(SIZE, found.Settings(), rng(0), object())
 
 
 def test_rollouts_are_kept_in_order_until_they_are_cleared() -> None:

@@ -484,7 +484,7 @@ def test_a_disk_that_fills_up_ends_the_recording_and_nothing_else(
     robot.publish(String(data=""))
     kept = len(reader.read_demonstration(recover(path).path, NAMES)[0])
     assert kept >= 100
-    # It was noticed long before the 3000th; for times see `benchmark.faults --rows recorder`.
+    # It was noticed long before the 3000th; for times see S-65 in docs/safety.md.
     assert bench.sent - kept <= 1500
     resource.prlimit(bench.node.pid, resource.RLIMIT_FSIZE, (allowed[1], allowed[1]))
     again = bench.start()  # the next recording is complete

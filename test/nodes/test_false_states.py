@@ -3,7 +3,10 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -88,6 +91,30 @@ def test_a_commander_that_was_silent_at_activation_is_a_fault_when_it_sends(
     other.publish(Float64MultiArray(data=[0.0] * 7))
     report = arm.diagnosis(lambda d: arm.send() or d["mode"] == "fault", "the fault")
     assert report["fault kind"] == FaultKind.SECOND_COMMANDER.value
+
+
+@pytest.mark.requirement("S-53")
+def test_a_cut_network_is_a_fault_that_stays_when_it_is_back(tmp_path: Path) -> None:
+    if subprocess.run(
+        ["unshare", "-n", "ip", "link", "show", "lo"], capture_output=True
+    ).returncode:
+        pytest.skip("no network namespace for us here")
+    here = Path(__file__).parent
+    up = "ip link set lo up multicast on && ip route add 224.0.0.0/4 dev lo && exec "
+    command = f"{sys.executable} {here / 'cut_network.py'} {tmp_path}"
+    environment = os.environ | {  # without shared memory, which a cut network would not stop
+        "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
+        "PYTHONPATH": os.pathsep.join([str(here.parents[1]), os.environ.get("PYTHONPATH", "")]),
+    }
+    done = subprocess.run(
+        ["unshare", "-n", "sh", "-c", up + command],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.stdout.splitlines()[-1:] == ["['fault'] hold"], (done.stdout, done.stderr)
 
 
 @pytest.mark.requirement("S-26")

@@ -3,7 +3,7 @@
 
 Most joint states are those of a slowly drifting arm, so that the controller is active. Mixed into
 them are wrong stamps, values, lengths and names, corrupted or truncated bytes, corrupted policies,
-and service calls.
+and calls.
 """
 
 from __future__ import annotations
@@ -41,11 +41,7 @@ TIMEOUT = 0.005  # [s] without a state until a torque is due, as in config/torqu
 
 
 def states(names: list[str], home: np.ndarray, rng: np.random.Generator) -> Iterator[JointState]:
-    """Yield joint states endlessly; calm periods alternate with storms.
-
-    In a storm about one state in eight is invalid. A reset needs rest in consistent states: without
-    calm periods the controller would stay in one fault.
-    """
+    """Yield joint states endlessly; calm periods, in which a fault can be reset, and storms."""
     n, stamp_ns = len(names), 10**12
     q, qd = home.copy(), np.zeros(n)
     calm, storm = CALM_STATES, 0  # remaining states of each
@@ -115,14 +111,10 @@ class Wire:
     """What a driver sees: every torque with the time at which it was sent, by a clock of its own.
 
     Attributes:
-        now: Time [s].
-        arrived: Time of the last new state [s].
+        now, arrived: Time, and that of the last new state [s].
         found: "torques": number of torques; of these "not finite", "over" a limit, and "rate",
             which differ from the last by more than the rate limit allows in the time between them;
             "largest": largest torque as a share of its limit.
-
-    Args:
-        controller: Controller that computes the torques.
     """
 
     def __init__(self, controller: Controller) -> None:
