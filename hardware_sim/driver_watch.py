@@ -25,13 +25,14 @@ from functools import partial
 from rclpy.node import Node
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from wam_power_ros.ros import interface, network, node_runner, security
+from wam_power_ros.ros import interface, network, node_runner
 from wam_power_ros.ros.domain import FIRST_PORT, PORTS_PER_PARTICIPANT, exported, ports
 from wam_power_ros.ros.simulation_guard import STAND_IN, UNNAMED, described
 
 STATE_TYPE = "sensor_msgs/msg/JointState"
-OWN_NODES = {*security.TABLE, "check_driver"}  # may subscribe to commands
-TOOL_PREFIXES = ("_ros2cli", "rosbag2", "rqt", "plotjuggler", "foxglove")  # may do so as well
+# Nodes that may subscribe to commands.
+OWN_NODES = {"torque_controller", "demonstration_recorder", "check_driver", STAND_IN}
+TOOL_PREFIXES = ("_ros2cli", "rosbag2", "rqt", "plotjuggler", "foxglove")  # and these
 DISCOVERY_TIME = 10.0  # [s] to discover all participants, which announce themselves every 3 s
 SETTLE_TIME = 1.0  # [s] from the discovery of a participant to that of its topics
 CHECK_PERIOD = 0.25  # [s] between checks for a robot while the simulation runs

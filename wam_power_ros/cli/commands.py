@@ -466,14 +466,6 @@ def config(devices: Devices, task: str | None) -> None:
     print(overlay.text(setup), end="")
 
 
-def policy(config: Sequence[str], namespace: str) -> None:
-    """Print the SROS2 policy."""
-    from wam_power_ros.ros import security
-
-    rights = security.table(overlay.setup(config), namespace)
-    print(security.policy(rights, namespace), end="")
-
-
 def layout(program: str, config: Sequence[str], task: str | None, namespace: str) -> None:
     """Print a layout of a program that shows a session."""
     setup = overlay.setup(config, task=task or DEFAULT_TASK)

@@ -152,16 +152,6 @@ def _parser() -> argparse.ArgumentParser:
     doctor_command.add_to(add, _arm_options)
     plan_command.add_to(subparsers)
 
-    policy = add(
-        "policy",
-        commands.policy,
-        "print the SROS2 policy for the given set-ups",
-        "Print which node may publish, subscribe and call what, for ros2 security "
-        "generate_artifacts.",
-    )
-    policy.add_argument("config", nargs="*", metavar="NAME", help="as for config")
-    policy.add_argument("--namespace", default="", help="namespace of the arm's nodes")
-
     layout = add(
         "layout",
         commands.layout,
