@@ -32,6 +32,7 @@ from wam_power_ros.client.link import Data, Link
 from wam_power_ros.client.requests import Asked, Requests
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.learning.policy import Policy, to_json
+from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.ros import interface, joint_messages
@@ -46,9 +47,8 @@ WATCH_TIME = 1.2  # [s] of observation after false states began
 
 def new_controller() -> Controller:
     """A controller with the parameters of config/ and the shipped URDF."""
-    params = TorqueControllerParams.of_file(
-        share("config/torque_controller.yaml"), "torque_controller", share("config/simulation.yaml")
-    )
+    setup = overlay.of_files([share("config/simulation.yaml")])
+    params = TorqueControllerParams.of_setup(setup)
     return params.controller(share("urdf/wam7.urdf").read_text())
 
 

@@ -116,7 +116,8 @@ class DriverWatch:
         for topic in self._command_topics:
             for other in node.get_subscriptions_info_by_topic(topic):
                 name = other.node_name
-                if name not in OWN_NODES and not name.startswith(self._listeners):
+                itself = (name, other.node_namespace) == (node.get_name(), node.get_namespace())
+                if name not in OWN_NODES and not itself and not name.startswith(self._listeners):
                     return name, f"receives {topic}"
         return "", ""
 
