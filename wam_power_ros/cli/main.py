@@ -26,7 +26,6 @@ from wam_power_ros.cli import (
     commission_command,
     doctor_command,
     layouts,
-    plan_command,
     score_command,
 )
 from wam_power_ros.cli.launcher import Devices, UsageError, pasteable
@@ -150,7 +149,6 @@ def _parser() -> argparse.ArgumentParser:
 
     commission_command.add_to(add, _arm_options)
     doctor_command.add_to(add, _arm_options)
-    plan_command.add_to(subparsers)
 
     layout = add(
         "layout",
