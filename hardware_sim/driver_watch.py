@@ -4,34 +4,25 @@
 A driver publishes joint states or subscribes to commands. With a stand-in beside it, the torques
 for the simulation would move the robot. A stand-in in another namespace is allowed, a robot is not
 allowed in any.
-
-    python -m hardware_sim.driver_watch --ros-args --params-file FILE
-
-checks once, before a launch file starts anything; exit status 2 if there is a robot.
 """
 
 from __future__ import annotations
 
-if __name__ == "__main__":  # before the other imports, which a signal may interrupt
-    from wam_power_ros.entry import INTERRUPTED, start
-
-    raise SystemExit(start("hardware_sim.driver_watch", INTERRUPTED))
-
 import math
 import os
 import time
-from functools import partial
 
 from rclpy.node import Node
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from wam_power_ros.ros import interface, network, node_runner, security
+from wam_power_ros.ros import interface, network
 from wam_power_ros.ros.domain import FIRST_PORT, PORTS_PER_PARTICIPANT, exported, ports
 from wam_power_ros.ros.simulation_guard import STAND_IN, UNNAMED, described
 
 STATE_TYPE = "sensor_msgs/msg/JointState"
-OWN_NODES = {*security.TABLE, "check_driver"}  # may subscribe to commands
-TOOL_PREFIXES = ("_ros2cli", "rosbag2", "rqt", "plotjuggler", "foxglove")  # may do so as well
+# Nodes that may subscribe to commands.
+OWN_NODES = {"torque_controller", "demonstration_recorder", "check_driver", STAND_IN}
+TOOL_PREFIXES = ("_ros2cli", "rosbag2", "rqt", "plotjuggler", "foxglove")  # and these
 DISCOVERY_TIME = 10.0  # [s] to discover all participants, which announce themselves every 3 s
 SETTLE_TIME = 1.0  # [s] from the discovery of a participant to that of its topics
 CHECK_PERIOD = 0.25  # [s] between checks for a robot while the simulation runs
@@ -115,7 +106,8 @@ class DriverWatch:
         for topic in self._command_topics:
             for other in node.get_subscriptions_info_by_topic(topic):
                 name = other.node_name
-                if name not in OWN_NODES and not name.startswith(self._listeners):
+                itself = (name, other.node_namespace) == (node.get_name(), node.get_namespace())
+                if name not in OWN_NODES and not itself and not name.startswith(self._listeners):
                     return name, f"receives {topic}"
         return "", ""
 
@@ -142,9 +134,3 @@ def _participants(domain: int) -> int:
     """Number of DDS participants of a domain on this machine, by their discovery ports."""
     used = network.ports_in_use() & set(ports(domain))
     return sum((port - FIRST_PORT) % PORTS_PER_PARTICIPANT == 0 for port in used)
-
-
-def main() -> int:
-    """Check once, with the parameters of the stand-in; returns the exit status."""
-    make = partial(Node, STAND_IN, automatically_declare_parameters_from_overrides=True)
-    return node_runner.run_script(make, lambda node: DriverWatch(node).check())

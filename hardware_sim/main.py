@@ -14,6 +14,7 @@ if __name__ == "__main__":  # before the other imports, which a signal may inter
     raise SystemExit(start("hardware_sim.main"))
 
 import os
+import sys
 import time
 from collections.abc import Callable
 
@@ -32,6 +33,7 @@ from wam_power_ros.ros.loop_statistics import LoopStatistics
 
 REPEAT_PERIOD_NS = 50_000_000  # [ns] after which an unanswered state is published again
 IDLE_PERIOD_NS = 50_000_000  # [ns] between two steps while nothing moves: waiting costs little
+OWN_NAME = ["--ros-args", "-r", "__node:=optitrack_sim"]
 LAG_MAX_NS = 100_000_000  # [ns] behind the clock; beyond, the time of the simulation is shifted
 
 
@@ -55,7 +57,10 @@ class Simulation:
         # a lock, held while the process lives
         self._domain = hold(exported(os.environ), self.wam.get_namespace())
         self._watch = DriverWatch(self.wam)
-        self.optitrack = OptitrackSim() if scene_type(params.scene).body else None
+        # A name that is given to the process is that of the arm's node.
+        given = any(word.startswith("__node:=") for word in sys.argv)
+        own = {"cli_args": OWN_NAME} if given else {}
+        self.optitrack = OptitrackSim(**own) if scene_type(params.scene).body else None
         cameras, on_frame = None, lambda *_: None
         if self.optitrack is not None:
             cameras, on_frame = self.optitrack.params, self.optitrack.publish

@@ -348,18 +348,31 @@ def refusal(
     return refuse
 
 
+LAUNCHED = (
+    "torque_controller",
+    "demonstration_recorder",
+    "pancake_tracker",
+    "learner",
+    "wam_sim",
+)
+
+
 @pytest.fixture
 def installation(tmp_path: Path) -> Path:
-    """Launch files and executable, as colcon installs them."""
+    """Launch files and executables, as colcon installs them."""
     prefix = tmp_path / "install"
-    folder = prefix / "share/wam_power_ros/launch"
-    folder.parent.mkdir(parents=True)
-    folder.symlink_to(ROOT / "launch")
-    program = prefix / "lib/wam_power_ros/wam-power"
-    program.parent.mkdir(parents=True)
-    program.write_text(
-        f"#!{sys.executable}\nimport sys\nsys.path.insert(0, {str(ROOT)!r})\n"
-        "from wam_power_ros.entry import wam_power\nraise SystemExit(wam_power())\n"
-    )
-    program.chmod(0o755)
+    share, programs = prefix / "share/wam_power_ros", prefix / "lib/wam_power_ros"
+    index = prefix / "share/ament_index/resource_index/packages"
+    for folder in (share, programs, index):
+        folder.mkdir(parents=True)
+    (index / "wam_power_ros").touch()
+    for name in ("launch", "config"):
+        (share / name).symlink_to(ROOT / name)
+    for name in LAUNCHED:
+        (programs / name).write_text(
+            f"#!{sys.executable}\nimport sys\nsys.path.insert(0, {str(ROOT)!r})\n"
+            f"from wam_power_ros import entry\nraise SystemExit(entry.{name}())\n"
+        )
+        (programs / name).chmod(0o755)
+    folder = share / "launch"
     return folder

@@ -99,22 +99,22 @@ BUDGET = {
     "learning": 2452,
     "control": 4958,  # the reaction asks in every state what is believed, knows a mass, and a drift
     "commissioning": 1221,
-    "tracking": 620,
+    "tracking": 610,
     "tasks": 3686,  # what follows from the errors of any task is written here once
     "practice": 2078,  # refusals by a person and pauses are in its log
     "conformance": 1123,
     "bags": 2660,
-    "params": 1140,
-    "ros": 2810,
+    "params": 1137,
+    "ros": 2588,
     "client": 1450,
     "nodes": 3275,
     "console": 983,
     "view": 1430,
     "reporting": 990,
     "in_process": 413,
-    "cli": 3353,
-    "hardware_sim": 3052,
-    "launch": 260,
+    "cli": 3087,
+    "hardware_sim": 3043,
+    "launch": 161,
     "examples": 377,
     "reproduction": 3307,  # learners that only studies compare with
     "benchmark": 2747,  # the matrix of the reaction has a plant of its own

@@ -14,7 +14,6 @@ from std_srvs.srv import SetBool, Trigger
 from hardware_sim.wam import JOINTS
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.params import overlay
 from wam_power_ros.ros import interface, joint_messages, pose_messages
 from wam_power_ros.ros.answers import Answer, Code
 
@@ -73,7 +72,7 @@ class Hardware:
             "simulation.yaml",
             state_timeout=0.0 if lockstep else 0.006,
             idle_service='""',  # an idled arm hangs until somebody lifts it
-            move_speed=overlay.MOVE_SPEED,
+            move_speed=1.0,
             realtime_priority=0 if lockstep else 60,
         )
         self.holds()

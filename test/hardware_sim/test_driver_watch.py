@@ -20,7 +20,6 @@ from hardware_sim.wam import FOLDED
 from wam_power_ros.ros import interface, joint_messages
 
 SIM = "hardware_sim.main"
-LOOK = "hardware_sim.driver_watch"
 DRIVER = """
 import sys, time
 import rclpy
@@ -66,14 +65,12 @@ def test_beside_a_driver_a_simulation_refuses_to_run_and_publishes_nothing(
     states = probe.listen(JointState, interface.JOINT_STATES, interface.STATE_RECORD)
     models = probe.listen(String, interface.ROBOT_DESCRIPTION, interface.LATCHED)
     driver(processes, *kinds)
-    looking = processes.node(LOOK, *CONFIGS)  # as sim.launch.py does before it starts anything
     refused = processes.node(SIM, *CONFIGS)
-    for process in (looking, refused):
-        probe.until(lambda process=process: process.poll() is not None, "a refusal")
-        assert process.returncode == 2
-        assert named("effort_controller", processes.output(process))
-        assert "a simulation must not share a domain with a robot" in processes.output(process)
-        assert "Traceback" not in processes.output(process)
+    probe.until(lambda: refused.poll() is not None, "a refusal")
+    assert refused.returncode == 2
+    assert named("effort_controller", processes.output(refused))
+    assert "a simulation must not share a domain with a robot" in processes.output(refused)
+    assert "Traceback" not in processes.output(refused)
     assert states == models == []
 
 

@@ -12,11 +12,12 @@ from played_arm import HOME
 
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.nodes.controller_report import Condition, ControllerReport
+from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.ros.scheduling import Granted
 
-PARAMS = TorqueControllerParams.of_file(share("config/torque_controller.yaml"), "torque_controller")
+PARAMS = TorqueControllerParams.of_setup(overlay.of_files([]))
 URDF = share("urdf/wam7.urdf").read_text()
 STILL = Fault(FaultKind.STAMPS, "stamps stand")
 UNCONFIGURED = Condition(

@@ -21,7 +21,7 @@ from wam_power_ros.nodes.simulated_arm import SimulatedArm
 from wam_power_ros.params import overlay
 from wam_power_ros.practice.settings import preset
 
-PARAMS = LearnerParams.of_file(ROOT / "config/learner.yaml", "learner")
+PARAMS = LearnerParams.of_setup(overlay.of_files([]))
 BAG = str(min((ROOT / "bags").glob("demo_*")))
 SETTINGS = preset("flip")
 

@@ -38,7 +38,7 @@ def read(setup: overlay.Setup, node: str, folder: Path) -> Params:
     """Parameters of a node, read as the node reads them."""
     file = folder / "parameters.yaml"
     file.write_text(overlay.text(setup))
-    return READS[node].of_file(file, node)
+    return READS[node].of_setup(overlay.of_files([file]))
 
 
 def write(folder: Path, name: str, text: str) -> str:
@@ -66,8 +66,8 @@ def test_every_set_up_is_accepted_by_every_node(name: str, simulated: bool, tmp_
     assert (arm.urdf, arm.tool_frame) == (learner.urdf, learner.tool_frame)
     assert arm.command_topic in params["demonstration_recorder"].driver_topics
     # the learner simulates policies with the limits of the controller
-    own, *over = (ROOT / file for file in learner.controller)
-    limits = TorqueControllerParams.of_file(own, "torque_controller", *over)
+    files = [ROOT / file for file in learner.controller]
+    limits = TorqueControllerParams.of_setup(overlay.of_files(files))
     lab = ["simulation", "hold_to_run", "allow_no_realtime"]
     if (
         params["wam_sim"].pace == "lockstep"
@@ -89,10 +89,7 @@ def test_without_a_set_up_every_node_has_the_parameters_of_its_own_file_in_simul
         own |= parameter_file.of_nodes(ROOT / "config/simulation.yaml").get(node, {})
         if node == "learner":
             own["controller"] = [*own["controller"], "config/simulation.yaml"]
-        if node == "torque_controller":  # in lockstep
-            own |= {"move_speed": overlay.MOVE_SPEED, "realtime_priority": 0}
-        if node == "wam_sim":
-            own |= {"pace": "lockstep", "realtime_priority": 0}
+        own |= parameter_file.of_nodes(ROOT / "config/lockstep.yaml").get(node, {})
         assert {name: setup[node][name] for name in own} == own
         assert setup[node].get("use_sim_time", False) == (node not in overlay.STAND_INS)
 
@@ -262,69 +259,61 @@ PAIRS = [("geodude", "natnet_ros2"), ("cobot", "libbarrett"), ("reach", "franka"
 
 @pytest.mark.requirement("S-101")
 @pytest.mark.parametrize("names", [*((name,) for name in overlay.known()), *PAIRS], ids="+".join)
-@pytest.mark.parametrize("node", sorted({*overlay.NODES} - {*overlay.STAND_INS}))
-def test_plain_files_say_to_a_node_what_the_overlay_says(node: str, names: tuple[str, ...]) -> None:
-    files = [ROOT / f"config/{name}.yaml" for name in (node, *names)]
-    plain: dict[str, Any] = {}
-    for file in files:
-        plain |= parameter_file.of_nodes(file).get(node, {})
-    changed = overlay.adopted(node, files)
-    assert all(plain.get(name) == before for name, (before, _) in changed.items())
-    plain |= {name: after for name, (_, after) in changed.items()}
-    setup = overlay.setup(names)[node]
-    if node == "learner":  # files without a section of the controller make no difference
-        files = [file for file in setup["controller"] if "torque_controller:" in _text(file)]
-        setup["controller"] = files
-    assert plain == setup
+def test_plain_files_say_to_a_node_what_the_set_ups_say(names: tuple[str, ...]) -> None:
+    files = [ROOT / f"config/{name}.yaml" for name in ("learner", *names)]
+    plain, setup = overlay.of_files(files), overlay.setup(names)
+    for node in {*overlay.NODES} - {*overlay.STAND_INS}:
+        assert plain[node] == setup[node]
 
 
-def _text(file: str) -> str:
-    return (ROOT / file).read_text()
+def test_without_a_file_a_node_has_its_own_which_fit_together() -> None:
+    setup = overlay.of_files([])
+    for node in overlay.NODES:
+        assert setup[node] == parameter_file.of_nodes(ROOT / f"config/{node}.yaml")[node]
+    assert setup["wam_sim"]["pace"] == "real_time"  # the other nodes have the time of the wall
 
 
-@pytest.mark.parametrize("node", overlay.NODES)
-def test_without_a_file_a_node_has_its_own_which_fit_together(node: str) -> None:
-    own = parameter_file.of_nodes(ROOT / f"config/{node}.yaml")[node]
-    values = {name: value for name, (_, value) in overlay.adopted(node, []).items()}
-    assert values == own
-    if node == "wam_sim":  # without use_sim_time the other nodes have the time of the wall
-        assert values["pace"] == "real_time"
+def test_the_file_of_a_node_says_nothing_new_wherever_it_is_given() -> None:
+    driver, own = (ROOT / f"config/{name}.yaml" for name in ("geodude", "demonstration_recorder"))
+    assert overlay.of_files([driver, own]) == overlay.of_files([own, driver])
 
 
-def test_optitrack_sim_needs_no_file_beside_that_of_wam_sim(tmp_path: Path) -> None:
-    files = [ROOT / "config/wam_sim.yaml", ROOT / "config/motion_capture_tracking.yaml"]
-    values = {name: value for name, (_, value) in overlay.adopted("optitrack_sim", files).items()}
-    values = parameter_file.of_nodes(files[1])["optitrack_sim"] | values
-    simulated = overlay.setup(["motion_capture_tracking"], simulated=True)["optitrack_sim"]
-    assert values == simulated
-    given = Path(write(tmp_path, "noise", "optitrack_sim: {ros__parameters: {noise: 0.1}}"))
-    assert "noise" not in overlay.adopted("optitrack_sim", [*files, given])  # ROS passes it
-    complete = [ROOT / f"config/{name}.yaml" for name in ("wam_sim", "optitrack_sim")]
-    assert overlay.adopted("optitrack_sim", complete) == {}
-    assert overlay.adopted("wam_sim", complete) == {}
+def test_a_section_of_all_nodes_reaches_each_that_has_the_parameter(tmp_path: Path) -> None:
+    common = "/**: {ros__parameters: {rate: 100.0, command_topic: torques, urdf: my.urdf}}"
+    (tmp_path / "my.urdf").write_text("<robot/>")
+    file = Path(write(tmp_path, "lab", common))
+    for setup in (overlay.of_files([file], "/left"), overlay.setup([str(file)], simulated=True)):
+        assert setup["pancake_tracker"]["rate"] == setup["optitrack_sim"]["rate"] == 100.0
+        assert setup["wam_sim"]["command_topic"] == "torques"
+        assert setup["demonstration_recorder"]["driver_topics"] == ["torques"]
+        assert setup["demonstration_recorder"]["urdf"] == str(tmp_path / "my.urdf")
+        assert setup["learner"]["controller"][-1] == str(file)
+        assert "rate" not in setup["learner"]
+    write(tmp_path, "lab", "/**: {ros__parameters: {raet: 100.0}}")
+    with pytest.raises(ValueError, match="every node has no parameter 'raet'; is it rate"):
+        overlay.of_files([file])
 
 
 @pytest.mark.requirement("S-101")
 def test_plain_files_of_another_namespace_say_nothing_and_complete_ones_nothing_new(
     tmp_path: Path,
 ) -> None:
-    own = ROOT / "config/demonstration_recorder.yaml"
+    joints = lambda file, namespace="/": overlay.of_files([file], namespace)[  # noqa: E731
+        "demonstration_recorder"
+    ]["joint_names"]
     arms = "{left: %s, right: %s}"
     arm = "{torque_controller: {ros__parameters: {joint_names: [%s]}}}"
     file = Path(write(tmp_path, "arms", arms % (arm % "l1", arm % "r1")))
-    found = overlay.adopted("demonstration_recorder", [own, file], "/left")
-    assert found["joint_names"][1] == ["l1"]
-    assert overlay.adopted("demonstration_recorder", [own, file]) == {}
+    assert joints(file, "/left") == ["l1"]
+    assert joints(file) == overlay.of_files([])["demonstration_recorder"]["joint_names"]
     both = "/**/torque_controller: {ros__parameters: {joint_names: [a]}}\n/left: " + arm % "l1"
     file = Path(write(tmp_path, "both", both))
     for namespace, joint in (("/left", "l1"), ("/right", "a"), ("/", "a")):
-        found = overlay.adopted("demonstration_recorder", [own, file], namespace)
-        assert found["joint_names"][1] == [joint]
+        assert joints(file, namespace) == [joint]
     complete = tmp_path / "complete.yaml"
     for setup in (overlay.setup(), overlay.setup(["libbarrett", "reach"])):
         complete.write_text(overlay.text(setup))
-        for node in overlay.NODES:
-            assert overlay.adopted(node, [complete]) == {}
+        assert overlay.of_files([complete]) == setup
 
 
 @pytest.mark.requirement("S-101")

@@ -100,3 +100,11 @@ def test_parameter_files_are_found_among_the_arguments_of_a_process() -> None:
     ]
     assert parameter_file.given(arguments) == [Path("a.yaml"), Path("b")]
     assert parameter_file.given(["node", "--params-file"]) == []
+
+
+def test_a_list_that_a_launch_file_has_written_is_read(tmp_path: Path) -> None:
+    # what launch_ros writes for `parameters=[{"demonstrations": ["a", "b"]}]`
+    text = "/**:\n  ros__parameters:\n    demonstrations: !!python/tuple\n    - a\n    - b\n"
+    (tmp_path / "launch_params").write_text(text)
+    found = parameter_file.read(tmp_path / "launch_params", parameter_file.PlainLoader)
+    assert found == {"/**": {"demonstrations": ["a", "b"]}}

@@ -23,7 +23,7 @@ def params(tmp_path: Path, **changes: object) -> TorqueControllerParams:
     """Parameters of the file with some changed."""
     over = tmp_path / "over.yaml"
     over.write_text(yaml.safe_dump({"torque_controller": {"ros__parameters": changes}}))
-    return TorqueControllerParams.of_file(FILE, "torque_controller", over)
+    return TorqueControllerParams.of_setup(overlay.of_files([over]))
 
 
 def test_every_parameter_of_motion_reaches_the_controller(tmp_path: Path) -> None:

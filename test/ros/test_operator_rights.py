@@ -10,11 +10,11 @@ import signal
 import sys
 from collections.abc import Iterator
 from fnmatch import fnmatchcase
-from xml.etree import ElementTree
 
 import pytest
 from conftest import ROOT, Probe, Processes
 from rclpy.lifecycle import LifecycleNode
+from rights import RIGHTS
 from sensor_msgs.msg import JointState
 
 from wam_power_ros.ros import interface
@@ -32,16 +32,9 @@ needs_ros2 = pytest.mark.skipif(
 )
 
 
-def allowed(kind: str, right: str) -> set[str]:
-    """Expressions of the operator's enclave in the shipped policy."""
-    root = ElementTree.parse(ROOT / "security/policy.xml").getroot()
-    groups = root.findall(f"./enclaves/enclave[@path='/operator']//{kind}s[@{right}='ALLOW']")
-    return {each.text or "" for group in groups for each in group}
-
-
 def refused(names: set[str], kind: str, right: str) -> set[str]:
     """Names that no expression matches, as the middleware matches them."""
-    expressions = allowed(kind, right)
+    expressions = RIGHTS["operator"][kind, right]
     return {name for name in names if not any(fnmatchcase(name, each) for each in expressions)}
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Access rights: the table holds what the nodes use, and the policy holds the table."""
+"""Access rights: the shipped policy is compared with what the nodes use."""
 
 from __future__ import annotations
 
@@ -8,17 +8,16 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from xml.etree import ElementTree
 
 import pytest
 import rclpy
 from conftest import ROOT, Processes
 from layouts import uses
 from rclpy.node import Node
+from rights import RIGHTS
 
 from hardware_sim.main import Simulation
 from hardware_sim.optitrack_node import OptitrackSim
-from wam_power_ros.cli import main
 from wam_power_ros.nodes.body_tracker import BodyTracker
 from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorder
 from wam_power_ros.nodes.learner import Learner
@@ -29,7 +28,7 @@ from wam_power_ros.ros import interface, security
 from wam_power_ros.ros.process_channel import pair
 from wam_power_ros.view.live import View
 
-RIGHTS = security.table(overlay.setup())
+EVERYONES = {"/rosout", "/parameter_events", "/clock"}
 RELATIVE = {
     value
     for name, value in vars(interface).items()
@@ -49,140 +48,72 @@ NODES = {
 }
 
 
-def test_the_shipped_policy_is_that_of_the_table() -> None:
-    assert (ROOT / "security/policy.xml").read_text() == security.policy(RIGHTS), (
-        "wam-power policy > security/policy.xml"
-    )
+def own(name: str, service: str) -> bool:
+    """Whether a name is one that ROS gives every node, or every managed node."""
+    return service.startswith(f"/{name}/") and service not in NAMES
 
 
 def test_every_topic_and_service_is_somebodys_and_no_other_is() -> None:
-    used = {
-        name
-        for right in RIGHTS.values()
-        for names in (right.publishes, right.subscribes, right.serves, right.calls)
-        for name in names
+    names = {
+        (node, name)
+        for node, rights in RIGHTS.items()
+        for group in rights.values()
+        for name in group
     }
+    used = {name for _, name in names}
     assert NAMES - used == set()
-    own = {name for name in used if name.startswith("/torque_controller/")}
-    assert used - NAMES == own
+    others = {name for name in used - NAMES - EVERYONES if not name.startswith("/_ros2cli")}
+    assert {name for name in others if not any(own(node, name) for node in RIGHTS)} == set()
 
 
-@pytest.mark.parametrize("name", [None, *overlay.known()])
-def test_only_the_controller_publishes_torques(name: str | None) -> None:
-    setup = overlay.setup([name] if name else [])
-    root = ElementTree.fromstring(security.policy(security.table(setup)))
-    torques = f"/{setup['torque_controller']['command_topic']}"
-    senders = [
-        profile.get("node")
-        for profile in root.iter("profile")
-        for topics in profile.iter("topics")
-        if topics.get("publish") == "ALLOW" and torques in [topic.text for topic in topics]
-    ]
+def test_only_the_controller_publishes_torques() -> None:
+    torques = f"/{interface.EFFORT_COMMANDS}"
+    senders = [node for node, rights in RIGHTS.items() if torques in rights["topic", "publish"]]
     assert senders == ["torque_controller"]
-
-
-def test_the_table_follows_the_name_of_the_body(tmp_path: Path) -> None:
-    def named(body: str) -> dict[str, security.Access]:
-        file = tmp_path / "body.yaml"
-        file.write_text(f'pancake_tracker: {{ros__parameters: {{body: "{body}"}}}}')
-        return security.table(overlay.setup([str(file)]))
-
-    def topics(table: dict[str, security.Access]) -> dict[str, list[set[str]]]:
-        return {
-            node: [set(right.publishes), set(right.subscribes), set(right.serves), set(right.calls)]
-            for node, right in table.items()
-        }
-
-    ball, none = named("ball"), named("")
-    assert topics(ball) == {
-        node: [{re.sub("pancake$|pancake(?=/)", "ball", name) for name in names} for names in kinds]
-        for node, kinds in topics(RIGHTS).items()
-    }
-    assert set(RIGHTS) - set(none) == {"pancake_tracker", "optitrack_sim"}
-    assert "/scene/truth" in none["learner"].subscribes
-    assert not any("pancake" in name for right in none.values() for name in right.subscribes)
 
 
 def test_the_recorder_only_listens_and_the_learner_only_proposes() -> None:
     recorder, learner = RIGHTS["demonstration_recorder"], RIGHTS["learner"]
-    assert (recorder.publishes, recorder.calls) == ((interface.DIAGNOSTICS,), ())
+    assert recorder["topic", "publish"] - EVERYONES == {interface.DIAGNOSTICS}
+    assert ("service", "request") not in recorder
     proposed = (interface.CONTROLLER_REQUEST, interface.REPLAY, interface.SCENE_REQUEST)
     proposes = {f"/{topic}" for topic in proposed}
-    assert set(learner.publishes) - proposes == {
+    assert learner["topic", "publish"] - proposes - EVERYONES == {
         interface.DIAGNOSTICS,
         f"/{interface.LEARNER_ANSWER}",
         f"/{interface.LEARNER_MARKERS}",
     }
-    assert {name.split("/")[1] for name in learner.serves} == {"learner"}
+    assert {name.split("/")[1] for name in learner["service", "reply"]} == {"learner"}
 
 
-def test_in_a_namespace_an_arm_has_rights_on_its_own_topics_and_no_other_arm() -> None:
-    left, right = (
-        ElementTree.fromstring(security.policy(security.table(overlay.setup(), name), name))
-        for name in ("left", "right")
-    )
-    shared = {"/diagnostics", "/rosout", "/parameter_events"}
-
-    def names(policy: ElementTree.Element) -> set[str]:
-        texts = {item.text for kind in ("topic", "service") for item in policy.iter(kind)}
-        return {text for text in texts if not text.startswith("/_ros2cli")}
-
-    assert names(left) & names(right) == shared
-    assert all(name.startswith("/left/") for name in names(left) - shared)
-    assert {enclave.get("path").split("/")[1] for enclave in left.iter("enclave")} == {"left"}
-
-
-@pytest.mark.parametrize("namespace", ["", "/left"])
 @pytest.mark.parametrize("kind", NODES.values(), ids=NODES)
-def test_a_node_does_what_it_may_and_may_what_it_does(
-    kind: Callable[[], Node], namespace: str, domain_id: int, tmp_path: Path
+def test_a_node_does_what_the_policy_allows_and_the_policy_allows_what_it_does(
+    kind: Callable[[], Node], domain_id: int, tmp_path: Path
 ) -> None:
     file = tmp_path / "parameters.yaml"
     setup = overlay.setup()
     for name in ("torque_controller", "demonstration_recorder", "wam_sim"):
         setup[name]["realtime_priority"] = 0  # the node is in this process
     file.write_text(overlay.text(setup))
-    remaps = ["-r", f"__ns:={namespace}", "-r", "/clock:=clock"] if namespace else []
-    rclpy.init(args=["--ros-args", "--params-file", str(file), *remaps], domain_id=domain_id)
+    rclpy.init(args=["--ros-args", "--params-file", str(file)], domain_id=domain_id)
     try:
         node = kind()
         name = node.get_name()
-        right = security.table(setup, namespace)[name]
+        right = RIGHTS[name]
         whose = (name, node.get_namespace())
-        clock = security.resolved_name(interface.CLOCK, namespace)
-        everyones = {"/rosout", "/parameter_events", clock}
-        own = {
-            f"{namespace}/{name}/{service}"
-            for service in (*security.NODE_SERVICES, *security.LIFECYCLE)
-        }
         published = dict(node.get_publisher_names_and_types_by_node(*whose))
-        shown = [use for use in uses() if f"{namespace}{use.topic}" in published]
-        wrong = [use for use in shown if not use.fits(published[f"{namespace}{use.topic}"][0])]
-        assert wrong == []
+        shown = [use for use in uses() if use.topic in published]
+        assert [use for use in shown if not use.fits(published[use.topic][0])] == []
         heard = {topic for topic, _ in node.get_subscriber_names_and_types_by_node(*whose)}
-        served = {topic for topic, _ in node.get_service_names_and_types_by_node(*whose)} - own
+        served = {topic for topic, _ in node.get_service_names_and_types_by_node(*whose)}
         called = {topic for topic, _ in node.get_client_names_and_types_by_node(*whose)}
-        events = (
-            {f"{namespace}/{name}/transition_event"} if name in security.LIFECYCLE_NODES else set()
-        )
-        assert published.keys() - everyones - events == set(right.publishes) - everyones
-        assert heard - everyones <= set(right.subscribes)
-        assert called <= set(right.calls)
-        assert served == set(right.serves)
+        assert published.keys() - EVERYONES == right["topic", "publish"] - EVERYONES
+        assert heard - EVERYONES <= right["topic", "subscribe"]
+        assert called <= right.get(("service", "request"), set())
+        assert served == right["service", "reply"]
         node.destroy_node()
     finally:
         rclpy.shutdown()
-
-
-def test_the_command_line_prints_the_policy_of_a_set_up(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert main.main(["policy", "libbarrett", "--namespace", "left"]) == 0
-    assert "<topic>/left/joint_torque_commands</topic>" in capsys.readouterr().out
-    assert main.main(["policy", "libbarrett"]) == 0
-    text = capsys.readouterr().out
-    assert "<topic>/joint_torque_commands</topic>" in text
-    assert f"/{interface.EFFORT_COMMANDS}" not in text
 
 
 @pytest.mark.parametrize(

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import yaml
 from layouts import FOLDER, uses
+from rights import RIGHTS
 
-from wam_power_ros.params import overlay
-from wam_power_ros.ros import interface, security
+from wam_power_ros.ros import interface
 
-RIGHTS = security.table(overlay.setup())
-PUBLISHED = {topic for access in RIGHTS.values() for topic in access.publishes}
+SENT = ("topic", "publish")
+PUBLISHED = {topic for rights in RIGHTS.values() for topic in rights.get(SENT, ())}
 
 
 def test_every_topic_of_a_layout_is_one_that_a_node_publishes() -> None:
@@ -32,8 +32,8 @@ def test_the_diagnostics_of_every_node_are_in_one_group() -> None:
     ]
     nodes = {
         name.removesuffix("_preparation")  # publishes for the controller
-        for name, access in RIGHTS.items()
-        if interface.DIAGNOSTICS in access.publishes
+        for name, rights in RIGHTS.items()
+        if interface.DIAGNOSTICS in rights.get(SENT, ())
     }
     assert len(nodes) > 3
     for name in nodes:

@@ -23,7 +23,6 @@ from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.learning.demonstration import from_joint_samples
 from wam_power_ros.learning.dmp import fit
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.params import overlay
 from wam_power_ros.practice.session import Session, read
 from wam_power_ros.practice.session_log import NewDemonstration, Pause, Record
 from wam_power_ros.practice.settings import preset
@@ -51,7 +50,7 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
     sim = {"use_sim_time": True}
     given = {"wam_sim:pace": "lockstep", "wam_sim:seed": SEED}
     processes.node("hardware_sim.main", "wam_sim.yaml", **given)
-    quick = {"move_speed": overlay.MOVE_SPEED}
+    quick = {"move_speed": 1.0}
     controller = "wam_power_ros.nodes.torque_controller"
     processes.node(controller, "torque_controller.yaml", "simulation.yaml", **sim, **quick)
     processes.node("wam_power_ros.nodes.body_tracker", "pancake_tracker.yaml", **sim)

@@ -38,7 +38,6 @@ from wam_power_ros.learning.demonstration import from_joint_samples
 from wam_power_ros.learning.dmp import fit
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import EndEffectorPath
-from wam_power_ros.params import overlay
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session import Session
 from wam_power_ros.practice.settings import SessionSettings, preset
@@ -260,7 +259,7 @@ def all_but_the_learner(processes: Processes, folder: Path) -> Process:
     files = f"{recorder}.yaml", "simulation.yaml"
     processes.node(f"wam_power_ros.nodes.{recorder}", *files, **SIM, **directory)
     controller = "torque_controller"
-    quick = {"move_speed": overlay.MOVE_SPEED}
+    quick = {"move_speed": 1.0}
     files = f"{controller}.yaml", "simulation.yaml"
     return processes.node(f"wam_power_ros.nodes.{controller}", *files, **SIM, **quick)
 

@@ -14,7 +14,6 @@ from wam_power_ros.tracking.tracker import (
     Tracker,
     TrackerSettings,
     Validity,
-    base_in_world,
 )
 
 SETTINGS = TrackerSettings(
@@ -76,18 +75,6 @@ def test_velocity_and_spin_of_a_steady_flight_are_those_of_the_flight() -> None:
         state = tracker.add(stamp(index), PAN + velocity * t, rotations.quat_of_vector(omega * t))
     np.testing.assert_allclose(state.velocity, velocity, atol=1e-9)
     np.testing.assert_allclose(state.angular_velocity, omega, atol=1e-6)
-
-
-@pytest.mark.parametrize("up_axis", ["z", "y"])
-def test_the_pose_of_the_base_takes_states_back_to_the_frames_of_the_cameras(up_axis: str) -> None:
-    quat = tuple(rotations.quat_of_vector(np.array([0.1, -0.2, 0.7])).tolist())
-    tracker = Tracker(settings := having(up_axis=up_axis, world_to_base=(0.3, -0.5, 0.2, *quat)))
-    for index in range(3):
-        in_world = np.array([0.4 + 0.001 * index, 0.3, 0.2])
-        state = tracker.add(stamp(index), in_world, LEVEL)
-    pose = base_in_world(settings)
-    back = pose[:3] + rotations.matrix(pose[3:]) @ state.position
-    np.testing.assert_allclose(back, in_world, atol=1e-12)
 
 
 def test_the_angular_velocity_is_in_the_base_frame_and_extrapolates_the_orientation() -> None:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shlex
 import signal
 import subprocess
@@ -32,7 +33,6 @@ from wam_power_ros.cli.launcher import (
 )
 from wam_power_ros.cli.node_log import PROBLEMS, NodeLogs, progress_messages
 from wam_power_ros.cli.plan import LEARNER, RECORDER, TRACKER, plan_of
-from wam_power_ros.cli.plan_command import checked_namespace
 from wam_power_ros.cli.processes import ProcessError, Processes, Running
 from wam_power_ros.cli.session_options import (
     DEFAULT_TASK,
@@ -52,6 +52,7 @@ from wam_power_ros.params import overlay, parameter_file
 if TYPE_CHECKING:
     from wam_power_ros.practice.session import Session
 
+NAMESPACE = re.compile(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 
 # On the arm or its stand-in
 
@@ -466,12 +467,18 @@ def config(devices: Devices, task: str | None) -> None:
     print(overlay.text(setup), end="")
 
 
-def policy(config: Sequence[str], namespace: str) -> None:
-    """Print the SROS2 policy."""
-    from wam_power_ros.ros import security
+def checked_namespace(text: str) -> str:
+    """Namespace of the nodes of one arm, such as `/left`; empty for none.
 
-    rights = security.table(overlay.setup(config), namespace)
-    print(security.policy(rights, namespace), end="")
+    Raises:
+        UsageError: It is not names, separated by slashes.
+    """
+    name = text.strip("/")
+    if name and not NAMESPACE.fullmatch(name):
+        raise UsageError(
+            f"namespace {text!r} must be names of letters, digits and underscores, separated by /"
+        )
+    return f"/{name}" if name else ""
 
 
 def layout(program: str, config: Sequence[str], task: str | None, namespace: str) -> None:

@@ -26,7 +26,6 @@ from wam_power_ros.cli import (
     commission_command,
     doctor_command,
     layouts,
-    plan_command,
     score_command,
 )
 from wam_power_ros.cli.launcher import Devices, UsageError, pasteable
@@ -150,17 +149,6 @@ def _parser() -> argparse.ArgumentParser:
 
     commission_command.add_to(add, _arm_options)
     doctor_command.add_to(add, _arm_options)
-    plan_command.add_to(subparsers)
-
-    policy = add(
-        "policy",
-        commands.policy,
-        "print the SROS2 policy for the given set-ups",
-        "Print which node may publish, subscribe and call what, for ros2 security "
-        "generate_artifacts.",
-    )
-    policy.add_argument("config", nargs="*", metavar="NAME", help="as for config")
-    policy.add_argument("--namespace", default="", help="namespace of the arm's nodes")
 
     layout = add(
         "layout",

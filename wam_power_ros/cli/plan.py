@@ -1,45 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plan of a session: its processes and their parameters, what may end, and what is restarted.
-
-A plan is a value. `cli.launcher` runs it in this terminal; the launch files run it from the JSON
-that `wam-power plan` prints.
-"""
+"""Plan of a session: its processes and their parameters, a value that `cli.launcher` runs."""
 
 from __future__ import annotations
 
 import json
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
-from wam_power_ros.entry import REFUSED
 from wam_power_ros.params import overlay
 
 DOMAIN_FILE = "ros_domain_id"  # in logs/: the DDS domain of a simulation that has its own
 SIMULATION, TRACKER, LEARNER = "wam_sim", "pancake_tracker", "learner"
 CONTROLLER, RECORDER = "torque_controller", "demonstration_recorder"
-RESTARTED = (RECORDER, TRACKER)  # each loses one rollout at most
 MODULE = (sys.executable, "-m")
 
 
 @dataclass(frozen=True)
 class Process:
-    """A process of a session.
-
-    Attributes:
-        name: Name of the process, which its log has too.
-        command: Words of its command.
-        required: Whether its end, with any status, ends the session.
-        respawn: Whether it is started again when it ends, unless it refuses its parameters.
-        then: Words of the command that ends the session after its end with status 0; none if empty.
-    """
+    """A process of a session: its name, which its log has too, and the words of its command."""
 
     name: str
     command: tuple[str, ...]
-    required: bool = True
-    respawn: bool = False
-    then: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -52,7 +35,6 @@ class Plan:
         processes: In the order in which they are started.
         stand_ins: Whether stand-ins take the place of the devices.
         namespace: Namespace of the nodes, such as `/left`; empty for none.
-        files: Texts of further files that they read, by path.
     """
 
     folder: Path
@@ -60,7 +42,6 @@ class Plan:
     processes: tuple[Process, ...]
     stand_ins: bool
     namespace: str = ""
-    files: Mapping[Path, str] = field(default_factory=dict)
 
     @property
     def file(self) -> Path:
@@ -68,35 +49,10 @@ class Plan:
         return self.folder / "logs" / "parameters.yaml"
 
     @property
-    def lock(self) -> Path:
-        """File that is locked while the plan is run."""
-        return self.folder / "logs" / ".lock"
-
-    @property
     def written(self) -> dict[Path, str]:
         """Texts of the files that are written before a process starts, by path."""
         text = overlay.text(self.parameters, self.namespace)
-        return {self.file: text, self.file.with_name(DOMAIN_FILE): "", **self.files}
-
-    def json(
-        self, environment: Mapping[str, str], domain_locks: Sequence[tuple[Path, bool]]
-    ) -> str:
-        """Write the plan as a launch file reads it.
-
-        Args:
-            environment: Environment variables of the processes, beside the inherited ones.
-            domain_locks: Files that hold the DDS domain, and whether others may lock each as well.
-        """
-        check = [*MODULE, "hardware_sim.driver_watch", *ros_arguments(self.namespace, self.file)]
-        value = {
-            "environment": dict(environment),
-            "locks": [[str(file), shared] for file, shared in (*domain_locks, (self.lock, False))],
-            "files": {str(file): text for file, text in self.written.items()},
-            "check": check if self.stand_ins else [],
-            "refused": REFUSED,
-            "processes": [vars(process) for process in self.processes],
-        }
-        return json.dumps(value, indent=2)
+        return {self.file: text, self.file.with_name(DOMAIN_FILE): ""}
 
 
 def plan_of(
@@ -107,7 +63,6 @@ def plan_of(
     also: Sequence[str] = (),
     namespace: str = "",
     secure: bool = False,
-    attended: bool = True,
 ) -> Plan:
     """Plan the processes of a session.
 
@@ -118,8 +73,6 @@ def plan_of(
         also: Nodes beside controller and recorder; a tracker only if there is a body to track.
         namespace: Namespace of the nodes, such as `/left`; empty for none.
         secure: Whether each node runs in its enclave.
-        attended: Whether a person at the terminal resumes a session after the end of any process.
-            Otherwise recorder and tracker are restarted.
     """
     file = Plan(folder, parameters, (), stand_ins).file
     names = [*[SIMULATION] * stand_ins, CONTROLLER, RECORDER]
@@ -128,9 +81,7 @@ def plan_of(
     for name in names:
         command = [*MODULE, "wam_power_ros.entry", name, *ros_arguments(namespace, file)]
         command += enclave(name, namespace) if secure else []
-        respawn = name in RESTARTED and not attended
-        then = (*MODULE, "wam_power_ros.cli", "report", str(folder)) if name == LEARNER else ()
-        processes.append(Process(name, tuple(command), not respawn, respawn, then))
+        processes.append(Process(name, tuple(command)))
     return Plan(folder, parameters, tuple(processes), stand_ins, namespace)
 
 
@@ -147,11 +98,9 @@ def overrides(prefix: str, parameters: Mapping[str, object]) -> list[str]:
     return [word for each in given for word in ("-p", each)]
 
 
-def ros_arguments(namespace: str, *files: Path) -> list[str]:
+def ros_arguments(namespace: str, file: Path) -> list[str]:
     """ROS arguments of a node; in a namespace each simulation has its own clock."""
-    words = ["--ros-args"]
-    for file in files:
-        words += ["--params-file", str(file)]
+    words = ["--ros-args", "--params-file", str(file)]
     if namespace:
         words += ["-r", f"__ns:={namespace}", "-r", f"/clock:={namespace}/clock"]
     return words

@@ -10,6 +10,7 @@ from wam_power_ros.control.feasibility import foresee, simulate_policy, speed_ma
 from wam_power_ros.faults import Fault
 from wam_power_ros.learning.policy import Policy, to_json, with_id
 from wam_power_ros.learning.rollout import Foreseen
+from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import robot_description, share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 
@@ -38,8 +39,8 @@ class SimulatedArm:
             ValueError: A parameter is not valid.
         """
         urdf = robot_description(urdf)
-        own, *over = (share(file) for file in controller)
-        controller_params = TorqueControllerParams.of_file(own, "torque_controller", *over)
+        setup = overlay.of_files([share(file) for file in controller])
+        controller_params = TorqueControllerParams.of_setup(setup)
         corrections = controller_params.corrections
         self.kinematics = Arm(urdf, joint_names, tool_frame, (), corrections)
         self.identity = self.kinematics.identity()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ROS parameters -> one frozen object; values are in YAML only, so a missing key stops the node.
+"""ROS parameters -> one frozen object; values are in YAML only, the defaults of a node in config/.
 
 A node subclasses `Params` with typed fields and no defaults, is constructed with
 `automatically_declare_parameters_from_overrides=True`, and reads its parameters once:
@@ -38,7 +38,7 @@ class Params(BaseModel):
     there do not count here.
     """
 
-    file: ClassVar[str] = ""  # file in config/ whose comments describe the parameters
+    file: ClassVar[str] = ""  # file in config/ with defaults and comments, named after the node
     constants: ClassVar[set[str]] = set()  # included settings that are no parameters
 
     model_config = ConfigDict(
@@ -50,13 +50,13 @@ class Params(BaseModel):
         """Read the parameters of `node` and make them read-only.
 
         Raises:
-            ValueError: Keys are missing, unknown, of a wrong type or out of range; the message
-                names them. Or a file of `--params-file` is malformed: ROS itself accepts a key
-                that is given twice.
+            ValueError: Keys are unknown, of a wrong type, out of range, or missing without
+                defaults; the message names them. Or a file of `--params-file` is malformed.
         """
-        for file in parameter_file.given(sys.argv):
+        if cls.file:
+            cls._complete(node)
+        for file in () if cls.file else parameter_file.given(sys.argv):
             parameter_file.read(file)
-        cls._adopt(node)
         given = node.get_parameters_by_prefix("").items()
         values = {
             name: parameter.value
@@ -70,23 +70,35 @@ class Params(BaseModel):
         return params
 
     @classmethod
-    def _adopt(cls, node: Node) -> None:
-        """Set what the plain parameter files of the process say in sections of other nodes.
+    def _complete(cls, node: Node) -> None:
+        """Give a node of `overlay.NODES` what its files say, and else its defaults.
 
-        A value of the command line stays.
+        They belong to its kind, whatever its name. A value of the command line stays. Parameters of
+        other nodes that reach it by a section of all nodes, or by the command line of both
+        stand-ins, are not its own.
         """
         from rclpy.parameter import Parameter
 
-        if node.get_name() not in overlay.NODES:
-            return
+        kind, name, namespace = Path(cls.file).stem, node.get_name(), node.get_namespace()
         files = parameter_file.given(sys.argv)
-        for name, (plain, value) in overlay.adopted(
-            node.get_name(), files, node.get_namespace()
-        ).items():
-            if not node.has_parameter(name):
-                node.declare_parameter(name, value)
-            elif _plain(node.get_parameter(name).value) == _plain(plain):
-                node.set_parameters([Parameter(name, value=value)])
+        setup = overlay.of_files(files, namespace, name, kind)
+        passed: dict[str, Any] = {"use_sim_time": False}  # by ROS, from the files
+        foreign: set[str] = set()
+        for other in overlay.STAND_INS if kind in overlay.STAND_INS else ():
+            foreign |= setup[other].keys()
+        for file in files:
+            sections = parameter_file.of_nodes(file, namespace)
+            common = sections.get(parameter_file.ALL_NODES, {})
+            foreign |= common.keys()
+            passed |= common | sections.get(name, {})
+        for each in foreign - setup[kind].keys():
+            if node.has_parameter(each) and not each.startswith(parameter_file.ROS_PARAMETERS):
+                node.undeclare_parameter(each)
+        for each, value in setup[kind].items():
+            if not node.has_parameter(each):
+                node.declare_parameter(each, value)
+            elif _plain(node.get_parameter(each).value) == passed.get(each):
+                node.set_parameters([Parameter(each, value=value)])
 
     @classmethod
     def _describe(cls, node: Node) -> None:
@@ -112,27 +124,6 @@ class Params(BaseModel):
             read_only=True,
         )
         node.set_descriptor("use_sim_time", clock)
-
-    @classmethod
-    def of_file(cls: type[P], path: Path, node: str, *over: Path) -> P:
-        """Read the parameters of a node from YAML files, as the node would.
-
-        Args:
-            path: File of the node.
-            node: Name of the node.
-            over: Files that override it, in order: the last one wins; a file may have no parameters
-                for this node.
-
-        Raises:
-            ValueError: As for `of`, or the node's own file has no parameters for it.
-        """
-        values: dict[str, object] = {}
-        for file in (path, *over):
-            nodes = parameter_file.of_nodes(file)
-            if file == path and node not in nodes:
-                raise ValueError(f"{file} has no parameters for {node}")
-            values |= nodes.get(node, {})
-        return cls.of_values(f"{node} in {path}", values)
 
     @classmethod
     def of_setup(cls: type[P], setup: overlay.Setup) -> P:

@@ -38,7 +38,7 @@ WITH_BODY = ("pancake_tracker", "demonstration_recorder", "optitrack_sim")  # th
 SOURCES = ("torque_controller", "pancake_tracker")  # the others' parameters are derived from theirs
 REGION = "guarded_region"  # parameter of the controller; a simulated scene has the same one
 SIMULATION = "simulation"  # file in config/ with what a simulation changes
-MOVE_SPEED = 1.0  # [rad/s] of a simulated arm in lockstep, when it moves to a start
+LOCKSTEP = "lockstep"  # file in config/ with what the pace of a simulation changes
 _KINDS = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
 _STR, _SEQ = "tag:yaml.org,2002:str", "tag:yaml.org,2002:seq"
 
@@ -97,7 +97,9 @@ class Setup(Mapping[str, dict[str, Any]]):
 def known() -> list[str]:
     """Names of the set-ups in config/."""
     stems = sorted(file.stem for file in share("config").glob("*.yaml"))
-    return [s for s in stems if "." not in s and s not in (*NODES, SIMULATION)]  # no NAME.TASK
+    return [
+        s for s in stems if "." not in s and s not in (*NODES, SIMULATION, LOCKSTEP)
+    ]  # no NAME.TASK
 
 
 def find(name: str) -> Path:
@@ -131,30 +133,17 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
             kind than the node's own file, or sets `simulation` for a real arm.
     """
     own = _own()
-    given: Parameters = {node: {} for node in NODES}
     files = [installed.task_setup(task, share("config"))] if task else []
-    of_task = {"body": installed.task_type(task).body} if task else {}
-    given["pancake_tracker"] |= of_task
     for file in map(find, names):
         for_task = file.with_suffix(f".{task}.yaml")  # such as openarm.reach.yaml
         files += [file, for_task] if task and for_task.is_file() else [file]
-    for file in files:
-        for node, values in _read(file).items():
-            _check(file, node, values, own)
-            given[node] |= _for_ros(values, own[node])
-    chosen = {node: own[node] | given[node] for node in NODES}
-    _name_body(chosen["pancake_tracker"], given["pancake_tracker"])
-    derived = _derived(chosen["torque_controller"], chosen["pancake_tracker"])
+    of_task = {"body": installed.task_type(task).body} if task else {}
+    given = [(file, _sections(file, own)) for file in files]
     in_simulation = simulated or not names
-    if files or in_simulation:
-        rules = [f"config/{SIMULATION}.yaml"] if in_simulation else []
-        limits = [*own["learner"]["controller"], *rules, *map(str, files)]
-        derived["learner"]["controller"] = limits
-    if not (names or simulated):  # otherwise stand-ins like the drivers of these devices
-        derived["wam_sim"] |= {"pace": "lockstep", "realtime_priority": 0}
-        if not chosen["pancake_tracker"]["markers_topic"]:
-            del derived["optitrack_sim"]["markers_topic"]  # the stand-in's own publishes both
-    parameters = {node: own[node] | derived.get(node, {}) | given[node] for node in NODES}
+    first: Parameters = {"wam_sim": {"pace": "lockstep"}}
+    if names or simulated:  # stand-ins like the drivers of these devices
+        first = _derived(*(own[source] for source in SOURCES))
+    parameters = _folded(own, _over(own, first), [(None, {"pancake_tracker": of_task}), *given])
     parameters["learner"] |= {"task": task} if task else {}
     for node in WITH_BODY if task else ():
         if (body := {"body": parameters[node]["body"]}) != of_task:
@@ -166,22 +155,78 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
             "replace them with --simulate, or in sim.launch.py"
         )
     if in_simulation:  # the stand-ins do what a person does in the lab
-        for node, values in _read(share(f"config/{SIMULATION}.yaml")).items():
-            parameters[node] |= values
+        said = _over({node: {} for node in NODES}, *(sections for _, sections in given))
+        rules = _read(share(f"config/{SIMULATION}.yaml"))
         # A set-up may leave the scene to the task, to try what an arm does without a person, and
         # keep the arm as slow as it is in the lab.
         kept = {"learner": "scene_reset", "torque_controller": "teaching_tool_speed_max"}
         for node, key in kept.items():
-            parameters[node] |= {k: v for k, v in given[node].items() if k == key}
-        if parameters["wam_sim"]["pace"] == "lockstep":  # wam_sim publishes the time for all nodes
-            for node in set(NODES) - set(STAND_INS):
-                parameters[node]["use_sim_time"] = True
-            # Nobody stands beside a simulated arm: at the usual speed, moves to the start would
-            # take two thirds of a session. Lockstep never waits for the clock, so that a node with
-            # real-time priority would leave no time to the others.
-            in_lockstep = {"move_speed": MOVE_SPEED, "realtime_priority": 0}
-            parameters["torque_controller"] |= in_lockstep | given["torque_controller"]
+            rules[node] |= {k: v for k, v in said[node].items() if k == key}
+        parameters = _over(parameters, rules)
+        own_limits, *limits = parameters["learner"]["controller"]
+        parameters["learner"]["controller"] = [own_limits, f"config/{SIMULATION}.yaml", *limits]
+        if parameters["wam_sim"]["pace"] == "lockstep":
+            rules = _read(share(f"config/{LOCKSTEP}.yaml"))
+            for node, values in rules.items():  # unless a set-up says so
+                values |= {k: v for k, v in said[node].items() if k in values}
+            parameters = _over(parameters, rules)
     return Setup(parameters)
+
+
+def of_files(files: Sequence[Path], namespace: str = "/", node: str = "", kind: str = "") -> Setup:
+    """Compute the parameters of every node from plain files, which may leave out any.
+
+    They are those of the nodes' own files, changed by each other file in turn: by its sections,
+    and by what is derived for the other nodes from those of the arm and the motion capture. A
+    section of all nodes (`/**`) holds for each that has such a parameter.
+
+    Args:
+        files: Parameter files, later ones over earlier ones.
+        namespace: Namespace of the nodes; sections of others are ignored.
+        node: Name that a node was started with, whose sections are those of its kind as well.
+        kind: Its name in `NODES`.
+
+    Raises:
+        ValueError: A file is malformed, or a section has an unknown parameter or a value of another
+            kind than the node's own file.
+    """
+    own, defaults = _own(), {share(f"config/{each}.yaml").resolve() for each in NODES}
+    others = [path for path in map(Path.resolve, files) if path not in defaults]
+    sections = [(file, _sections(file, own, namespace, {node: kind})) for file in others]
+    return Setup(_folded(own, own, sections))
+
+
+def _folded(
+    own: Parameters, base: Parameters, files: Sequence[tuple[Path | None, Parameters]]
+) -> Parameters:
+    """Apply the sections of files in turn, and what each changes in derived parameters."""
+    given: Parameters = {source: {} for source in SOURCES}
+    parameters = _over(base)
+    before = _derived(*(own[source] for source in SOURCES))
+    for file, sections in files:
+        given = {source: given[source] | sections.get(source, {}) for source in SOURCES}
+        arm, mocap = (own[source] | given[source] for source in SOURCES)
+        mocap = _with_body(mocap, given["pancake_tracker"])
+        after = _derived(arm, mocap)
+        changes = {
+            node: {k: v for k, v in values.items() if before[node].get(k) != v}
+            for node, values in after.items()
+        }
+        if file and "torque_controller" in sections:
+            changes["learner"]["controller"] = [*parameters["learner"]["controller"], str(file)]
+        topics = {name: mocap[name] for name in ("pose_topic", "markers_topic")}
+        parameters = _over(parameters, changes, sections, {"pancake_tracker": topics})
+        before = after
+    return parameters
+
+
+def _over(below: Parameters, *above: Mapping[str, Mapping[str, Any]]) -> Parameters:
+    """Parameters by node, later ones over earlier ones."""
+    nodes = {node: dict(values) for node, values in below.items()}
+    for each in above:
+        for node, values in each.items():
+            nodes[node] |= values
+    return nodes
 
 
 def read(file: Path) -> Setup:
@@ -195,83 +240,8 @@ def read(file: Path) -> Setup:
     return Setup(_own()).changed(parameter_file.of_nodes(file))
 
 
-def adopted(node: str, files: Sequence[Path], namespace: str = "/") -> dict[str, tuple[Any, Any]]:
-    """Compute what `setup` would change in the parameters of a node that is given plain files.
-
-    ROS itself passes to a node only its own sections: those of the arm and of the motion capture
-    would not reach a recorder. Without any file a node has its own file of config/; where the files
-    of its process, that of wam_sim, leave parameters of optitrack_sim out, it has its own for them.
-
-    Args:
-        node: Name of the node, one of `NODES`.
-        files: Its parameter files, later ones over earlier ones; other nodes are ignored.
-        namespace: Namespace of the node.
-
-    Returns:
-        Value in its own sections (None if there is none) and derived value, by name of the
-        parameter, where they differ.
-
-    Raises:
-        ValueError: A file is malformed, or an arm's or motion capture's section has an unknown
-            parameter or a value of another kind than the node's own file.
-    """
-    own = _own()
-    named = {name for file in files for name in _read(file, namespace).get(node, {})}
-    if not files or (node == "optitrack_sim" and own[node].keys() - named):
-        changed = adopted(node, [share(f"config/{node}.yaml"), *files], namespace)
-        left_out = {name: (None, own[node][name]) for name in own[node].keys() - named}
-        return left_out | {
-            name: (plain if name in named else None, value)
-            for name, (plain, value) in changed.items()
-        }
-    given: Parameters = {source: {} for source in SOURCES}
-    limits = share("config/torque_controller.yaml")
-    controller = list(own["learner"]["controller"])
-    plain: dict[str, Any] = {}
-    found: dict[str, Any] = {}
-
-    def derive() -> dict[str, Any]:
-        arm, mocap = (own[source] | given[source] for source in SOURCES)
-        cameras = dict(given["pancake_tracker"])
-        _name_body(mocap, cameras)
-        if node == "pancake_tracker":
-            named = {name: mocap[name] for name in ("pose_topic", "markers_topic")}
-            return named | {"base_frame": given[node].get("base_frame", arm["base_frame"])}
-        derived = _derived(arm, mocap).get(node, {})
-        return derived | ({"controller": list(controller)} if node == "learner" else {})
-
-    before = derive()
-    for file in files:
-        section = parameter_file.of_nodes(file, namespace).get(node, {})
-        sections = _read(file, namespace)
-        for source in SOURCES:
-            values = _without_ros(sections.get(source, {}))
-            _check(file, source, values, own)
-            values = _for_ros(values, own[source])
-            changed = {name: value for name, value in values.items() if value != own[source][name]}
-            given[source] = {k: v for k, v in given[source].items() if k not in values} | changed
-            if source == "torque_controller" and values and file.resolve() != limits.resolve():
-                controller.append(str(file.resolve()))  # also one that restores own values
-        after = derive()
-        new = {name: value for name, value in after.items() if value != before.get(name)}
-        found |= new | sections.get(node, {}) | (after if node in SOURCES else {})
-        plain |= section
-        before = after
-    return {
-        name: (plain.get(name), value)
-        for name, value in _without_ros(found).items()
-        if plain.get(name) != value
-    }
-
-
 def _own() -> Parameters:
     return {node: _read(share(f"config/{node}.yaml"))[node] for node in NODES}
-
-
-def _without_ros(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Parameters without those that ROS itself defines."""
-    prefixes = parameter_file.ROS_PARAMETERS
-    return {name: value for name, value in values.items() if not str(name).startswith(prefixes)}
 
 
 def text(setup: Setup, namespace: str = "") -> str:
@@ -307,15 +277,46 @@ def _read(file: Path, namespace: str = "") -> Parameters:
     return found
 
 
-def _check(file: Path, node: str, values: Mapping[str, Any], own: Parameters) -> None:
-    if node not in own:
-        raise ValueError(f"{file} has parameters for {node!r}; the nodes are {list(NODES)}")
+def _sections(
+    file: Path, own: Parameters, namespace: str = "", renamed: Mapping[str, str] | None = None
+) -> Parameters:
+    """Checked parameters by node from one file; those of all nodes are given to each that has them.
+
+    With `renamed`, the kinds of nodes by the name that they were started with, the file is one of
+    ROS, and unknown nodes are those of others.
+    """
+    found = _read(file, namespace)
+    common = found.pop(parameter_file.ALL_NODES, {})
+    every = {name: values for node in own.values() for name, values in node.items()}
+    _check(file, "every node", common, every)
+    sections: Parameters = {
+        node: {name: value for name, value in common.items() if name in own[node] or _of_ros(name)}
+        for node in NODES
+    }
+    for name, values in found.items():
+        node = (renamed or {}).get(name, name)
+        if node in own:
+            _check(file, node, values, own[node])
+            sections[node] |= values
+        elif renamed is None:
+            raise ValueError(f"{file} has parameters for {node!r}; the nodes are {list(NODES)}")
+    return {node: _for_ros(values, own[node]) for node, values in sections.items() if values}
+
+
+def _of_ros(name: object) -> bool:
+    """Whether ROS itself defines a parameter."""
+    return str(name).startswith(parameter_file.ROS_PARAMETERS)
+
+
+def _check(file: Path, node: str, values: Mapping[str, Any], own: Mapping[str, Any]) -> None:
     for name, value in values.items():
-        if name not in own[node]:
-            near = difflib.get_close_matches(str(name), own[node], n=1)
-            hint = f"; is it {near[0]}?" if near else f"; it has {sorted(own[node])}"
+        if _of_ros(name):
+            continue
+        if name not in own:
+            near = difflib.get_close_matches(str(name), own, n=1)
+            hint = f"; is it {near[0]}?" if near else f"; it has {sorted(own)}"
             raise ValueError(f"{file}: {node} has no parameter {name!r}{hint}")
-        if not _same_kind(value, default := own[node][name]):
+        if not _same_kind(value, default := own[name]):
             shown = reprlib.repr(value)  # the value may be a whole file
             raise ValueError(f"{file}: {name} of {node} is {shown}; allowed is {_kind(default)}")
 
@@ -334,7 +335,7 @@ def _for_ros(values: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any
 
     A list of both, or an empty one, ends a node before it can say which parameter it is.
     """
-    return {name: _of_kind(value, own[name]) for name, value in values.items()}
+    return {name: _of_kind(value, own.get(name, value)) for name, value in values.items()}
 
 
 def _of_kind(value: Any, default: Any) -> Any:  # noqa: ANN401 - of any kind
@@ -350,15 +351,14 @@ def _kind(default: object) -> str:
     return _KINDS[type(default)]
 
 
-def _name_body(mocap: dict[str, Any], given: dict[str, Any]) -> None:
-    """Insert the body's name into its pose topic, or clear the topics without a body; in place."""
-    if not mocap["body"]:
-        given |= {"pose_topic": "", "markers_topic": ""}
-    elif "pose_topic" in given:
-        given["pose_topic"] = given["pose_topic"].replace("{body}", mocap["body"])
-    elif not given.get("markers_topic"):
-        given["pose_topic"] = f"{mocap['body']}/pose"
-    mocap |= given
+def _with_body(mocap: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Motion capture with the body's name in its pose topic, or without topics if there is none."""
+    body = mocap["body"]
+    if not body:
+        return {**mocap, "pose_topic": "", "markers_topic": ""}
+    if given.get("markers_topic") and "pose_topic" not in given:
+        return dict(mocap)
+    return {**mocap, "pose_topic": given.get("pose_topic", "{body}/pose").replace("{body}", body)}
 
 
 def _derived(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Parameters:

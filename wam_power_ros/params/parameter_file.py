@@ -19,6 +19,7 @@ import yaml
 from wam_power_ros import plain_yaml
 
 ROS_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")  # prefixes
+ALL_NODES = "**"  # name, without namespace, of the section of all nodes: `/**`
 _TAG = "tag:yaml.org,2002:"
 _INT = re.compile(r"[-+]?(0|[1-9][0-9]*)$")
 _COMMENTED = re.compile(r"    (\w+):(?:[^#]*)(?:# ?(.*))?$")  # a parameter and its comment
@@ -66,6 +67,10 @@ Loader.yaml_implicit_resolvers = {
     first: [pair for pair in pairs if pair[0] in (_TAG + "bool", _TAG + "null")]
     for first, pairs in yaml.SafeLoader.yaml_implicit_resolvers.items()
 }
+# launch_ros writes a list of `parameters=[{...}]` so, and ROS reads it as a list.
+Loader.add_constructor(
+    _TAG + "python/tuple", lambda loader, node: list(loader.construct_sequence(node, deep=True))
+)
 Loader.add_implicit_resolver(_TAG + "int", _INT, list("-+0123456789"))
 Loader.add_implicit_resolver(_TAG + "float", _FLOAT, list("-+.0123456789"))
 
@@ -107,7 +112,7 @@ def _mapping(value: object, where: str) -> dict[Any, Any]:
 
 
 def of_nodes(file: Path, namespace: str = "") -> dict[str, dict[str, Any]]:
-    """Read the parameters by name of the node, without its namespace.
+    """Read the parameters by name of the node, without its namespace; ALL_NODES for all.
 
     Args:
         file: Parameter file.
@@ -119,7 +124,8 @@ def of_nodes(file: Path, namespace: str = "") -> dict[str, dict[str, Any]]:
     found: dict[str, dict[str, Any]] = {}
     for path, values in read(file).items():
         above, _, name = path.rpartition("/")
-        if namespace and above != "/**" and f"/{above.strip('/')}" != namespace:
+        anywhere = above == "/**" or path in ("/**", "**")
+        if namespace and not anywhere and f"/{above.strip('/')}" != namespace:
             continue
         if name in found and not namespace:
             raise ValueError(f"{file} has parameters for {name} twice; use one file for each")

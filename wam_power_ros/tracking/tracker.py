@@ -159,12 +159,6 @@ def world_in_base(settings: TrackerSettings) -> tuple[np.ndarray, np.ndarray]:
     return rotations.matrix(pose[3:]) @ turn, pose[:3]
 
 
-def base_in_world(settings: TrackerSettings) -> np.ndarray:
-    """Pose (7,) of the base in the motion capture's frame: position [m], quaternion xyzw."""
-    rotation, origin = world_in_base(settings)
-    return np.concatenate([-rotation.T @ origin, rotations.quat_xyzw(rotation.T)])
-
-
 class Tracker:
     """Estimates state and path of one body from raw frames of the motion capture.
 

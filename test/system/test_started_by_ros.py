@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Nodes started as `ros2 run` starts any: with a few parameters, and with another name."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import Probe, Process, Processes
+from rcl_interfaces.srv import GetParameters
+from rclpy.parameter import parameter_value_to_python
+
+from wam_power_ros.params import overlay
+
+MODULES = {
+    "torque_controller": "wam_power_ros.nodes.torque_controller",
+    "demonstration_recorder": "wam_power_ros.nodes.demonstration_recorder",
+    "pancake_tracker": "wam_power_ros.nodes.body_tracker",
+    "learner": "wam_power_ros.nodes.learner",
+    "wam_sim": "hardware_sim.main",
+}
+OWN = overlay.of_files([])
+# A file that a launch file writes for `parameters=[{...}]`, or a lab for all of its nodes.
+LAB = "/**:\n  ros__parameters: {rate: 100.0, base_frame: rail, move_speed: 0.4, trials: 3}\n"
+CHANGED = {
+    "torque_controller": {"base_frame": "rail", "move_speed": 0.4},
+    "pancake_tracker": {"rate": 100.0, "base_frame": "rail"},
+    "learner": {"base_frame": "rail", "trials": 3},
+    "optitrack_sim": {"rate": 100.0},
+}
+
+
+def start(processes: Processes, node: str, *words: str) -> Process:
+    return processes.start([sys.executable, "-m", MODULES[node], "--ros-args", *words])
+
+
+def values(probe: Probe, name: str, names: list[str]) -> dict[str, object]:
+    """Parameters of a running node; None for those that it does not have."""
+    probe.until(lambda: name in probe.node.get_node_names(), f"node {name}")
+    request = GetParameters.Request(names=names)
+    found = probe.call(GetParameters, f"{name}/get_parameters", request).values
+    plain = [parameter_value_to_python(value) for value in found]
+    lists = [v if isinstance(v, (str, int, float)) else list(v) for v in plain]
+    return dict(zip(names, lists, strict=True))
+
+
+@pytest.mark.parametrize("node", sorted({*MODULES} - {"learner"}))
+def test_a_node_takes_from_its_defaults_what_no_file_and_no_argument_says(
+    node: str, probe: Probe, processes: Processes, tmp_path: Path
+) -> None:
+    file = tmp_path / "lab.yaml"
+    file.write_text(LAB)
+    given = {"realtime_priority": 0} if "realtime_priority" in OWN[node] else {}
+    words = [word for name, value in given.items() for word in ("-p", f"{name}:={value}")]
+    start(processes, node, "--params-file", str(file), *words)
+    expected = OWN[node] | CHANGED.get(node, {}) | given
+    assert values(probe, node, [*expected]) == expected
+    if node == "wam_sim":  # what it does not know is the other stand-in's
+        cameras = OWN["optitrack_sim"] | CHANGED["optitrack_sim"]
+        assert values(probe, "optitrack_sim", [*cameras]) == cameras
+
+
+@pytest.mark.parametrize("node", MODULES)
+def test_a_node_with_another_name_has_the_defaults_of_its_kind(
+    node: str, probe: Probe, processes: Processes, tmp_path: Path
+) -> None:
+    file = tmp_path / "lab.yaml"
+    file.write_text(LAB)
+    process = start(processes, node, "-r", "__node:=other", "--params-file", str(file))
+    if node == "learner":  # which has nothing to learn from, and says so with its own name
+        assert process.wait(120.0) == 2
+        assert "missing" not in processes.output(process)
+        assert "demonstration" in processes.output(process)
+        return
+    expected = OWN[node] | CHANGED.get(node, {})
+    assert values(probe, "other", [*expected]) == expected
+    names = probe.node.get_node_names()
+    assert node not in names
+    assert ("optitrack_sim" in names) == (node == "wam_sim")
+
+
+def test_a_name_that_no_node_knows_is_refused_and_a_neighbour_named(
+    processes: Processes, tmp_path: Path
+) -> None:
+    file = tmp_path / "lab.yaml"
+    file.write_text("/**: {ros__parameters: {raet: 100.0}}")
+    process = start(processes, "pancake_tracker", "--params-file", str(file))
+    assert process.wait(120.0) == 2
+    assert "no parameter 'raet'; is it rate?" in processes.output(process)
