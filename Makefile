@@ -5,6 +5,7 @@ PYTHON ?= python3
 ARGS ?=
 VENV := .venv
 BIN := $(VENV)/bin
+INSTALLED := $(VENV)/installed
 READY := $(VENV)/ready
 
 # ROS stays on this machine unless the environment says otherwise.
@@ -12,15 +13,20 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 # The rclpy wheels record in this variable that their libraries are on the path, which is true for this .venv only.
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-# A sourced ROS 2 Jazzy or Kilted provides rclpy, NumPy 1 and Pinocchio; otherwise everything comes from PyPI.
+# A sourced ROS 2 Jazzy or Kilted provides rclpy, NumPy 1 and Pinocchio, and `make build` builds the interfaces; otherwise
+# everything comes from PyPI, and pip builds the interfaces.
 ifneq ($(filter jazzy kilted,$(ROS_DISTRO)),)
 VENV_FLAGS := --system-site-packages
 EXTRAS := sim,view,reproduce,completion,test,browser,dev
 CONSTRAIN = echo 'numpy<2' > $(VENV)/constraints.txt
+INTERFACES :=
+BUILT := . wam_power_interfaces
 else
 VENV_FLAGS :=
 EXTRAS := plain,sim,view,reproduce,completion,test,browser,dev
 CONSTRAIN = : > $(VENV)/constraints.txt
+INTERFACES := wam_power_interfaces
+BUILT := .
 endif
 
 .PHONY: help learn reproduce test lint format build api venv clean
@@ -38,7 +44,7 @@ help:
 
 venv: $(READY)
 
-$(READY): requirements.txt setup.py setup.cfg wam_power_ros/_kernel.c
+$(INSTALLED): requirements.txt setup.py setup.cfg wam_power_ros/_kernel.c
 	@$(PYTHON) -c 'import sys; v = sys.version_info; \
 	    sys.exit(None if (3, 10) <= v < (3, 14) else "Python 3.10 to 3.13 is needed, this is %d.%d: make PYTHON=python3.12 ..." % v[:2])'
 	rm -rf $(VENV)
@@ -49,6 +55,10 @@ $(READY): requirements.txt setup.py setup.cfg wam_power_ros/_kernel.c
 	@PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --use-pep517 -c $(VENV)/constraints.txt -e '.[$(EXTRAS)]'
 	@$(BIN)/python -c 'import mujoco, pinocchio, rclpy' || { \
 	    echo 'A system library is missing, see above. For libgomp.so.1: apt install libgomp1'; exit 1; }
+	@touch $@
+
+$(READY): $(INSTALLED) $(shell find wam_power_interfaces -type f -not -name '*.pyc')
+	$(if $(INTERFACES),$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --force-reinstall ./$(INTERFACES))
 	@touch $@
 
 # Ctrl-C is a regular end: the shell waits for the command, and make reports no error.
@@ -75,11 +85,12 @@ format: $(READY)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-# colcon runs with the Python of .venv, because the installed executables start with the Python that built them.
+# colcon runs with the Python of .venv, because the installed executables start with the Python that built them. It does not
+# look for packages inside of a package, so it is given both folders.
 build: $(READY)
 	@$(BIN)/python -c 'import colcon, colcon_ros' 2>/dev/null || $(BIN)/python -m pip install --quiet --use-pep517 \
 	    -c $(VENV)/constraints.txt -e '.[build]'
-	$(BIN)/python -m colcon build --packages-select wam_power_ros
+	$(BIN)/python -m colcon build --base-paths $(BUILT) --packages-up-to wam_power_ros
 
 # pdoc imports every module. On import GLFW starts a process to look for its library, hence PDOC_ALLOW_EXEC.
 api: $(READY)

@@ -12,7 +12,10 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE, STAND_INS = ROOT / "wam_power_ros", ROOT / "hardware_sim"
 ROS = {
     "rclpy",
+    "wam_power_interfaces",
+    "action_msgs",
     "builtin_interfaces",
+    "control_msgs",
     "diagnostic_msgs",
     "geometry_msgs",
     "lifecycle_msgs",
@@ -115,6 +118,7 @@ BUDGET = {
     "cli": 3087,
     "hardware_sim": 3043,
     "launch": 161,
+    "wam_power_interfaces": 160,  # its build without ROS
     "examples": 377,
     "reproduction": 3307,  # learners that only studies compare with
     "benchmark": 2747,  # the matrix of the reaction has a plant of its own
@@ -133,7 +137,7 @@ PURE = (
 SPEAK_ROS = {"params", "ros", "client", "nodes", "console", "view", "hardware_sim", "benchmark"}
 SIMULATE = {"hardware_sim", "in_process", "benchmark"}
 
-TOPS = ("launch", "examples", "reproduction", "benchmark")
+TOPS = ("wam_power_interfaces", "launch", "examples", "reproduction", "benchmark")
 INSTALLED = (PACKAGE, STAND_INS)
 MODULES = sorted(path for top in (*INSTALLED, ROOT / "reproduction") for path in top.rglob("*.py"))
 BENCHMARKS = sorted((ROOT / "benchmark").rglob("*.py"))

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""wam_power_interfaces as CMake and pip build it, and an action of it between two processes."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from action_msgs.msg import GoalStatus
+from conftest import ROOT, Probe, Processes
+from control_msgs.action import FollowJointTrajectory
+from rclpy.action import ActionClient
+
+from wam_power_interfaces.action import ExecutePolicy
+from wam_power_interfaces.msg import Outcome
+
+FOLDER = ROOT / "wam_power_interfaces"
+KINDS = ("action", "msg", "srv")
+DEFINITIONS = sorted(path for kind in KINDS for path in FOLDER.glob(f"{kind}/*.{kind}"))
+CONTROL_MSGS = sorted((FOLDER / "without_ros/control_msgs").glob("*/*.*"))
+SERVER = str(ROOT / "test/action_server.py")
+
+
+def test_cmake_builds_every_definition_and_the_manifest_names_what_they_need() -> None:
+    cmake = (FOLDER / "CMakeLists.txt").read_text()
+    listed = re.findall(r'"((?:action|msg|srv)/\w+\.\w+)"', cmake)
+    assert listed == [str(path.relative_to(FOLDER)) for path in DEFINITIONS]
+    texts = "".join(path.read_text() for path in DEFINITIONS)
+    used = set(re.findall(r"^(\w+)/\w+", texts, re.MULTILINE))
+    assert used <= set(re.findall(r"find_package\((\w+) REQUIRED\)", cmake))
+    (dependencies,) = re.findall(r"DEPENDENCIES (.*)", cmake)
+    assert set(dependencies.split()) == used
+    manifest = (FOLDER / "package.xml").read_text()
+    assert set(re.findall(r"<depend>(\w+)</depend>", manifest)) == {"action_msgs", *used}
+
+
+def test_both_packages_have_one_version() -> None:
+    versions = {
+        re.findall(r"<version>(.*)</version>", (folder / "package.xml").read_text())[0]
+        for folder in (ROOT, FOLDER)
+    }
+    assert len(versions) == 1
+
+
+@pytest.mark.parametrize("path", [*DEFINITIONS, *CONTROL_MSGS], ids=lambda path: path.stem)
+def test_every_definition_is_installed_as_it_stands_here(path: Path) -> None:
+    kind = path.parent.name
+    module = importlib.import_module(f"{path.parents[1].name}.{kind}")
+    assert getattr(module, path.stem).__module__.startswith(module.__name__)
+    fields = {
+        line.split()[1]
+        for line in path.read_text().splitlines()
+        if re.match(r"[A-Za-z]", line) and "=" not in line.partition("#")[0]
+    }
+    parts = {"msg": [""], "srv": ["Request", "Response"], "action": ["Goal", "Result", "Feedback"]}
+    there: set[str] = set()
+    whole = getattr(module, path.stem)
+    for part in parts[kind]:
+        there |= set((getattr(whole, part) if part else whole).get_fields_and_field_types())
+    assert there - {"structure_needs_at_least_one_member"} == fields
+
+
+def test_every_field_says_what_it_is() -> None:
+    silent = [
+        f"{path.stem}: {line}"
+        for path in DEFINITIONS
+        for line in path.read_text().splitlines()
+        if re.match(r"[a-z]\S+ \w+\s*$", line) and not line.startswith("Rating rating")
+    ]
+    assert silent == []
+
+
+def finished(probe: Probe, client: ActionClient, goal: ExecutePolicy.Goal) -> tuple[Any, list[Any]]:
+    """Send a goal, cancel it after the first feedback, and return its response and feedback."""
+    feedback: list[Any] = []
+    sent = client.send_goal_async(goal, lambda message: feedback.append(message.feedback))
+    probe.until(sent.done, "the acceptance of the goal")
+    handle = sent.result()
+    assert handle.accepted
+    ended = handle.get_result_async()
+    probe.until(lambda: feedback or ended.done(), "feedback or the end of the goal")
+    if not ended.done():
+        probe.until(handle.cancel_goal_async().done, "the answer to the cancellation")
+    probe.until(ended.done, "the result")
+    return ended.result(), feedback
+
+
+def test_an_action_crosses_processes_with_feedback_cancellation_and_result(
+    processes: Processes, probe: Probe
+) -> None:
+    processes.start([sys.executable, SERVER])
+    client = ActionClient(probe.node, ExecutePolicy, "execute")
+    probe.until(client.server_is_ready, "the server")
+    probe.spin(0.3)
+    text = json.dumps({"schema": 1, "id": "trial-0001", "comment": "ünïcode"})
+    response, feedback = finished(probe, client, ExecutePolicy.Goal(policy=text, id="trial-0001"))
+    assert response.status == GoalStatus.STATUS_CANCELED
+    assert (response.result.outcome, response.result.policy_id) == (Outcome.STOPPED, "trial-0001")
+    assert feedback[0].stage == "executing" and 0.0 <= feedback[0].progress < 1.0
+    response, _ = finished(probe, client, ExecutePolicy.Goal(policy=text, id="refused"))
+    assert response.status == GoalStatus.STATUS_ABORTED
+    assert (response.result.outcome, response.result.reason) == (
+        Outcome.REFUSED,
+        f"no policy {text}",
+    )
+    client.destroy()
+
+
+def test_a_trajectory_of_control_msgs_is_a_goal() -> None:
+    goal = FollowJointTrajectory.Goal()
+    goal.trajectory.joint_names = ["joint_1"]
+    assert FollowJointTrajectory.Result().error_code == FollowJointTrajectory.Result.SUCCESSFUL
+    assert FollowJointTrajectory.Result.GOAL_TOLERANCE_VIOLATED == -5
+
+
+@pytest.mark.skipif(shutil.which("ros2") is None, reason="no ros2 on PATH")
+def test_ros2_shows_the_definitions_with_their_comments() -> None:
+    command = ["ros2", "interface", "show", "wam_power_interfaces/action/ExecutePolicy"]
+    shown = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert "string policy" in shown and "float64 progress" in shown
+
+
+@pytest.mark.skipif("ROS_DISTRO" in os.environ, reason="colcon builds the interfaces")
+def test_a_build_without_a_compiler_says_what_is_needed(tmp_path: Path) -> None:
+    code = "import interface_wheel; interface_wheel.build_wheel('.')"
+    environment = {**os.environ, "PATH": str(tmp_path), "PYTHONPATH": str(FOLDER / "without_ros")}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.returncode == 1
+    assert "apt install build-essential python3-dev" in done.stderr
