@@ -18,7 +18,7 @@ from wam_power_ros.learning.dmp import activations
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.tasks.flip.ballistic_fit import GRAVITY
 from wam_power_ros.tasks.flip.flight import DELTA_H
-from wam_power_ros.tasks.flip.returns import PancakeWeights
+from wam_power_ros.tasks.flip.returns import WEIGHT
 
 PERIOD = 0.005  # sampling period of the movement [s]; 0.002 s does not predict better
 TAIL = 1.0  # time after the movement that is predicted too, at the tempo of the demonstration [s]
@@ -87,18 +87,11 @@ def plan_tosses(parameters: Parametrization, z: np.ndarray, start: np.ndarray) -
     )
 
 
-def planned_terms(tosses: Tosses, weights: PancakeWeights) -> np.ndarray:
+def planned_terms(tosses: Tosses) -> np.ndarray:
     """Terms orientation, position and altitude of Eq. 5 of B planned tosses. Shape (B, 3)."""
     miss = np.linalg.norm(tosses.landing_error, axis=1)
     folded = np.arccos(np.cos(tosses.angle)) / np.pi
-    return np.stack(
-        [
-            weights.orientation * folded,
-            weights.position * np.exp(-miss),
-            weights.altitude * np.maximum(tosses.apex, 0.0),
-        ],
-        axis=1,
-    )
+    return WEIGHT * np.stack([folded, np.exp(-miss), np.maximum(tosses.apex, 0.0)], axis=1)
 
 
 class TossModel:
@@ -108,18 +101,14 @@ class TossModel:
     zero-mean normal prior of w: a ridge regression, solved again after every rollout.
     """
 
-    def __init__(
-        self, parameters: Parametrization, start: np.ndarray, weights: PancakeWeights
-    ) -> None:
+    def __init__(self, parameters: Parametrization, start: np.ndarray) -> None:
         """Start without rollouts.
 
         Args:
             parameters: Parametrization of the policies.
             start: Position of the pan's centre at the start, base frame [m]. Shape (3,).
-            weights: Weights of the return.
         """
         self._parameters, self._start = parameters, np.asarray(start, dtype=float)
-        self._weights = weights
         self._terms: list[np.ndarray] = []
         self._residuals: list[float] = []
         self._w: np.ndarray | None = None  # weights of the features, None before the first rollout
@@ -139,8 +128,7 @@ class TossModel:
         self._w = np.linalg.solve(x.T @ x + RIDGE * np.eye(x.shape[1]), x.T @ y)
 
     def _planned(self, z: np.ndarray) -> np.ndarray:
-        tosses = plan_tosses(self._parameters, z, self._start)
-        return planned_terms(tosses, self._weights)
+        return planned_terms(plan_tosses(self._parameters, z, self._start))
 
     @staticmethod
     def _features(terms: np.ndarray) -> np.ndarray:

@@ -69,7 +69,7 @@ def pancake_run(
     paper = preset("flip", "paper", variant=VARIANT, noise=noise).task_settings
     parameters = flip_parametrization(demonstrated, VARIANT, paper.noise)
     start, _ = environment.arm.tool_pose(demonstrated.q_start)
-    model = TossModel(parameters, start, paper.pancake_weights)
+    model = TossModel(parameters, start)
     learner = learner_of(settings, parameters.size, seed, model)
 
     def returned(z: np.ndarray, policy_id: str) -> tuple[float, bool]:

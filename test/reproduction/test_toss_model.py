@@ -16,7 +16,7 @@ from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.flip.assessment import assess
 from wam_power_ros.tasks.flip.parametrization import FlipNoise, flip_parametrization
-from wam_power_ros.tasks.flip.returns import PancakeWeights, pancake_return
+from wam_power_ros.tasks.flip.returns import pancake_return
 
 NOISE = FlipNoise(stiffness=0.1, attractor=0.01, rotation=0.05, flick=0.03, catch_shift=0.02)
 
@@ -87,14 +87,14 @@ def test_what_rises_more_than_delta_h_is_tossed_and_every_number_is_finite() -> 
     assert (tosses.angle[~tosses.tossed] == 0.0).all() and (tosses.angle >= 0.0).all()
     for values in vars(tosses).values():
         assert np.isfinite(values).all()
-    terms = planned_terms(tosses, PancakeWeights())
+    terms = planned_terms(tosses)
     assert (terms >= 0.0).all() and (terms[:, :2] <= 0.5).all()
 
 
 def test_a_planned_toss_is_worth_what_one_seen_like_it_is() -> None:
     angle, apex = np.array([2.0, 4.0, 7.0]), np.array([0.3, 0.9, 0.4])
     miss = np.array([[0.03, 0.04], [-0.1, 0.0], [0.0, 0.2]])
-    terms = planned_terms(Tosses(angle > 0.0, angle, apex, miss), PancakeWeights())
+    terms = planned_terms(Tosses(angle > 0.0, angle, apex, miss))
     for k, turned in enumerate(angle):
         seen = SimpleNamespace(
             tossed=True,
@@ -111,9 +111,9 @@ def test_a_planned_toss_is_worth_what_one_seen_like_it_is() -> None:
 def test_a_model_learns_what_the_plan_misses() -> None:
     p = flip_parametrization(demonstrated_policy(), "full", NOISE)
     start, z = np.array([0.6, 0.0, 0.5]), some(40, p.size)
-    terms = planned_terms(plan_tosses(p, z, start), PancakeWeights())
+    terms = planned_terms(plan_tosses(p, z, start))
     returns = terms @ np.array([0.6, 1.2, 0.9]) + 0.05
-    model = TossModel(p, start, PancakeWeights())
+    model = TossModel(p, start)
     before = np.abs(model.predict(z) - returns).mean()
     for one, ret in zip(z, returns, strict=True):
         model.learn(one, float(ret))
@@ -128,7 +128,7 @@ def test_the_plan_tells_good_tosses_from_bad_ones() -> None:
     p = flip_parametrization(policy, "full", NOISE)
     start, _ = bench.arm.tool_pose(policy.q_start)
     z = some(12, p.size)
-    planned = TossModel(p, start, settings.pancake_weights).predict(z)
+    planned = TossModel(p, start).predict(z)
     returns = []
     for k in range(len(z)):
         tried, _ = p.policy(z[k], f"trial-{k}")
