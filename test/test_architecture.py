@@ -100,7 +100,7 @@ BUDGET = {
     "control": 4958,  # the reaction asks in every state what is believed, knows a mass, and a drift
     "commissioning": 1221,
     "tracking": 620,
-    "tasks": 3237,  # what follows from the errors of any task is written here once
+    "tasks": 3239,  # what follows from the errors of any task is written here once
     "practice": 2061,  # refusals by a person and pauses are in its log
     "conformance": 1123,
     "bags": 2660,

@@ -44,8 +44,10 @@ def paths(panels: Mapping[str, Panel]) -> Figure:
     """Fig. 2 of the paper: paths around the obstacle, from the side and from above.
 
     The axes point from the mean start of the demonstrations to their mean end, to the left, and up.
-    A title, such as "full", is that of at least one panel.
+    A title, such as "full", is that of its panel; a ValueError if there is none.
     """
+    if not panels:
+        raise ValueError("a figure of reaching must have at least one panel, got none")
     boxes = []  # lowest and highest drawn coordinates of each panel and view
     for panel in panels.values():
         other = [path for path in (panel.learnt, panel.executed) if path is not None]
