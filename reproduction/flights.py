@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from wam_power_ros import rotations
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
 from wam_power_ros.plotting import GREEN, INK, STEEL, dress, shared_legend
-from wam_power_ros.tasks.flip.figures import PAN, body_normals
+from wam_power_ros.tasks.side_view import TOOL, body_normals
 
 YELLOW, BROWN = "#e3a72f", "#7a4a1c"
 PANCAKE_RADIUS, PAN_RADIUS = 0.09, 0.14  # as drawn [m]
@@ -90,5 +90,5 @@ def _disc(
         ends = np.stack([centre + side * n - radius * along, centre + side * n + radius * along])
         axes.plot(*ends.T, color=color, lw=1.5, alpha=alpha, solid_capstyle="butt")
     tip = centre + 0.05 * n
-    axes.plot(*np.stack([centre, tip]).T, color=PAN, lw=0.8, alpha=alpha)
-    axes.plot(*tip, marker=".", ms=2.5, color=PAN, alpha=alpha)
+    axes.plot(*np.stack([centre, tip]).T, color=TOOL, lw=0.8, alpha=alpha)
+    axes.plot(*tip, marker=".", ms=2.5, color=TOOL, alpha=alpha)

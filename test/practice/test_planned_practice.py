@@ -15,7 +15,6 @@ from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session_log import Line
 from wam_power_ros.practice.settings import SessionSettings, preset
 from wam_power_ros.tasks import task as task_module
-from wam_power_ros.tasks.errors import ForeseenErrors
 from wam_power_ros.tasks.flip.parametrization import TURN_OF_FLICK, TURN_OF_TEMPO, TURN_OF_VIGOUR
 from wam_power_ros.tasks.flip.toss_errors import ERRORS
 
@@ -23,23 +22,19 @@ SETTINGS = preset("flip", "model_based", budget=12, retests=2, confirm=3)
 CANDIDATES = [demonstrated_policy()]
 
 
-class RoughTosses(ForeseenErrors):
-    """What is known of `toss_task.toss`: not its noise, and a rotation that is 0.3 rad off."""
-
-    def predict(self, z: np.ndarray) -> Prediction | None:
-        """Predict the error of `toss`, without its noise."""
-        noise = SETTINGS.task_settings.noise
-        turn = TURN_OF_VIGOUR * noise.vigour * z[-4] + TURN_OF_FLICK * noise.flick * z[-3]
-        turn += TURN_OF_TEMPO * noise.tempo * z[-1]
-        landing = 0.12 - noise.catch_shift * z[-2]
-        error = [1.9 + turn - math.pi, landing, 0.0, 0.0]
-        tolerances = [each.tolerance for each in self.errors]
-        return Prediction(np.array(error) / tolerances, np.array([-0.5]))
+def predict(z: np.ndarray) -> Prediction:
+    """Error of `toss`, without its noise and with a rotation that is 0.3 rad off."""
+    noise = SETTINGS.task_settings.noise
+    turn = TURN_OF_VIGOUR * noise.vigour * z[-4] + TURN_OF_FLICK * noise.flick * z[-3]
+    turn += TURN_OF_TEMPO * noise.tempo * z[-1]
+    error = [1.9 + turn - math.pi, 0.12 - noise.catch_shift * z[-2], 0.0, 0.0]
+    tolerances = [each.tolerance for each in ERRORS[:4]]
+    return Prediction(np.array(error) / tolerances, np.array([-0.5]))
 
 
 @pytest.fixture(autouse=True)
 def _known(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(task_module, "ForeseenErrors", RoughTosses)
+    monkeypatch.setattr(task_module, "predictor", lambda *known: predict)
 
 
 def practised(practice: Practice) -> Practice:

@@ -30,47 +30,30 @@ class ToolPose(Protocol):
 
 
 class LeftOut(NamedTuple):
-    """Movement of a recording that a demonstration leaves out, beyond a pause.
+    """Movement of a recording that a demonstration leaves out, beyond a pause."""
 
-    Attributes:
-        duration: Total time for which the tool moved beyond the pause [s].
-        pause: Time between the movement that is kept and the nearest of it [s].
-        at: Begin of the pause since the first sample of the recording [s].
-        earlier: True for movement before the pause, False for movement after it.
-    """
-
-    duration: float
-    pause: float
-    at: float
-    earlier: bool
+    duration: float  # total time for which the tool moved beyond the pause [s]
+    pause: float  # time between the movement that is kept and the nearest of it [s]
+    at: float  # begin of the pause since the first sample of the recording [s]
+    earlier: bool  # True for movement before the pause, False for movement after it
 
 
 @dataclass(frozen=True, eq=False)
 class Demonstration:
     """A movement sampled at a constant period; arrays are read-only.
 
-    Attributes:
-        t: Time from 0 [s]. Shape (N,).
-        q: Joint angles [rad]. Shape (N, nj).
-        position: Position of the tool frame in the base frame [m]. Shape (N, 3).
-        velocity: Velocity of the tool frame [m/s]. Shape (N, 3).
-        acceleration: Acceleration of the tool frame [m/s^2]. Shape (N, 3).
-        quat_xyzw: Orientation of the tool frame, unit quaternions. Shape (N, 4).
-        period: Sampling period [s].
-        left_out: Movement of the recording beyond a pause.
-
     Raises:
         ValueError: If a shape is wrong, a value not finite, or there are fewer than three samples.
     """
 
-    t: np.ndarray
-    q: np.ndarray
-    position: np.ndarray
-    velocity: np.ndarray
-    acceleration: np.ndarray
-    quat_xyzw: np.ndarray
-    period: float
-    left_out: tuple[LeftOut, ...] = ()
+    t: np.ndarray  # from 0 [s], shape (N,)
+    q: np.ndarray  # joint angles [rad], shape (N, nj)
+    position: np.ndarray  # of the tool frame in the base frame [m], shape (N, 3)
+    velocity: np.ndarray  # [m/s], shape (N, 3)
+    acceleration: np.ndarray  # [m/s^2], shape (N, 3)
+    quat_xyzw: np.ndarray  # orientation of the tool frame, unit quaternions, shape (N, 4)
+    period: float  # of the samples [s]
+    left_out: tuple[LeftOut, ...] = ()  # movement of the recording beyond a pause
 
     def __post_init__(self) -> None:
         count = np.size(self.t)
@@ -98,19 +81,14 @@ class Movement:
     """How a movement is cut out of a recording, around the peak speed of the tool, and smoothed.
 
     The angular speed counts where the tool only turns.
-
-    Attributes:
-        cutoff: -3 dB of the smoothing [Hz].
-        start: Fraction of the peak speed at which it begins [1]; a slow start would coarsen the
-            fit.
-        end: Fraction of the peak speed at which it ends [1].
-        pause_max: Longest pause at a turning point; a longer one ends it [s].
     """
 
-    cutoff: float = CUTOFF
+    cutoff: float = CUTOFF  # -3 dB of the smoothing [Hz]
+    # Fractions of the peak speed at which it begins and ends [1]; a slow start would coarsen the
+    # fit.
     start: float = 0.15
     end: float = 0.05
-    pause_max: float = 0.25
+    pause_max: float = 0.25  # longest pause at a turning point; a longer one ends it [s]
 
 
 MOVEMENT = Movement()

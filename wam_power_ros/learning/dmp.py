@@ -52,44 +52,23 @@ class TabulatedPolicy:
     """What a rollout needs of a policy: Eq. 1 on the control grid.
 
     The tables are read-only and have T = round(duration / dt) + 1 rows.
-
-    Attributes:
-        id: Id of the policy.
-        duration: Duration of the movement [s].
-        q_start: Joint angles at the start [rad]. Shape (nj,).
-        orientation_reference: R_ref as a unit quaternion xyzw. Shape (4,).
-        a: sum_i h_i K_i [1/s^2]. Shape (T, 3, 3).
-        b: sum_i h_i K_i mu_i [m/s^2]. Shape (T, 3).
-        rotation_b: rotation_stiffness * sum_i h_i r_i [rad/s^2]. Shape (T, 3).
-        damping: Damping kappa_V [1/s].
-        rotation_stiffness: Stiffness of the orientation [1/s^2].
-        rotation_damping: Damping of the orientation [1/s].
-        content: Digest of the policy without its id, where one is needed.
     """
 
     id: str
-    duration: float
-    q_start: np.ndarray
-    orientation_reference: np.ndarray
-    a: np.ndarray
-    b: np.ndarray
-    rotation_b: np.ndarray
-    damping: float
-    rotation_stiffness: float
-    rotation_damping: float
-    content: str = ""
+    duration: float  # of the movement [s]
+    q_start: np.ndarray  # joint angles at the start [rad], shape (nj,)
+    orientation_reference: np.ndarray  # R_ref as a unit quaternion xyzw, shape (4,)
+    a: np.ndarray  # sum_i h_i K_i [1/s^2], shape (T, 3, 3)
+    b: np.ndarray  # sum_i h_i K_i mu_i [m/s^2], shape (T, 3)
+    rotation_b: np.ndarray  # rotation_stiffness * sum_i h_i r_i [rad/s^2], shape (T, 3)
+    damping: float  # kappa_V [1/s]
+    rotation_stiffness: float  # [1/s^2]
+    rotation_damping: float  # [1/s]
+    content: str = ""  # digest of the policy without its id, where one is needed
 
 
 def tabulate(policy: Policy, dt: float = PERIOD) -> TabulatedPolicy:
-    """Tabulate Eq. 1 on the control grid 0, dt, ... duration.
-
-    Args:
-        policy: Policy to execute.
-        dt: Control period [s].
-
-    Raises:
-        ValueError: If dt is not positive.
-    """
+    """Tabulate Eq. 1 on the control grid 0, dt, ... duration; a ValueError if dt [s] is none."""
     if not dt > 0.0:
         raise ValueError(f"dt = {dt} must be positive")
     basis = policy.basis
@@ -212,31 +191,24 @@ def reproduce_many(
 class FitSettings:
     """Settings of the fit of a policy to demonstrations, from the recording on.
 
-    Attributes:
-        count: Number of spring-dampers.
-        width: Standard deviation of each Gaussian, in units of duration / count [1].
-        k_min: Smallest eigenvalue of the K_i along the axes of the movement [1/s^2].
-        k_max: Largest eigenvalue of the K_i along these axes [1/s^2]; along the other axes the
-            stiffness is the geometric mean of both.
-        damping: Damping kappa_V [1/s].
-        refit: Whether to solve the attractors again for the fitted K_i; if not, as in the paper's
-            reference [21], they are those of the mean stiffness.
-        turn_to_end: Whether the rotation attractors hold the orientation of the end; with few
-            spring-dampers they otherwise trade it for the way there.
-        movement: How the movement is cut out of a recording.
-
     Raises:
         ValueError: If a value is out of range.
     """
 
-    count: int
-    width: float
+    count: int  # of spring-dampers
+    width: float  # standard deviation of each Gaussian, in units of duration / count [1]
+    # Smallest and largest eigenvalue of the K_i along the axes of the movement [1/s^2]; along the
+    # other axes the stiffness is the geometric mean of both
     k_min: float
     k_max: float
-    damping: float
+    damping: float  # kappa_V [1/s]
+    # Whether to solve the attractors again for the fitted K_i; if not, as in the paper's reference
+    # [21], they are those of the mean stiffness
     refit: bool = True
+    # Whether the rotation attractors hold the orientation of the end; with few spring-dampers they
+    # otherwise trade it for the way there
     turn_to_end: bool = False
-    movement: Movement = MOVEMENT
+    movement: Movement = MOVEMENT  # how it is cut out of a recording
 
     def __post_init__(self) -> None:
         if not 0.0 < self.k_min <= self.k_max < np.inf:

@@ -63,17 +63,12 @@ class MeasuringLearner(Protocol):
 
 
 class Prediction(NamedTuple):
-    """What an `ErrorModel` predicts.
+    """What an `ErrorModel` predicts."""
 
-    Attributes:
-        error: Error in units of its tolerances. Shape (m,).
-        excess: Share by which each limit is exceeded, below 0 if it is kept. Shape (c,).
-        uncertain: Change of the error by one standard deviation of each number that the model only
-            assumes, such as a friction. Shape (m, k), or (1, 0) for none.
-    """
-
-    error: np.ndarray
-    excess: np.ndarray
+    error: np.ndarray  # [tolerances], shape (m,)
+    excess: np.ndarray  # share by which each limit is exceeded, below 0 if kept, shape (c,)
+    # Change of the error by one standard deviation of each number that the model only assumes, such
+    # as a friction, shape (m, k), or (1, 0) for none
     uncertain: np.ndarray = np.empty((1, 0))
 
 

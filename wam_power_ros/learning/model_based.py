@@ -62,20 +62,13 @@ class ModelBased(GaussianLearner):
     """
 
     class Settings(LearnerSettings):
-        """Settings of model-based learning.
+        """Settings of model-based learning."""
 
-        Attributes:
-            simulations: Largest number of predictions for a plan.
-            length: Distance over which what is not foreseen changes [sd of the exploration].
-            patience: Number of rollouts without progress after which PoWER decides.
-            planned: Number of rollouts after which it decides in any case: small errors alone have
-                not sufficed.
-            fallback: Settings of PoWER.
-        """
-
-        simulations: int = Field(default=40, ge=1)
+        simulations: int = Field(default=40, ge=1)  # largest number of predictions for a plan
+        # Distance over which what is not foreseen changes [sd of the exploration]
         length: float = Field(default=10.0, gt=0.0, allow_inf_nan=False)
-        patience: int = Field(default=8, ge=1)
+        patience: int = Field(default=8, ge=1)  # rollouts without progress until PoWER decides
+        # Rollouts after which it decides in any case: small errors alone have not sufficed
         planned: int = Field(default=24, ge=1)
         fallback: Power.Settings = Power.Settings(sigma=6, weights="sharpened", decay=0.97)
 

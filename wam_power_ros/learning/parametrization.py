@@ -25,19 +25,14 @@ FORMS = ("full", "symmetric", "diagonal")  # of the learnt part of a stiffness m
 
 
 class NoiseScales(BaseModel):
-    """Standard deviation of the exploration noise of each group of parameters.
-
-    Attributes:
-        stiffness: Noise of every entry of K_i, as a fraction of the policy's mean stiffness [1].
-        attractor: Noise of every entry of mu_i [m].
-        rotation: Noise of every entry of r_i [rad].
-    """
+    """Standard deviation of the exploration noise of each group of parameters."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
+    # Of every entry of K_i, as a fraction of the policy's mean stiffness [1]
     stiffness: float = Field(gt=0.0, le=1.0)
-    attractor: float = Field(gt=0.0, le=1.0)
-    rotation: float = Field(gt=0.0, le=1.0)
+    attractor: float = Field(gt=0.0, le=1.0)  # of every entry of mu_i [m]
+    rotation: float = Field(gt=0.0, le=1.0)  # of every entry of r_i [rad]
 
 
 class Arrays(NamedTuple):

@@ -87,18 +87,13 @@ def _check_number(name: str, value: float, limit: float) -> float:
 class Basis:
     """Normalised Gaussians in time, h_i(t) of Eq. 1, with centres spread evenly over [0, duration].
 
-    Attributes:
-        count: Number of Gaussians.
-        duration: Duration of the movement [s].
-        variance: Variance of each Gaussian [s^2].
-
     Raises:
         ValueError: If a value is out of range.
     """
 
     count: int
-    duration: float
-    variance: float
+    duration: float  # of the movement [s]
+    variance: float  # of each Gaussian [s^2]
 
     def __post_init__(self) -> None:
         if isinstance(self.count, bool) or not isinstance(self.count, int | np.integer):
@@ -125,36 +120,21 @@ class Policy:
 
     Arrays are copied and read-only.
 
-    Attributes:
-        id: Name of the policy and of its rollout, [A-Za-z0-9_.-]{1,64}.
-        basis: Weights h_i(t).
-        stiffness: Coordination matrices K_i [1/s^2], symmetric part positive definite.
-            Shape (n, 3, 3).
-        attractors: Attractors mu_i in the base frame [m]. Shape (n, 3).
-        damping: Damping kappa_V [1/s].
-        orientation_reference: R_ref as a unit quaternion xyzw. Shape (4,).
-        rotation_attractors: Rotation vectors r_i in the base frame, R = exp(r) R_ref [rad].
-            Shape (n, 3).
-        rotation_stiffness: Stiffness of the orientation [1/s^2].
-        rotation_damping: Damping of the orientation [1/s].
-        q_start: Joint angles at the start of the demonstration [rad]. Shape (nj,).
-        arm: Identity of the arm that the policy was learnt on; None if unknown.
-
     Raises:
         ValueError: If a value is out of range; the message names the value and the rule.
     """
 
-    id: str
-    basis: Basis
-    stiffness: np.ndarray
-    attractors: np.ndarray
-    damping: float
-    orientation_reference: np.ndarray
-    rotation_attractors: np.ndarray
-    rotation_stiffness: float
-    rotation_damping: float
-    q_start: np.ndarray
-    arm: ArmIdentity | None = None
+    id: str  # of the policy and of its rollout, [A-Za-z0-9_.-]{1,64}
+    basis: Basis  # weights h_i(t)
+    stiffness: np.ndarray  # K_i [1/s^2], symmetric part positive definite, shape (n, 3, 3)
+    attractors: np.ndarray  # mu_i in the base frame [m], shape (n, 3)
+    damping: float  # kappa_V [1/s]
+    orientation_reference: np.ndarray  # R_ref as a unit quaternion xyzw, shape (4,)
+    rotation_attractors: np.ndarray  # r_i in the base frame, R = exp(r) R_ref [rad], shape (n, 3)
+    rotation_stiffness: float  # [1/s^2]
+    rotation_damping: float  # [1/s]
+    q_start: np.ndarray  # joint angles at the start of the demonstration [rad], shape (nj,)
+    arm: ArmIdentity | None = None  # that it was learnt on; None if unknown
 
     def __post_init__(self) -> None:
         check_id(self.id)

@@ -88,19 +88,14 @@ class Power(GaussianLearner):
     """PoWER with Gaussian exploration of unit variance about the mean [Kormushev2010]."""
 
     class Settings(LearnerSettings):
-        """Settings of PoWER.
+        """Settings of PoWER."""
 
-        Attributes:
-            sigma: Size of the elite, the best past rollouts whose weighted mean is taken.
-            weights: Weights of the elite: "return", the returns (the paper), or "sharpened",
-                exp((R - R_max) / (sharpness (R_max - R_min))), with R_min and R_max of the elite.
-            sharpness: Width of the sharpened weights, in units of R_max - R_min.
-            decay: Factor on the exploration noise after each rollout; 1: constant (the paper).
-        """
-
-        sigma: int = Field(default=SIGMA_DEFAULT, ge=1)
+        sigma: int = Field(default=SIGMA_DEFAULT, ge=1)  # best past rollouts that are averaged
+        # Their weights: "return", the returns (the paper), or "sharpened",
+        # exp((R - R_max) / (sharpness (R_max - R_min))), with R_min and R_max of the elite
         weights: Weights = "return"
         sharpness: float = Field(default=0.3, gt=0.0, allow_inf_nan=False)
+        # Factor on the exploration noise after each rollout; 1: constant (the paper)
         decay: float = Field(default=1.0, gt=0.0, le=1.0)
 
     settings: Settings

@@ -21,21 +21,14 @@ class ShapedPower(GaussianLearner):
     """PoWER with a warm-up, rank weights and mirrored sampling."""
 
     class Settings(LearnerSettings):
-        """Settings of shaped PoWER.
+        """Settings of shaped PoWER."""
 
-        Attributes:
-            sigma: Size of the elite.
-            weights: As in `power_update`, or "rank": w_i = ln(sigma + 1/2) - ln(i).
-            decay: Factor on the exploration noise after each rollout beyond the warm-up.
-            warm_up: Number of initial rollouts during which the mean stays at z = 0.
-            mirrored: Whether every second sample mirrors its predecessor about the mean at which
-                that was drawn.
-        """
-
-        sigma: int = Field(default=3, ge=1)
+        sigma: int = Field(default=3, ge=1)  # size of the elite
+        # As in `power_update`, or "rank": w_i = ln(sigma + 1/2) - ln(i)
         weights: Weights | Literal["rank"] = "rank"
-        decay: float = Field(default=0.965, gt=0.0, le=1.0)
-        warm_up: int = Field(default=10, ge=0)
+        decay: float = Field(default=0.965, gt=0.0, le=1.0)  # of the noise, beyond the warm-up
+        warm_up: int = Field(default=10, ge=0)  # rollouts during which the mean stays at z = 0
+        # Whether every second sample mirrors its predecessor about the mean at which that was drawn
         mirrored: bool = True
 
     settings: Settings

@@ -46,8 +46,8 @@ def choose_best(
     Args:
         records: Rollouts of the session.
         parametrizations: Those of the demonstrations, by id.
-        demonstration: Id of the current demonstration, None before the choice.
-        answer: Coordinates of the session's answer, None while learning. Shape (size,).
+        demonstration: Id of the current one, None before the choice.
+        answer: Coordinates of the session's answer, shape (size,), None while learning.
         stopped: Reason why learning stopped.
         return_noise: Standard deviation of the return of one policy.
     """

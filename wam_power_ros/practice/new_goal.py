@@ -44,18 +44,10 @@ def policy_for(
     arm: ArmModel,
     policy_id: str,
 ) -> tuple[Policy, str]:
-    """Predict the policy that attains the goal of `task`.
+    """Predict the policy that attains the goal of `task`, and say in a remark what it follows from.
 
-    Args:
-        task: Task with the new goal.
-        known: Task of the session.
-        candidates: Policies of the demonstrations of the session.
-        records: Rollouts of the session, oldest first.
-        arm: Model of the arm. If it cannot follow, the goal is approached as far as it can.
-        policy_id: Id of the new policy.
-
-    Returns:
-        The policy, and a remark on what it was predicted from.
+    `known` is the task of the session, with the candidates and rollouts that it has, oldest first.
+    If the arm's model cannot follow, the goal is approached as far as it can.
 
     Raises:
         ValueError: No rollout without exploration tells all errors, or nothing learnt moves them.

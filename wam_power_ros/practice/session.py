@@ -248,13 +248,8 @@ class Session:
     ) -> Session:
         """Begin a session in a new folder, or in one whose creation was interrupted.
 
-        Args:
-            folder: Created with its parents.
-            settings: Settings of the session.
-            seed: Seed of the exploration.
-            candidates: Policies fitted to the demonstrations.
-            context: Data of the demonstrations that the task needs, see `Task.context_of`.
-            demonstrations: Bags that the candidates were fitted to.
+        The candidates are policies fitted to demonstrations, which are given as bags; for the
+        context see `Task.context_of`.
 
         Raises:
             ValueError: The folder holds a session already, another process has locked it, or

@@ -153,13 +153,13 @@ def preset(
     learner: Mapping[str, Any] | None = None,
     **changes: Any,  # noqa: ANN401 - checked by the models
 ) -> SessionSettings:
-    """Settings of a preset of a task, with changes.
+    """Settings of a preset of a task, its first without a name, with changes.
 
     Args:
         task: Name of the task.
-        name: Name of the preset; the task's first when empty.
-        learner: Changes of the learner's settings. If its key `name` is another learner than
-            the preset's, changes of that learner's defaults.
+        name: Name of the preset.
+        learner: Changes of the learner's settings; of the defaults of another learner if its key
+            `name` is not the preset's.
         **changes: Fields of `PracticeSettings` or of the task's settings; a mapping for a field
             that is a mapping changes only the keys it contains.
 

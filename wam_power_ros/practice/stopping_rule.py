@@ -61,17 +61,13 @@ def tolerance_factor(count: int, freedom: int, rate: float) -> float:
 class StoppingRule:
     """Judges the successes in a row of one mean.
 
+    `settings.confirm` successes are enough whatever their margins; 0 disables the rule. For
+    `margins` and their `scatter` see `Task.margins` and `Task.margin_scatter`.
+
     Attributes:
         z: Coordinates of the mean being confirmed, None when there is none. Shape (size,).
-        count: Number of its successes in a row.
         complete: Why it is confirmed, empty while it is not.
         mean_is_due: Whether the mean is run next because another rollout succeeded.
-
-    Args:
-        settings: Settings; `confirm` is the number of successes that is enough whatever their
-            margins, 0 disables the rule.
-        margins: Margins of a rollout, see `Task.margins`.
-        scatter: Their expected standard deviations, see `Task.margin_scatter`.
     """
 
     def __init__(

@@ -102,7 +102,7 @@ def direction(policy: Policy, name: str, noise: float) -> Group:
 
 
 class RoughErrors:
-    """A `learner.ErrorModel` of the effects alone.
+    """A `learner.ErrorModel` of the effects, alone or with a `predictor`.
 
     Attributes:
         errors: The errors, m of them.
@@ -142,31 +142,25 @@ class RoughErrors:
         return [step * direction for step, direction in bounded if step]
 
 
-class ForeseenErrors(RoughErrors):
-    """A `learner.ErrorModel` of the effects and of what a task predicts, see `Task.predict`."""
+def predictor(
+    errors: Sequence[Error],
+    parametrization: Parametrization,
+    foresee: Callable[[Policy], Foreseen | None],
+    predicted: Callable[[Foreseen], Sequence[Mapping[str, float]]],
+) -> Callable[[np.ndarray], Prediction | None]:
+    """`RoughErrors.predict` of what a task predicts, see `Task.predict`."""
 
-    def __init__(
-        self,
-        errors: Sequence[Error],
-        effects: Sequence[Effect],
-        parametrization: Parametrization,
-        foresee: Callable[[Policy], Foreseen | None],
-        predicted: Callable[[Foreseen], Sequence[Mapping[str, float]]],
-    ) -> None:
-        super().__init__(errors, effects, parametrization)
-        self._parametrization, self._foresee, self._predicted = parametrization, foresee, predicted
-
-    def predict(self, z: np.ndarray) -> Prediction | None:
-        """See `learner.ErrorModel`."""
-        foreseen = self._foresee(self._parametrization.policy(z, "predicted")[0])
-        if foreseen is None:
+    def predict(z: np.ndarray) -> Prediction | None:
+        if (foreseen := foresee(parametrization.policy(z, "predicted")[0])) is None:
             return None
-        error, *others = (told(self.errors, each) for each in self._predicted(foreseen))
+        error, *others = (told(errors, each) for each in predicted(foreseen))
         changes = [each - error for each in others]
         # A number that decides which parts have a value tells nothing of the others.
         known = [np.where(np.isfinite(each).all(), each, 0.0) for each in changes]
         uncertain = np.stack(known, axis=1) if known else np.empty((1, 0))
         return Prediction(error, foreseen.excess, uncertain)
+
+    return predict
 
 
 def told(errors: Sequence[Error], measured: Mapping[str, float]) -> np.ndarray:

@@ -47,25 +47,15 @@ class BodyState(Protocol):
 
 @dataclass
 class Resetting:
-    """One reset, from the end of a rollout until the body is ready for the next.
+    """One reset, from the end of a rollout until the body is ready for the next."""
 
-    Attributes:
-        ready: What is missing for a rollout, empty if nothing; see `Task.ready`.
-        reset: What is to be done then; see `Task.reset`.
-        rest_time: Time for which the body must have been ready [s].
-        missing: What is missing in the last state.
-        by: Who has been needed so far.
-        waits: Whether it is expected to become ready without a person.
-        move: Movement that the arm is to do now; set it to None once it is done.
-    """
-
-    ready: Callable[[BodyState | None], str]
-    reset: Callable[[BodyState | None], Action]
-    rest_time: float = 0.0
-    missing: str = "no state of the body received"
-    by: By = "none"
-    waits: bool = False
-    move: Move | None = None
+    ready: Callable[[BodyState | None], str]  # what is missing for a rollout, see `Task.ready`
+    reset: Callable[[BodyState | None], Action]  # what is to be done then, see `Task.reset`
+    rest_time: float = 0.0  # for which the body must have been ready [s]
+    missing: str = "no state of the body received"  # in the last state
+    by: By = "none"  # who has been needed so far
+    waits: bool = False  # whether it is expected to become ready without a person
+    move: Move | None = None  # that the arm is to do now; set it to None once it is done
     _count: int = field(default=0, init=False)  # of successive states in which it was ready
     _rested_ns: int = field(default=0, init=False)  # time from the first of them to the last
     _since_ns: int = field(default=0, init=False)  # time of the first

@@ -14,16 +14,12 @@ FIT = FitSettings(count=8, width=0.5, k_min=150.0, k_max=500.0, damping=32.0)
 
 
 class TaskSettings(BaseModel):
-    """Settings of a task; one with further settings derives its own from them.
-
-    Attributes:
-        variant: Learnt parameters, see `parametrization_of`.
-        noise: Standard deviation of the exploration noise of each group of parameters.
-        settle_time: Time that a rollout continues after the movement [s].
-    """
+    """Settings of a task; one with further settings derives its own from them."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
+    # Learnt parameters, see `parametrization_of`
     variant: Literal["full", "diagonal", "symmetric", "attractors"] = "full"
+    # Of the exploration
     noise: NoiseScales = NoiseScales(stiffness=0.1, attractor=0.01, rotation=0.05)
-    settle_time: float = Field(default=1.0, ge=0.0, le=10.0)
+    settle_time: float = Field(default=1.0, ge=0.0, le=10.0)  # after the movement [s]

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from numbers import Real
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Protocol
 
 import numpy as np
 from pydantic import BaseModel
@@ -31,9 +31,9 @@ from wam_power_ros.tasks.errors import (
     KNOWN,
     Effect,
     Error,
-    ForeseenErrors,
     RoughErrors,
     learnt,
+    predictor,
     told,
 )
 from wam_power_ros.tasks.reset import Action, BodyState
@@ -48,21 +48,14 @@ MISSING_MAX = 0.05  # largest missing part at the end of a path that counts as c
 
 @dataclass(frozen=True)
 class Assessment:
-    """Return and success of one rollout.
+    """Return and success of one rollout."""
 
-    Attributes:
-        ret: Return, at least 0; None if the policy cannot be judged by this rollout.
-        terms: Terms of the return, by name.
-        observation: What was measured of the rollout, as JSON data; None if nothing.
-        success: Whether the rollout met the success criterion of the task.
-        why: Reason for a missing return, or a remark; may be empty.
-    """
-
-    ret: float | None
-    terms: Mapping[str, float] = field(default_factory=dict)
+    ret: float | None  # return, at least 0; None if the policy cannot be judged by this rollout
+    terms: Mapping[str, float] = field(default_factory=dict)  # of the return, by name
+    # What was measured of the rollout, as JSON data; None if nothing
     observation: Mapping[str, Any] | None = None
-    success: bool = False
-    why: str = ""
+    success: bool = False  # whether it met the success criterion of the task
+    why: str = ""  # reason for a missing return, or a remark
 
 
 class Pose(NamedTuple):
@@ -73,56 +66,27 @@ class Pose(NamedTuple):
 
 
 class LoggedRollout(Protocol):
-    """Logged rollout as far as a task may use it; see `session_log.Record`."""
+    """Logged rollout as far as a task may use it; for what has no comment see `Assessment`."""
 
-    @property
-    def kind(self) -> str:
-        """Kind: "reproduction", "explore", "mean" or "retest"."""
-
-    @property
-    def ret(self) -> float | None:
-        """Return; None if the rollout is not scored."""
-
-    @property
-    def observation(self) -> Mapping[str, Any] | None:
-        """Observation of its assessment."""
-
-    @property
-    def success(self) -> bool:
-        """True if it met the criterion of success."""
-
-    @property
-    def why(self) -> str:
-        """Reason why it was not learnt from, or a remark; may be empty."""
-
-    @property
-    def fault(self) -> str:
-        """Fault that ended it; "" without."""
-
-    @property
-    def truth(self) -> Mapping[str, Any] | None:
-        """Ground truth of the simulator; None on a real arm."""
+    kind: Literal["reproduction", "explore", "mean", "retest"]
+    ret: float | None
+    observation: Mapping[str, Any] | None
+    success: bool
+    why: str
+    fault: str  # that ended it; "" without
+    truth: Mapping[str, Any] | None  # of the simulator; None on a real arm
 
 
 @dataclass(frozen=True)
 class Goal:
-    """What a task is to achieve, in the words of its reports.
+    """What a task is to achieve, in the words of its reports."""
 
-    Attributes:
-        achieved: Completes "Rollout 2 was the first that ...".
-        first: Mark of that rollout in a figure.
-        retests: Completes "re-tests ...".
-        question: Completes "...: measurements and ground truth agree"; "" for none.
-        observed: Key of its answer in the observation of a rollout.
-        true: Key of its answer in the ground truth of a rollout.
-    """
-
-    achieved: str = "succeeded"
-    first: str = "first success"
-    retests: str = "that succeeded"
-    question: str = ""
-    observed: str = ""
-    true: str = ""
+    achieved: str = "succeeded"  # completes "Rollout 2 was the first that ..."
+    first: str = "first success"  # mark of that rollout in a figure
+    retests: str = "that succeeded"  # completes "re-tests ..."
+    question: str = ""  # completes "...: measurements and ground truth agree"; "" for none
+    observed: str = ""  # key of its answer in the observation of a rollout
+    true: str = ""  # key of its answer in the ground truth of a rollout
 
 
 class Curve(NamedTuple):
@@ -135,19 +99,12 @@ class Curve(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Published:
-    """What a publication reports on a task.
+    """What a publication reports on a task."""
 
-    Attributes:
-        name: Name of its return, such as "Eq. 5".
-        ret: Its return of a rollout, whatever the session learns from; NaN if unknown.
-        returns: Return by rollout.
-        stiffness: K33 [1/s^2] by time [s] of the learnt policy.
-    """
-
-    name: str
-    ret: Callable[[LoggedRollout], float]
-    returns: Curve
-    stiffness: Curve
+    name: str  # of its return, such as "Eq. 5"
+    ret: Callable[[LoggedRollout], float]  # its return, whatever is learnt from; NaN if unknown
+    returns: Curve  # return by rollout
+    stiffness: Curve  # K33 [1/s^2] by time [s] of the learnt policy
 
 
 class Task:
@@ -156,28 +113,25 @@ class Task:
     A task has a `name`, and says what is learnt: `errors`, the `effects` that move them, and
     `observe`, which measures them; or `assess` alone, the return. All else has a default.
 
-    Class attributes:
+    Attributes:
         name: Name of the task, as in `--task NAME`.
         body: Name of the tracked rigid body, which its topics contain; "" for none.
         single_policy: Whether one policy is fitted to all demonstrations; otherwise one to each,
             and learning starts from the one that reproduces best.
         fit_settings: How a demonstration is cut out of a recording, and a policy fitted to it.
-        Settings: Model of the task's settings; frozen, unknown fields refused.
+        Settings: Model of `settings`; frozen, unknown fields refused.
         presets: Name -> settings of a session: fields of `Settings`, fields of
             `practice.settings.PracticeSettings`, and `learner`, a mapping with a learner's name and
             settings. What is left out has its default. The first preset is the default.
         errors: Errors that a rollout measures, see `observe`; empty for a task that is learnt from
             returns alone. So is a class that overrides `assess` and states no errors of its own.
         effects: Rough change of the errors by learnt parameters; learners correct and plan by it.
-        targets: Numbers that a session's goal may state, by name. An error of that name is measured
-            from its target; NaN: it does not count unless the goal states one.
+        targets: Numbers that a session's goal may state, by name, with those that it states under
+            the key "goal" of `context`. An error of that name is measured from its target; NaN: it
+            does not count unless the goal states one.
         rest_time: Time for which the body must have been `ready` before a rollout [s].
         goal: What is to be achieved, in the words of the reports.
         published: What a publication reports on the task, None for nothing.
-
-    Attributes:
-        settings: Settings of the task.
-        targets: Those of the class, with those that `context` states under the key "goal".
         settle_time: Time that a rollout continues after the movement [s].
         gain: Share of a measured error by which a rollout is corrected in hindsight; 0 for none.
         region: Guarded region at which the controller ends its rollouts, None for none.
@@ -449,12 +403,10 @@ class Task:
 
         `foresee` simulates the execution of a policy: None if it ends in a fault.
         """
-        rough, predicted = self.rough_errors(parametrization), self.predict
-        if rough is None or type(self).predict is Task.predict:
-            return rough
-        return ForeseenErrors(
-            self.learnt_errors(), self.effects, parametrization, foresee, predicted
-        )
+        model = self.rough_errors(parametrization)
+        if model is not None and type(self).predict is not Task.predict:
+            model.predict = predictor(model.errors, parametrization, foresee, self.predict)
+        return model
 
     def rough_errors(self, parametrization: Parametrization) -> RoughErrors | None:
         """The errors by their `effects` alone; None if these parameters are not learnt."""
@@ -508,8 +460,13 @@ class Task:
         return found
 
     def figure(self, rollout: Rollout) -> tuple[Figure, str] | None:
-        """Figure of a rollout, and a sentence on it, which may be empty; None for no figure."""
-        return None
+        """Figure of a rollout, and a sentence on it, which may be empty; None for no figure.
+
+        By default tool and body from the side.
+        """
+        from wam_power_ros.tasks.side_view import side_view  # imports matplotlib: slow
+
+        return side_view(rollout, self.body), f"Dots are camera frames of the {self.body}."
 
 
 def fault_assessment(fault: Fault) -> Assessment:

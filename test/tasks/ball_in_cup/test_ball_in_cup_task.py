@@ -204,14 +204,6 @@ def test_nothing_is_corrected_without_a_gain_or_an_observation() -> None:
     assert list(plain.hindsight(seen, plain.parametrization(POLICY))) == []
 
 
-def test_settings_of_a_stored_session_are_read_and_other_limits_refused() -> None:
-    stored = SETTINGS.model_dump()
-    old = {**stored, "vigour_limit": 0.05, "sideways_limit": 0.05}
-    assert type(SETTINGS).model_validate(old) == SETTINGS
-    with pytest.raises(ValueError, match="vigour_limit"):
-        type(SETTINGS).model_validate({**stored, "vigour_limit": 0.2})
-
-
 def moved(group: str, amount: float) -> tuple[Parametrization, np.ndarray]:
     """Change of the attractors by one parameter."""
     parametrization = task().parametrization(POLICY)
@@ -255,15 +247,6 @@ def test_reports_say_how_far_beside_the_cup_and_whether_in_it() -> None:
     }
     assert practised.measured([record(observation=low)]) == {}
     assert [practised.achieved(r) for r in (record(), record(fault="x"))] == [True, False]
-
-
-def test_a_rollout_is_drawn_with_its_string_and_landing_and_without_a_ball_not_at_all() -> None:
-    whole = rollout(0.02, True)
-    drawn, _ = task().figure(whole)
-    side, height = drawn.axes
-    assert len(side.lines) == 2 + len(whole.body.t)  # cup, ball, and the string in each frame
-    assert {line.get_label() for line in height.lines} >= {"ball (camera)", "$t_c$"}
-    assert task().figure(Rollout(whole.tool, None)) is None
 
 
 def test_the_margin_of_a_catch_is_its_distance_within_the_cup() -> None:

@@ -144,6 +144,3 @@ def test_the_flight_comes_back_out_of_an_observation() -> None:
     assert flight is not None and not flight.tossed
     np.testing.assert_array_equal(flight.position, observation["position"])
     assert flight_of({"angle": 1.0}) is None
-    older = {name: value for name, value in observation.items() if name != "climb"}
-    assert flight_of(older).angle == flight.angle
-    assert flight_of({**observation, "t_f_std": 1.0}).angle == flight.angle

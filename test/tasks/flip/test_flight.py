@@ -36,7 +36,7 @@ def many(
         truth = toss(rng, air=air, precession=rng.uniform(0.0, 0.2))
         seen = capture(truth, rng, rate=rate, dropout=lose)
         flight = observe_flight(truth.pan, seen)
-        if math.isfinite(truth.t_f) and flight.frames >= 2:
+        if math.isfinite(truth.t_f) and flight.t_f < truth.pan.t[-1]:
             result.append((truth, seen, flight))
     return result
 
@@ -103,7 +103,7 @@ def test_a_spin_of_twenty_radians_a_second_is_not_mistaken_for_a_slower_one() ->
     for _ in range(5):
         truth = toss(rng, vz=3.0, half_turns=20.0 * 2.0 * 3.0 / GRAVITY / math.pi, air=0.0)
         flight = observe_flight(truth.pan, capture(truth, rng))
-        assert flight.spin_rate == pytest.approx(20.0, abs=2.5)
+        assert flight.angle == pytest.approx(true_angle(truth), abs=0.5)
 
 
 def test_the_bodys_own_axes_do_not_matter() -> None:
@@ -192,7 +192,6 @@ def test_a_descent_that_frames_of_the_rise_do_not_foretell_counts_as_not_seen() 
 def _assert_finite(flight: Flight) -> None:
     for name, value in vars(flight).items():
         assert np.all(np.isfinite(value)), name
-    assert np.linalg.norm(flight.spin_axis) == pytest.approx(1.0)
 
 
 def test_two_frames_count_as_seen_only_where_they_tell_the_position() -> None:
@@ -219,14 +218,3 @@ def test_the_result_is_the_same_every_time() -> None:
     one, two = observe_flight(truth.pan, path), observe_flight(truth.pan, path)
     for name, value in vars(one).items():
         assert np.array_equal(value, getattr(two, name)), name
-
-
-def test_paths_of_different_rollouts_and_a_height_that_is_not_positive_are_refused() -> None:
-    rng = np.random.default_rng(1)
-    truth = toss(rng)
-    path = capture(truth, rng)
-    with pytest.raises(ValueError, match="one rollout"):
-        observe_flight(truth.pan, replace(path, id="other"))
-    for wrong in (math.nan, 0.0, math.inf):
-        with pytest.raises(ValueError, match="delta_h"):
-            observe_flight(truth.pan, path, delta_h=wrong)

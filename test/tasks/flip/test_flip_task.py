@@ -9,7 +9,7 @@ import pytest
 
 from wam_power_ros import rotations
 from wam_power_ros.practice.settings import preset
-from wam_power_ros.tasks.flip.settings import TRUE_TURN, FlipSettings
+from wam_power_ros.tasks.flip.settings import TRUE_TURN
 from wam_power_ros.tasks.flip.task import Flip
 from wam_power_ros.tasks.task import Pose
 
@@ -86,13 +86,6 @@ def test_one_window_of_rotation_holds_for_success_and_ground_truth() -> None:
         preset("flip", success_angle_max=2.5)
 
 
-def test_a_session_from_before_the_window_has_no_largest_rotation() -> None:
-    known = preset("flip").task_settings.model_dump(exclude={"success_angle_max"})
-    before = Flip(FlipSettings.model_validate(known), {})
-    flight = {**SEEN, "angle": np.pi, "landing_error": [0.0] * 3, "climb": 0.0}
-    assert list(before.margins(judged(flight))) == list(FLIP.margins(judged(flight)))
-
-
 def test_of_a_narrower_window_than_that_of_the_errors_successes_are_counted_alone() -> None:
     flight = {**SEEN, "angle": np.pi, "landing_error": [0.0] * 3, "climb": 0.0}
     for change in ({"success_angle": 2.9}, {"success_angle_max": 3.4}):
@@ -141,20 +134,3 @@ def test_a_summary_counts_the_re_tests_and_the_truth_of_those_that_have_one() ->
     )
     assert true.endswith("; 1 more turned over and caught")
     assert FLIP.summary(records[2:3]) == []
-
-
-def test_settings_of_a_stored_session_are_read_and_other_gains_and_limits_refused() -> None:
-    limits = {"landing_limit": 0.25, "level_limit": 0.2, "turn_limit": 0.1}
-    limits |= {"vigour_limit": 0.3, "tempo_limit": 0.15}
-    gains = {"landing_gain": 0.7, "level_gain": 0.7, "turn_gain": 0.5}
-    gains |= {"vigour_gain": 0.3, "tempo_gain": 0.3}
-    for name in ("hindsight", "return_only", "paper"):
-        now = preset("flip", name).task_settings
-        stored = {**now.model_dump(exclude={"gain"}), **limits, **gains}
-        if not now.gain:
-            stored |= dict.fromkeys(gains, 0.0)
-        assert FlipSettings.model_validate(stored) == now
-        with pytest.raises(ValueError, match="vigour_limit"):
-            FlipSettings.model_validate({**stored, "vigour_limit": 0.2})
-    with pytest.raises(ValueError, match="landing_gain"):
-        FlipSettings.model_validate({**stored, **gains, "landing_gain": 0.4})

@@ -16,7 +16,6 @@ from wam_power_ros.tasks.flip.spin_fit import (
     _spin_guesses,
     _SpinProblem,
     angle_between,
-    axis_between,
     fit_spin,
 )
 
@@ -45,23 +44,11 @@ def test_a_spin_without_decay_turns_the_normal_at_a_constant_rate_about_a_fixed_
     for t in (0.2, 0.5, 0.9):
         expected = rotations.exp((t - 0.5) * OMEGA) @ UP
         assert spin().normal(t)[0] == pytest.approx(expected)
-        assert spin().rate(t) == pytest.approx(np.linalg.norm(OMEGA))
-
-
-@pytest.mark.parametrize("decay", [1e-7, 0.8, 2.0])
-def test_the_rate_is_how_fast_a_decaying_spin_turns_the_normal(decay: float) -> None:
-    across = spin(np.array([0.0, 6.0, 0.0]), decay)
-    for t in (0.3, 0.5, 0.9):
-        before, after = across.normal(np.array([t - 1e-4, t + 1e-4]))
-        assert across.rate(t) == pytest.approx(angle_between(before, after) / 2e-4, rel=1e-4)
-    assert across.rate(0.5) == pytest.approx(6.0)
-    assert across.rate(0.3) > across.rate(0.9)
 
 
 def test_a_spin_is_not_extrapolated_to_infinity_where_the_decay_has_its_pole() -> None:
     steep = spin(np.array([0.0, 6.0, 0.0]), 4.0)  # 1 + d s = 0 at 0.25 s
     assert np.isfinite(steep.normal(np.linspace(0.0, 0.5, 20))).all()
-    assert steep.rate(0.1) == pytest.approx(6.0 / 0.2)
 
 
 @pytest.mark.parametrize("turned", [0.3, 1.0, 2.5, 3.1, 3.5, 5.0, 6.2, 7.0, 9.0, 11.0])
@@ -70,16 +57,12 @@ def test_the_angle_turned_is_unfolded_by_half_turns_about_the_spin_axis(turned: 
     rate = turned / 0.7
     start = rotations.exp([0.0, -0.3 * rate, 0.0]) @ UP  # at the origin, 0.3 s after the release
     across = spin(np.array([0.0, -rate, 0.0]), normal0=start)
-    axis, angle = across.turned(UP, 0.9)
-    assert angle == pytest.approx(turned)
-    assert axis == pytest.approx([0.0, -1.0, 0.0])
+    assert across.turned(UP, 0.9) == pytest.approx(turned)
 
 
-def test_without_spin_the_angle_is_folded_and_the_axis_leads_from_rest_to_the_end() -> None:
+def test_without_spin_the_angle_is_folded() -> None:
     tilted = spin(np.zeros(3), normal0=np.array([math.sin(0.4), 0.0, math.cos(0.4)]))
-    axis, angle = tilted.turned(UP, 0.9)
-    assert angle == pytest.approx(0.4)
-    assert axis == pytest.approx([0.0, 1.0, 0.0])
+    assert tilted.turned(UP, 0.9) == pytest.approx(0.4)
 
 
 def test_the_jacobian_is_the_derivative_of_the_residuals() -> None:
@@ -105,17 +88,13 @@ def test_the_residuals_of_the_true_spin_are_those_of_the_priors_alone() -> None:
 
 
 @pytest.mark.parametrize("air", [0.0, 1.0])
-def test_the_fitted_spin_has_the_true_normals_and_axis(air: float) -> None:
+def test_the_fitted_spin_has_the_true_normals(air: float) -> None:
     rng = np.random.default_rng(22)
     for _ in range(5):
         truth = toss(rng, vz=2.4, half_turns=1.2, air=air)
         found = fitted(truth, capture(truth, rng))
         for t in np.linspace(truth.release + 0.05, truth.t_f, 5):
             assert angle_between(found.normal(t)[0], at(truth, t, truth.normal)) < 0.015
-        axis, _ = found.turned(UP, truth.t_f)
-        assert angle_between(axis, np.array([0.0, -1.0, 0.0])) < 0.4  # yaw of up to 0.3 rad
-        before, after = (at(truth, truth.t_f + dt, truth.winding) for dt in (-0.02, 0.02))
-        assert found.rate(truth.t_f) == pytest.approx((after - before) / 0.04, rel=0.1)
 
 
 def test_rare_frames_of_a_pancake_that_does_not_turn_have_no_spin() -> None:
@@ -148,12 +127,3 @@ def test_one_normal_far_off_changes_the_spin_little() -> None:
 def test_angles_are_accurate_near_zero_and_near_half_a_turn(angle: float) -> None:
     turned = np.array([math.sin(angle), 0.0, math.cos(angle)])
     assert angle_between(UP, turned) == pytest.approx(angle, abs=1e-15)
-
-
-def test_the_axis_between_parallel_vectors_is_any_across_them() -> None:
-    x, y = np.eye(3)[:2]
-    assert axis_between(x, y) == pytest.approx(UP)
-    for other in (UP, -UP):
-        axis = axis_between(UP, other)
-        assert np.linalg.norm(axis) == pytest.approx(1.0)
-        assert axis @ UP == pytest.approx(0.0)

@@ -85,7 +85,7 @@ def test_the_decay_of_the_spin_tells_nothing_where_it_decides_whether_there_is_a
 ) -> None:
     toss = predict_toss(thrown(2.5))
 
-    def toss_unless_slowed(pan: object, delta_h: float, pancake: Pancake) -> object:
+    def toss_unless_slowed(pan: object, pancake: Pancake) -> object:
         return toss if pancake == PANCAKE else None
 
     monkeypatch.setattr(flip_task, "predict_toss", toss_unless_slowed)

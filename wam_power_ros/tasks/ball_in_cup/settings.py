@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field
 
 from wam_power_ros.learning.demonstration import Movement
 from wam_power_ros.learning.dmp import FitSettings
@@ -23,49 +23,30 @@ CUP_FIT = FitSettings(
     damping=80.0,
     movement=Movement(start=0.05, end=0.05),
 )
-# Settings of stored sessions that are steps of the effects now, see `tasks.errors.Effect`.
-STEPS = (("vigour_limit", 0.05), ("sideways_limit", 0.05))
 
 
 class CupNoise(NoiseScales):
-    """Standard deviation of the exploration noise of a swing.
+    """Standard deviation of the exploration noise of a swing."""
 
-    Attributes:
-        vigour: Noise of the vigour [1].
-        sideways: Noise of the sideways shift [m].
-    """
-
-    vigour: float = Field(default=0.01, gt=0.0, le=1.0)
-    sideways: float = Field(default=0.005, gt=0.0, le=1.0)
+    vigour: float = Field(default=0.01, gt=0.0, le=1.0)  # [1]
+    sideways: float = Field(default=0.005, gt=0.0, le=1.0)  # [m]
 
 
 class CupSettings(BaseModel):
-    """Settings of the task.
-
-    Attributes:
-        variant: Learnt parameters, see `task.BallInCup.parametrization`.
-        noise: Standard deviation of the exploration noise of each group of parameters.
-        sharpness: alpha of the return exp(-alpha d^2) [1/m^2]; 100 in [Kober2011].
-        gain: Fraction of the miss for which a rollout is corrected in hindsight [1]; 0: no
-            correction. Needs the variant "swing".
-        success_distance: Largest d of a success, whose ball also ends in the cup [m].
-        settle_time: Time that a rollout continues after the movement [s].
-    """
+    """Settings of the task."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
+    # Learnt parameters, see `task.BallInCup.parametrization`
     variant: Literal["swing", "attractors", "full", "diagonal", "symmetric"]
-    noise: CupNoise
+    noise: CupNoise  # of the exploration
+    # alpha of the return exp(-alpha d^2) [1/m^2]; 100 in [Kober2011]
     sharpness: float = Field(gt=0.0, le=1000.0)
+    # Fraction of the miss for which a rollout is corrected in hindsight; needs "swing"
     gain: float = Field(default=0.0, ge=0.0, le=1.0)
+    # Largest d of a success, whose ball also ends in the cup [m]
     success_distance: float = Field(default=0.03, gt=0.0, le=1.0)
-    settle_time: float = Field(default=1.0, ge=0.0, le=10.0)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _leave_out_steps(cls, values: Any) -> Any:  # noqa: ANN401 - whatever was stored
-        known = values.items() if isinstance(values, Mapping) else ()
-        return {k: v for k, v in known if (k, v) not in STEPS} if known else values
+    settle_time: float = Field(default=1.0, ge=0.0, le=10.0)  # after the movement [s]
 
 
 _COMMON: Mapping[str, Any] = {

@@ -33,19 +33,12 @@ END_TIME = 0.25  # [s] at the end of a rollout, in which the frames tell where t
 
 @dataclass(frozen=True)
 class Swing:
-    """What was observed of a swing.
+    """What was observed of a swing."""
 
-    Attributes:
-        apex: Largest height of the ball above `PLANE`, negative below it [m].
-        t_c: Time at which it came down through this plane [s], see `landing`; None if it never did.
-        miss: Ball minus middle of the cup at t_c, along x and y of the base [m]; None without t_c.
-        caught: Whether the ball is in the cup at the end.
-    """
-
-    apex: float
-    t_c: float | None
-    miss: tuple[float, float] | None
-    caught: bool
+    apex: float  # largest height of the ball above `PLANE`, negative below it [m]
+    t_c: float | None  # when it came down through this plane [s]; None if it never did
+    miss: tuple[float, float] | None  # ball minus middle of the cup then, along x and y [m]
+    caught: bool  # whether the ball is in the cup at the end
 
     @property
     def distance(self) -> float:

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -45,9 +45,6 @@ from wam_power_ros.tasks.task import (
     cut_short,
     fault_assessment,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 SWING_PLANE = (0, 2)  # axes of the movement: outward and up
 SIDEWAYS_PROFILE = (0.5, 1.0)  # of the last attractors, at the catch, per unit of the shift [1]
@@ -219,13 +216,3 @@ class BallInCup(Task):
     def achieved(self, record: LoggedRollout) -> bool:
         """Whether the ball was in the cup at the end; see `Task`."""
         return bool(not record.fault and (record.observation or {}).get("caught"))
-
-    def figure(self, rollout: Rollout) -> tuple[Figure, str] | None:
-        """Cup and ball from the side; see `Task`."""
-        from wam_power_ros.tasks.ball_in_cup.figures import side_view  # imports matplotlib: slow
-
-        if rollout.body is None:
-            return None
-        swing = observe_swing(rollout.tool, rollout.body)
-        t_c = None if swing is None else swing.t_c
-        return side_view(rollout.tool, rollout.body, t_c), "Dots are camera frames of the ball."

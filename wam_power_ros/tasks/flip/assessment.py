@@ -29,15 +29,12 @@ def assess(policy: Policy, rollout: Rollout, settings: FlipSettings) -> Assessme
     pan, pancake = rollout.tool, rollout.body
     if pancake is None or len(pancake.t) == 0:
         return Assessment(None, why="the pancake was never seen")
-    flight = observe_flight(pan, pancake, settings.delta_h)
+    flight = observe_flight(pan, pancake)
     observation = dataclasses.asdict(flight)
     lost = _lost_from_view(pan, pancake, flight)
     if lost:
         return Assessment(None, observation=observation, why=lost)
-    if settings.ret == "eq5":
-        result = pancake_return(flight, settings.pancake_weights)
-    else:
-        result = landing_return(flight, settings.landing_weights)
+    result = (pancake_return if settings.ret == "eq5" else landing_return)(flight)
     success = result.total >= settings.success_return and (
         settings.success_angle == 0.0
         or bool(
@@ -50,20 +47,13 @@ def assess(policy: Policy, rollout: Rollout, settings: FlipSettings) -> Assessme
 
 
 def flight_of(observation: Mapping[str, Any]) -> Flight | None:
-    """Flight from an observation of `assess`; None if it lacks fields of `Flight`.
-
-    An older session has no fields with a default, and others that `Flight` no longer has.
-    """
-    known = dataclasses.fields(Flight)
-    needed = {field.name for field in known if field.default is dataclasses.MISSING}
-    if not needed <= set(observation):
+    """Flight from an observation of `assess`; None if it lacks fields of `Flight`."""
+    names = {field.name for field in dataclasses.fields(Flight)}
+    if not names <= observation.keys():
         return None
-    fields: dict[str, Any] = {
-        name: np.array(value) if isinstance(value, list) else value
-        for name, value in observation.items()
-        if name in {field.name for field in known}
-    }
-    return Flight(**fields)
+    known: dict[str, Any] = {name: observation[name] for name in names}
+    known |= {name: np.array(v) for name, v in known.items() if isinstance(v, list)}
+    return Flight(**known)
 
 
 def _lost_from_view(pan: EndEffectorPath, pancake: BodyPath, flight: Flight) -> str:

@@ -31,24 +31,14 @@ _DRAG_GRID_STEP = 0.002  # [s]
 
 @dataclass(frozen=True, eq=False)
 class Arc:
-    """Fitted path of the pancake's centre.
+    """Fitted path of the pancake's centre."""
 
-    Attributes:
-        t: Times of the inlier frames [s]. Shape (m,).
-        used: Indices of the inlier frames. Shape (m,).
-        origin: Mean time of the inlier frames, s = 0 [s].
-        theta: p0 [m], v [m/s], a [m/s^2], j [m/s^3]. Shape (12,).
-        covariance: Covariance of theta. Shape (12, 12).
-        drag_velocity: Velocity at the origin of the drag-free parabola along which w is
-            integrated [m/s]. Shape (3,).
-    """
-
-    t: np.ndarray
-    used: np.ndarray
-    origin: float
-    theta: np.ndarray
-    covariance: np.ndarray
-    drag_velocity: np.ndarray
+    t: np.ndarray  # times of the inlier frames [s], shape (m,)
+    used: np.ndarray  # indices of the inlier frames, shape (m,)
+    origin: float  # their mean time, s = 0 [s]
+    theta: np.ndarray  # p0 [m], v [m/s], a [m/s^2], j [m/s^3], shape (12,)
+    covariance: np.ndarray  # of theta, shape (12, 12)
+    drag_velocity: np.ndarray  # at the origin, of the parabola along which w is integrated [m/s]
 
     def position(self, t: np.ndarray) -> np.ndarray:
         """Position at times t (m,) [s], base frame [m]. Shape (m, 3)."""
@@ -58,26 +48,18 @@ class Arc:
 
 @dataclass(frozen=True, eq=False)
 class Crossing:
-    """Downward crossing of a height above the pan.
+    """Downward crossing of a height above the pan."""
 
-    Attributes:
-        t: Time of the crossing [s].
-        position: Position at time `t`, base frame [m]. Shape (3,).
-        position_std: Largest standard deviation of `position` along an axis [m].
-        apex: Largest height of the arc, base frame [m].
-    """
-
-    t: float
-    position: np.ndarray
-    position_std: float
-    apex: float
+    t: float  # [s]
+    position: np.ndarray  # at t, base frame [m], shape (3,)
+    position_std: float  # largest standard deviation of it along an axis [m]
+    apex: float  # largest height of the arc, base frame [m]
 
 
 def fit_arc(frames: Frames) -> Arc | None:
     """Fit an arc to the frames of the flight by robust weighted least squares.
 
-    Returns:
-        The arc; None with fewer than two frames in flight, or without a frame at rest before.
+    None with fewer than two frames in flight, or without a frame at rest before.
     """
     run = _highest_run(frames)
     if len(run) < 2:
@@ -112,13 +94,8 @@ def fit_arc(frames: Frames) -> Arc | None:
 def find_crossing(arc: Arc, pan: EndEffectorPath, delta_h: float) -> Crossing | None:
     """Find the first downward crossing of a height above the pan after the apex.
 
-    Args:
-        arc: Fitted arc, evaluated from 0.1 s before its frames to 0.5 s after them.
-        pan: Path of the pan.
-        delta_h: Height above the pan [m].
-
-    Returns:
-        The crossing; None if the arc stays below or above the height.
+    The arc is evaluated from 0.1 s before its frames to 0.5 s after them; None if it stays below or
+    above the height.
     """
     start = max(arc.t[0] - 0.1, pan.t[0])
     end = min(arc.t[-1] + 0.5, pan.t[-1])

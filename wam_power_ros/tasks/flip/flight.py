@@ -10,7 +10,6 @@ fitted height crosses the height of the pan plus Delta_h.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,7 +24,7 @@ from wam_power_ros.tasks.flip.frames import (
     pan_normal,
     pitch_of,
 )
-from wam_power_ros.tasks.flip.spin_fit import angle_between, axis_between, fit_spin
+from wam_power_ros.tasks.flip.spin_fit import angle_between, fit_spin
 
 DELTA_H = 0.12  # larger than the pancake's radius, so that its edge is still above the pan [m]
 _POSITION_STD_MAX = 0.1  # with a larger one at t_f the pancake counts as lost from view [m]
@@ -33,88 +32,49 @@ _POSITION_STD_MAX = 0.1  # with a larger one at t_f the pancake counts as lost f
 
 @dataclass(frozen=True, eq=False)
 class Flight:
-    """Observed toss. Every number is finite.
+    """Observed toss, in the base frame. Every number is finite."""
 
-    Attributes:
-        tossed: Whether it rose above the pan by more than Delta_h.
-        seen: Whether its position at t_f is known. If not, `position` is the last known one and
-            `landing_error` is 0.
-        t_f: Time at which it falls through the pan's height + Delta_h [s]; the end of the path if
-            not tossed.
-        position: Position of its centre at t_f, base frame [m]. Shape (3,).
-        pan_position: Position of the pan at t_f, base frame [m]. Shape (3,).
-        normal_start: Normal v0 at rest, that of the pan at the start, base frame. Shape (3,).
-        normal: Normal v_tf at t_f, base frame. Shape (3,).
-        angle: Rotation from rest to t_f in the plane normal to the spin axis [rad]; 0 if not
-            tossed. Of a toss in one plane, arccos(v0 . v_tf) unfolded by the number of half turns.
-        spin_axis: Unit vector about which the rotation is positive, base frame. Shape (3,).
-        spin_rate: Spin rate at t_f [rad/s].
-        apex: Highest point above the pan's height at the start [m].
-        landing_error: Position of pancake minus pan at t_f, base frame [m]; only the horizontal
-            part matters; 0 if not tossed. Shape (3,).
-        resting: Whether it lies flat in the pan at the end of the path.
-        flipped: Whether its normal is opposite to the pan's at the end of the path.
-        frames: Number of frames of the free flight that were used.
-        climb: Largest height above the pan's floor after the fall, see `Frames.climb` [m]; 0 if
-            not tossed.
-        catch_pitch: Pitch of the pan at t_f, positive with its front edge up [rad]; 0 if not
-            tossed.
-    """
-
-    tossed: bool
-    seen: bool
+    tossed: bool  # whether it rose above the pan by more than Delta_h
+    seen: bool  # whether its position at t_f is known
+    # When it falls through the pan's height + Delta_h [s]; the end of the path if not tossed
     t_f: float
-    position: np.ndarray
-    pan_position: np.ndarray
-    normal_start: np.ndarray
-    normal: np.ndarray
+    position: np.ndarray  # of its centre at t_f, the last known one if not seen [m], shape (3,)
+    pan_position: np.ndarray  # of the pan at t_f [m], shape (3,)
+    normal_start: np.ndarray  # v0, that of the pan at the start, shape (3,)
+    normal: np.ndarray  # v_tf, at t_f, shape (3,)
+    # Rotation from rest to t_f in the plane normal to the spin axis [rad]; 0 if not tossed. Of a
+    # toss in one plane, arccos(v0 . v_tf) unfolded by the number of half turns.
     angle: float
-    spin_axis: np.ndarray
-    spin_rate: float
-    apex: float
+    apex: float  # highest point above the pan's height at the start [m]
+    # Pancake minus pan at t_f [m], shape (3,), of which the horizontal part matters; 0 if not
+    # tossed or not seen
     landing_error: np.ndarray
-    resting: bool
-    flipped: bool
-    frames: int
-    climb: float = 0.0
-    catch_pitch: float = 0.0
+    resting: bool  # whether it lies flat in the pan at the end of the path
+    flipped: bool  # whether its normal is opposite to the pan's then
+    climb: float = 0.0  # see `Frames.climb` [m]; 0 if not tossed
+    catch_pitch: float = 0.0  # of the pan at t_f, positive with its front edge up [rad]; as above
 
 
-def observe_flight(pan: EndEffectorPath, pancake: BodyPath, delta_h: float = DELTA_H) -> Flight:
-    """Estimate the flight of the pancake from the paths of pan and pancake.
+def observe_flight(pan: EndEffectorPath, pancake: BodyPath) -> Flight:
+    """Estimate the flight of the pancake from the paths of pan and pancake of a rollout.
 
     The body-frame normal of the pancake is taken from the pan's normal while the pancake rests in
     the pan at the start, so it does not depend on the axes chosen in the motion capture. The paper
     does not define the following cases: of several crossings, the first downward one after the apex
     counts; if it never rises above the height, `tossed` is False and t_f the end of the path; with
     too few frames, `seen` is False.
-
-    Args:
-        pan: Path of the pan through the rollout.
-        pancake: Path of the pancake, same id and clock; gaps are allowed.
-        delta_h: Height above the pan at which the flight ends [m].
-
-    Raises:
-        ValueError: If the paths belong to different rollouts or delta_h is not positive.
     """
-    if pan.id != pancake.id:
-        raise ValueError(
-            f"pan path {pan.id!r} and pancake path {pancake.id!r} must be of one rollout"
-        )
-    if not 0.0 < delta_h < math.inf:
-        raise ValueError(f"delta_h = {delta_h} m must be positive")
     frames = frames_from_pan(pan, pancake)
     arc = fit_arc(frames)
-    crossing = find_crossing(arc, pan, delta_h) if arc is not None else None
+    crossing = find_crossing(arc, pan, DELTA_H) if arc is not None else None
     if arc is None or crossing is None:
-        return _flight_without_arc(pan, frames, delta_h)
+        return _flight_without_arc(pan, frames)
     return _flight_on_arc(pan, frames, arc, crossing)
 
 
 def _flight_on_arc(pan: EndEffectorPath, frames: Frames, arc: Arc, crossing: Crossing) -> Flight:
     """Flight with a known crossing."""
     spin = fit_spin(frames, arc, pan)
-    axis, angle = spin.turned(frames.normal_start, crossing.t)
     pan_position = interpolate(crossing.t, pan.t, pan.position)
     seen = crossing.position_std <= _POSITION_STD_MAX
     resting, flipped = frames.end_state(pan.t[-1])
@@ -127,26 +87,23 @@ def _flight_on_arc(pan: EndEffectorPath, frames: Frames, arc: Arc, crossing: Cro
         pan_position=pan_position,
         normal_start=frames.normal_start,
         normal=spin.normal(np.array([crossing.t]))[0],
-        angle=angle,
-        spin_axis=axis,
-        spin_rate=spin.rate(crossing.t),
+        angle=spin.turned(frames.normal_start, crossing.t),
         apex=float(highest - pan.position[0, 2]),
         landing_error=crossing.position - pan_position if seen else np.zeros(3),
         resting=resting,
         flipped=flipped,
-        frames=len(arc.t),
         climb=frames.climb(crossing.t),
         catch_pitch=pitch_of(pan_normal(pan, np.array([crossing.t])))[0],
     )
 
 
-def _flight_without_arc(pan: EndEffectorPath, frames: Frames, delta_h: float) -> Flight:
+def _flight_without_arc(pan: EndEffectorPath, frames: Frames) -> Flight:
     """Flight of a pancake that was not tossed, or has too few frames in flight to fit an arc."""
     end = float(pan.t[-1])
     last_pan = pan.position[-1]
     resting, flipped = frames.end_state(end)
     above = frames.position[:, 2] - np.interp(frames.t, pan.t, pan.position[:, 2])
-    tossed = bool(np.any(frames.flying & (above > delta_h)))
+    tossed = bool(np.any(frames.flying & (above > DELTA_H)))
     normal, angle = frames.normal_start, 0.0
     if tossed and frames.resting_frames:
         normal = frames.normal[int(np.argmax(np.where(frames.flying, above, -np.inf)))]
@@ -163,11 +120,8 @@ def _flight_without_arc(pan: EndEffectorPath, frames: Frames, delta_h: float) ->
         normal_start=frames.normal_start,
         normal=normal,
         angle=angle,
-        spin_axis=axis_between(frames.normal_start, normal),
-        spin_rate=0.0,
         apex=float(frames.position[:, 2].max() - pan.position[0, 2]) if len(frames.t) else 0.0,
         landing_error=np.zeros(3),
         resting=resting,
         flipped=flipped,
-        frames=int(frames.flying.sum()),
     )

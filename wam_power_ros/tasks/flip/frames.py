@@ -26,51 +26,30 @@ _SAME_ANGLE_MAX = 0.1  # largest angle between body-frame normals of frames at r
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """Frames of the pancake during the path of the pan; M may be 0.
+    """M frames of the pancake during the path of the pan; M may be 0."""
 
-    Attributes:
-        t: Time of each frame [s]. Shape (M,).
-        position: Centre of the pancake, base frame [m]. Shape (M, 3).
-        normal: Normal of the pancake, base frame; zeros if it was never seen at rest.
-            Shape (M, 3).
-        normal_start: Normal of the pan at the start, base frame. Shape (3,).
-        resting_frames: Number of frames at rest from which the body-frame normal was computed.
-        height: Height of the centre above the pan's floor, along the pan's normal [m]. Shape (M,).
-        offset: Distance of the centre from the pan's centre, along the floor [m]. Shape (M,).
-        cosine: Cosine of the angle between the normals of pancake and pan [1]. Shape (M,).
-        flying: Whether the lower edge is higher than the pan's rim. Shape (M,), bool.
-    """
-
-    t: np.ndarray
-    position: np.ndarray
-    normal: np.ndarray
-    normal_start: np.ndarray
-    resting_frames: int
-    height: np.ndarray
-    offset: np.ndarray
-    cosine: np.ndarray
-    flying: np.ndarray
+    t: np.ndarray  # time of each [s], shape (M,)
+    position: np.ndarray  # centre of the pancake, base frame [m], shape (M, 3)
+    normal: np.ndarray  # of it, base frame, shape (M, 3); zeros if it was never seen at rest
+    normal_start: np.ndarray  # of the pan at the start, base frame, shape (3,)
+    resting_frames: int  # number of those at rest that tell the body-frame normal
+    height: np.ndarray  # of the centre above the pan's floor, along its normal [m], shape (M,)
+    offset: np.ndarray  # of the centre from the pan's, along the floor [m], shape (M,)
+    cosine: np.ndarray  # of the angle between the normals of pancake and pan [1], shape (M,)
+    flying: np.ndarray  # whether the lower edge is higher than the pan's rim, shape (M,)
 
     def climb(self, start: float) -> float:
-        """Largest height above the pan's floor after a fall, at the rim or in a bounce [m].
+        """Largest height above the floor after a fall from `start` [s], at the rim or in a bounce.
 
-        Args:
-            start: Time from which the pancake falls [s].
-
-        Returns:
-            Largest height of its centre once it has been as low as at rest; 0 if it never was.
+        Counts once its centre has been as low as at rest [m]; 0 if it never was.
         """
         low = np.flatnonzero((self.t > start) & (np.abs(self.height) < REST_HEIGHT_MAX))
         return float(self.height[low[0] :].max()) if len(low) else 0.0
 
     def end_state(self, end: float) -> tuple[bool, bool]:
-        """Whether the pancake rests in the pan at the end of the path, and whether it is flipped.
+        """Whether it rests in the pan at the end of the pan's path [s], and whether it is flipped.
 
-        Args:
-            end: Time at which the path of the pan ends [s].
-
-        Returns:
-            Resting and flipped; both False if no frame shows it.
+        Both are False if no frame shows it.
         """
         last = self.t >= end - REST_WINDOW
         if not last.any() or not self.resting_frames:

@@ -37,18 +37,12 @@ _Name = tuple[str, int]  # of a contact: surface of the pan, and end of the panc
 
 
 class Pancake(NamedTuple):
-    """Numbers of a pancake that nobody measures.
+    """Numbers of a pancake that nobody measures."""
 
-    Attributes:
-        radius: Radius of the pancake [m].
-        friction: Coefficient of friction between pancake and pan [1].
-        spin_decay: Drag slows the spin by d omega / dt = -spin_decay omega^2 [1/rad], the more the
-            larger and lighter it is.
-        drag: Drag slows the pancake by dv / dt = -drag v^2 [1/m].
-    """
-
-    radius: float = PANCAKE_RADIUS
-    friction: float = 0.2
+    radius: float = PANCAKE_RADIUS  # [m]
+    friction: float = 0.2  # coefficient between pancake and pan [1]
+    # Drag slows the spin by d omega / dt = -spin_decay omega^2 [1/rad], the more the larger and
+    # lighter the pancake is, and the pancake by dv / dt = -drag v^2 [1/m].
     spin_decay: float = 0.4
     drag: float = 0.35
 
@@ -56,18 +50,11 @@ class Pancake(NamedTuple):
 PANCAKE = Pancake()  # of 9 cm and 26 g
 
 
-def predict_toss(
-    pan: EndEffectorPath, delta_h: float = DELTA_H, pancake: Pancake = PANCAKE
-) -> Mapping[str, float] | None:
+def predict_toss(pan: EndEffectorPath, pancake: Pancake = PANCAKE) -> Mapping[str, float] | None:
     """Errors of the toss of a pan that moves along a path in the x-z plane; None for no toss.
 
     At first the pancake lies in the middle of the pan, or at the lower rim of one so tilted that it
-    slides. It may leave the plane with the pan, but not by itself.
-
-    Args:
-        pan: Path of the pan, evenly sampled.
-        delta_h: Height above the pan at which the flight ends [m].
-        pancake: Its numbers.
+    slides. It may leave the plane with the pan, but not by itself. The path is evenly sampled.
     """
     radius, friction, spin_decay, drag = pancake
     dt, gyration, path = float(pan.t[1] - pan.t[0]), 0.5 * radius, _plane(pan)
@@ -110,7 +97,7 @@ def predict_toss(
         x, z, u = x + dt * vx, z + dt * vz, u + dt * vu
         highest = max(highest, z - start)
         y = py if pushed else y
-        if z - pz > delta_h:
+        if z - pz > DELTA_H:
             tossed = True
         elif tossed:
             landing = {"landing_x": x - px, "landing_y": y - py, "apex": highest}
@@ -139,12 +126,8 @@ def _touches(
     """
     if max(abs(dx), abs(dz)) > RIM_TOP + radius:
         return
-    cos, sin, wall, flare = (
-        math.cos(pitch),
-        math.sin(pitch),
-        math.cos(RIM_FLARE),
-        math.sin(RIM_FLARE),
-    )
+    cos, sin = math.cos(pitch), math.sin(pitch)
+    wall, flare = math.cos(RIM_FLARE), math.sin(RIM_FLARE)
     for end in (1, -1):
         lx, lz = end * radius * cos, end * radius * sin
         along, height = (dx + lx) * c + (dz + lz) * s, (dz + lz) * c - (dx + lx) * s

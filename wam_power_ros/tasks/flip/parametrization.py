@@ -28,19 +28,12 @@ TURN_OF_TEMPO = 6.0
 
 
 class FlipNoise(NoiseScales):
-    """Standard deviation of the exploration noise of a toss.
+    """Standard deviation of the exploration noise of a toss."""
 
-    Attributes:
-        vigour: Noise of the vigour [1].
-        tempo: Noise of the logarithm of the tempo [1].
-        flick: Noise of the flick [1].
-        catch_shift: Noise of the catch shift [m].
-    """
-
-    vigour: float = Field(default=0.05, gt=0.0, le=1.0)
-    tempo: float = Field(default=0.03, gt=0.0, le=1.0)
-    flick: float = Field(default=0.05, gt=0.0, le=1.0)
-    catch_shift: float = Field(gt=0.0, le=1.0)
+    vigour: float = Field(default=0.05, gt=0.0, le=1.0)  # [1]
+    tempo: float = Field(default=0.03, gt=0.0, le=1.0)  # of its logarithm [1]
+    flick: float = Field(default=0.05, gt=0.0, le=1.0)  # [1]
+    catch_shift: float = Field(gt=0.0, le=1.0)  # [m]
 
 
 def flip_parametrization(policy: Policy, variant: str, noise: FlipNoise) -> Parametrization:

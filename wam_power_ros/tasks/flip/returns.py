@@ -24,65 +24,12 @@ class Return:
         return math.fsum(self.terms.values())
 
 
-class _Weights:
-    """Weights of a return: finite and at least 0."""
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not 0.0 <= value < math.inf:
-                raise ValueError(f"{name} = {value} must be finite and at least 0")
+WEIGHT = 0.5  # of each term of Eq. 5: of rotation and distance [1], of altitude [1/m]
+ALTITUDE_MAX = 0.4  # [m]; a higher toss does not make up for a bad landing
+LANDING_SCALE = 0.3  # [m]; with a sharper term (0.1) the learner no longer increased the rotation
 
 
-@dataclass(frozen=True)
-class PancakeWeights(_Weights):
-    """Weights of Eq. 5; all 0.5 in the paper.
-
-    Attributes:
-        orientation: Weight w1 of the rotation [1].
-        position: Weight w2 of the distance between pancake and pan [1].
-        altitude: Weight w3 of the altitude [1/m].
-    """
-
-    orientation: float = 0.5
-    position: float = 0.5
-    altitude: float = 0.5
-
-
-@dataclass(frozen=True)
-class LandingWeights(_Weights):
-    """Weights of `landing_return`; by default a perfect flip has a return of 1.
-
-    Attributes:
-        rotation: Weight of the unfolded rotation.
-        altitude: Weight of the altitude up to its cap.
-        altitude_cap: Altitude at which the altitude term saturates [m], so that a higher toss does
-            not compensate for a bad landing.
-        landing: Weight of landing near the centre of the pan.
-        landing_scale: Distance at which the landing term is 1/e [m]; with a sharper term (0.1) the
-            learner no longer increased the rotation.
-        caught: Weight of resting in the pan at the end.
-    """
-
-    rotation: float = 0.4
-    altitude: float = 0.1
-    altitude_cap: float = 0.4
-    landing: float = 0.3
-    landing_scale: float = 0.3
-    caught: float = 0.2
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not (self.altitude_cap > 0.0 and self.landing_scale > 0.0):
-            raise ValueError(
-                f"altitude_cap = {self.altitude_cap} and landing_scale = {self.landing_scale} "
-                "must be positive"
-            )
-
-
-PAPER_WEIGHTS = PancakeWeights()
-
-
-def pancake_return(flight: Flight, weights: PancakeWeights = PAPER_WEIGHTS) -> Return:
+def pancake_return(flight: Flight) -> Return:
     """Return of a toss (Eq. 5).
 
         R = w1 arccos(v0 . v_tf) / pi + w2 exp(-|x_P - x_F|) + w3 x3_max
@@ -101,34 +48,34 @@ def pancake_return(flight: Flight, weights: PancakeWeights = PAPER_WEIGHTS) -> R
         near = math.exp(-float(np.linalg.norm(flight.position - flight.pan_position)))
     return Return(
         {
-            "orientation": weights.orientation * turned,
-            "position": weights.position * near,
-            "altitude": weights.altitude * max(flight.apex, 0.0),
+            "orientation": WEIGHT * turned,
+            "position": WEIGHT * near,
+            "altitude": WEIGHT * max(flight.apex, 0.0),
         }
     )
 
 
-def landing_return(flight: Flight, weights: LandingWeights) -> Return:
+def landing_return(flight: Flight) -> Return:
     """Return that rewards half a turn and a landing in the pan. Not in the paper.
 
-        R = w_r rho + w_a min(apex, cap) / cap + rho^2 (w_l exp(-d / d0) + w_c caught)
+        R = 0.4 rho + 0.1 min(apex, cap) / cap + rho^2 (0.3 exp(-d / d0) + 0.2 caught)
 
     rho = 1 - |angle - pi| / pi, at least 0, with the unfolded angle: 1 for half a turn, 0 for none
     or a whole turn. d is the horizontal distance at t_f. Landing and catching are weighted by the
-    squared rotation, because a pancake that does not turn is easily caught.
+    squared rotation, because a pancake that does not turn is easily caught. A perfect flip earns 1.
     """
     rotation = 0.0
     if flight.tossed:
         rotation = max(0.0, 1.0 - abs(flight.angle - math.pi) / math.pi)
     near = 0.0
     if flight.seen:
-        near = math.exp(-math.hypot(*flight.landing_error[:2]) / weights.landing_scale)
-    altitude = min(max(flight.apex, 0.0), weights.altitude_cap) / weights.altitude_cap
+        near = math.exp(-math.hypot(*flight.landing_error[:2]) / LANDING_SCALE)
+    altitude = min(max(flight.apex, 0.0), ALTITUDE_MAX) / ALTITUDE_MAX
     return Return(
         {
-            "rotation": weights.rotation * rotation,
-            "altitude": weights.altitude * altitude,
-            "landing": weights.landing * rotation**2 * near,
-            "caught": weights.caught * rotation**2 * float(flight.resting),
+            "rotation": 0.4 * rotation,
+            "altitude": 0.1 * altitude,
+            "landing": 0.3 * rotation**2 * near,
+            "caught": 0.2 * rotation**2 * float(flight.resting),
         }
     )

@@ -11,9 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from wam_power_ros.learning.demonstration import Movement
 from wam_power_ros.learning.dmp import FitSettings
-from wam_power_ros.tasks.flip.flight import DELTA_H
 from wam_power_ros.tasks.flip.parametrization import FlipNoise
-from wam_power_ros.tasks.flip.returns import LandingWeights, PancakeWeights
 
 # 8 spring-dampers as in the paper; the other values are tuned for a movement of about 0.85 s.
 FLIP_FIT = FitSettings(
@@ -27,62 +25,24 @@ FLIP_FIT = FitSettings(
 # Rotation of a true flip in the air [degrees]: of a success, and in the ground truth of the
 # simulator. Turned further, a pancake may still fall flat, other side up.
 TRUE_TURN = (150.0, 240.0)
-# Settings of stored sessions of which the first became `gain`, and the limits the steps of the
-# effects, see `tasks.errors.Effect`.
-FORMER: Mapping[str, tuple[float, ...]] = {
-    "landing_gain": (0.7, 0.0),
-    "landing_limit": (0.25,),
-    "level_gain": (0.7, 0.0),
-    "level_limit": (0.2,),
-    "turn_gain": (0.5, 0.0),
-    "turn_limit": (0.1,),
-    "vigour_gain": (0.3, 0.0),
-    "vigour_limit": (0.3,),
-    "tempo_gain": (0.3, 0.0),
-    "tempo_limit": (0.15,),
-}
 
 
 class FlipSettings(BaseModel):
-    """Settings of the task.
-
-    Attributes:
-        variant: Learnt parameters, see `flip_parametrization`.
-        noise: Standard deviation of the exploration noise of each group of parameters.
-        ret: Return of the session: "eq5" (Eq. 5) or "landing" (`landing_return`).
-        pancake_weights: Weights of Eq. 5.
-        landing_weights: Weights of `landing_return`.
-        gain: Fraction of the errors for which a rollout is corrected in hindsight [1]; 0: no
-            correction. Needs the variant "planar".
-        success_return: Smallest return of a success; 0: any return.
-        success_angle: Smallest rotation in flight of a success, which must also be caught and
-            flipped [rad]; 0: no flip required.
-        success_angle_max: Largest rotation of such a success [rad]; by default there is none.
-        delta_h: Height above the pan at which the falling pancake is assessed [m].
-        settle_time: Time that a rollout continues after the movement [s].
-    """
+    """Settings of the task."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
+    # Learnt parameters, see `flip_parametrization`
     variant: Literal["full", "diagonal", "symmetric", "attractors", "planar"]
-    noise: FlipNoise
-    ret: Literal["eq5", "landing"]
-    pancake_weights: PancakeWeights = PancakeWeights()
-    landing_weights: LandingWeights = LandingWeights()
+    noise: FlipNoise  # of the exploration
+    ret: Literal["eq5", "landing"]  # return: Eq. 5, or `landing_return`
+    # Fraction of the errors for which a rollout is corrected in hindsight; needs "planar"
     gain: float = Field(default=0.0, ge=0.0, le=1.0)
-    success_return: float = Field(ge=0.0, allow_inf_nan=False)
+    success_return: float = Field(ge=0.0, allow_inf_nan=False)  # smallest of a success
+    # Rotation in flight of a success, which must also be caught and flipped [rad]; 0: none needed
     success_angle: float = Field(ge=0.0, allow_inf_nan=False)
     success_angle_max: float = Field(default=100.0, gt=0.0, allow_inf_nan=False)
-    delta_h: float = Field(default=DELTA_H, gt=0.0, le=1.0)
-    settle_time: float = Field(default=1.0, ge=0.0, le=10.0)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _of_stored_sessions(cls, values: Any) -> Any:  # noqa: ANN401 - whatever was stored
-        if not isinstance(values, Mapping) or "landing_gain" not in values:
-            return values
-        known = {k: v for k, v in values.items() if v not in FORMER.get(k, ())}
-        return {"gain": values["landing_gain"], **known}
+    settle_time: float = Field(default=1.0, ge=0.0, le=10.0)  # after the movement [s]
 
     @model_validator(mode="after")
     def _check_consistency(self) -> FlipSettings:

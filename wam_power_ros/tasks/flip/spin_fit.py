@@ -37,50 +37,31 @@ _DIFFERENCE_STEP = math.sqrt(float(np.finfo(float).eps))  # step, relative to a 
 
 @dataclass(frozen=True, eq=False)
 class Spin:
-    """Fitted motion of the pancake's normal.
+    """Fitted motion of the pancake's normal."""
 
-    Attributes:
-        origin: Time at which s = 0 [s].
-        release: Time of release from the pan [s].
-        normal0: Unit vector that the first two parameters rotate to n0. Shape (3,).
-        theta: Rotation of normal0 about its two tangents [rad], Omega [rad/s], d [1/s]. Shape (6,).
-    """
-
-    origin: float
-    release: float
-    normal0: np.ndarray
+    origin: float  # time at which s = 0 [s]
+    release: float  # time of release from the pan [s]
+    normal0: np.ndarray  # unit vector that the first two parameters rotate to n0, shape (3,)
+    # Rotation of normal0 about its two tangents [rad], Omega [rad/s], d [1/s], shape (6,)
     theta: np.ndarray
 
     def normal(self, t: np.ndarray) -> np.ndarray:
         """Normal at times t (m,) [s], base frame. Shape (m, 3)."""
         return _spun(self.theta, np.atleast_1d(t) - self.origin, self.normal0)
 
-    def rate(self, t: float) -> float:
-        """Spin rate at time t [rad/s]."""
-        slowing = 1.0 + self.theta[5] * (t - self.origin)
-        return float(np.linalg.norm(self.theta[2:5]) / max(slowing, _SLOWING_MIN))
+    def turned(self, start: np.ndarray, t: float) -> float:
+        """Rotation of the normal from rest, at `start` (3,), to a time after the release [rad].
 
-    def turned(self, start: np.ndarray, t: float) -> tuple[np.ndarray, float]:
-        """Rotation of the normal from rest to time t.
-
-        Args:
-            start: Normal at rest. Shape (3,).
-            t: Time after the release [s].
-
-        Returns:
-            Spin axis, a unit vector of shape (3,), and the rotation in the plane of `start` that is
-            normal to it, more than a turn if it was more [rad]. What leans out of that plane, as
-            of a pan that is rolled to the side, does not count.
+        In the plane of `start` that is normal to the spin axis, more than a turn if it was more.
+        What leans out of that plane, as of a pan that is rolled to the side, does not count.
         """
         omega = self.theta[2:5]
         speed = float(np.linalg.norm(omega))
-        end = self.normal(np.array([t]))[0]
         if speed * (t - self.release) < _AXIS_ANGLE_MIN:
-            return axis_between(start, end), angle_between(start, end)
-        axis = omega / speed
+            return angle_between(start, self.normal(np.array([t]))[0])
         path = self.normal(np.linspace(self.release, t, 200))
-        sine = path @ unit(np.cross(axis, start))
-        return axis, abs(float(np.unwrap(np.arctan2(sine, path @ start))[-1]))
+        sine = path @ unit(np.cross(omega / speed, start))
+        return abs(float(np.unwrap(np.arctan2(sine, path @ start))[-1]))
 
 
 def fit_spin(frames: Frames, arc: Arc, pan: EndEffectorPath) -> Spin:
@@ -117,19 +98,12 @@ def fit_spin(frames: Frames, arc: Arc, pan: EndEffectorPath) -> Spin:
 
 @dataclass(frozen=True, eq=False)
 class _SpinProblem:
-    """Least-squares problem of the spin.
+    """Least-squares problem of the spin."""
 
-    Attributes:
-        s: Times of the targets since the origin [s]. Shape (m,).
-        targets: Measured normals, and the normal of the pan at the release. Shape (m, 3).
-        noise: Standard deviation of each target along an axis [1]. Shape (m, 1).
-        normal0: As in `Spin`. Shape (3,).
-    """
-
-    s: np.ndarray
-    targets: np.ndarray
-    noise: np.ndarray
-    normal0: np.ndarray
+    s: np.ndarray  # times of the targets since the origin [s], shape (m,)
+    targets: np.ndarray  # measured normals, and that of the pan at the release, shape (m, 3)
+    noise: np.ndarray  # standard deviation of each target along an axis [1], shape (m, 1)
+    normal0: np.ndarray  # as in `Spin`, shape (3,)
 
     def residuals(self, theta: np.ndarray) -> np.ndarray:
         """Residuals at theta (6,), in standard deviations. Shape (n,)."""
@@ -156,13 +130,6 @@ class _SpinProblem:
 def angle_between(a: np.ndarray, b: np.ndarray) -> float:
     """Angle between unit vectors [rad]."""
     return math.atan2(float(np.linalg.norm(np.cross(a, b))), float(a @ b))
-
-
-def axis_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Unit axis that rotates unit vector a to b; any axis normal to `a` if they are parallel."""
-    axis = np.cross(a, b)
-    length = float(np.linalg.norm(axis))
-    return axis / length if length > 1e-9 else _tangents(a)[0]
 
 
 def _spun(theta: np.ndarray, s: np.ndarray, normal0: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Foreseen, Rollout
 from wam_power_ros.tasks.flip import assessment as flip_assessment
 from wam_power_ros.tasks.flip import paper
-from wam_power_ros.tasks.flip.flight import observe_flight
+from wam_power_ros.tasks.flip.flight import DELTA_H
 from wam_power_ros.tasks.flip.frames import REST_HEIGHT_MAX
 from wam_power_ros.tasks.flip.pan_toss import PANCAKE, predict_toss
 from wam_power_ros.tasks.flip.parametrization import flip_parametrization
@@ -38,9 +38,6 @@ from wam_power_ros.tasks.task import (
     Published,
     Task,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _OFFSET_MAX = 0.10  # largest distance of the pancake from the pan's centre before a rollout [m]
 _HEIGHT_RANGE = (-0.01, REST_HEIGHT_MAX)  # of its centre above the pan's floor, the same [m]
@@ -80,8 +77,8 @@ class Flip(Task):
         """See `Task`."""
         super().__init__(settings, context)
         self.gain = settings.gain
-        if (apex := self.targets["apex"]) <= settings.delta_h:
-            raise ValueError(f"apex = {apex} m must be above delta_h = {settings.delta_h} m")
+        if (apex := self.targets["apex"]) <= DELTA_H:
+            raise ValueError(f"apex = {apex} m must be above delta_h = {DELTA_H} m")
 
     def parametrization(self, policy: Policy) -> Parametrization:
         """Learnt parameters of a policy; see `Task`."""
@@ -130,7 +127,7 @@ class Flip(Task):
 
     def predict(self, foreseen: Foreseen) -> Sequence[Mapping[str, float]]:
         """Toss from the simulated path of the pan, and that of a pancake which drag slows more."""
-        tosses = (predict_toss(foreseen.tool, self.settings.delta_h, p) for p in (PANCAKE, SLOWED))
+        tosses = (predict_toss(foreseen.tool, pancake) for pancake in (PANCAKE, SLOWED))
         return [NOT_TOSSED if toss is None else toss for toss in tosses]
 
     def outcome(self, record: LoggedRollout) -> str:
@@ -176,15 +173,3 @@ class Flip(Task):
         turned_over = not record.fault and seen.get("flipped") and seen.get("resting")
         low, high = map(math.radians, TRUE_TURN)
         return bool(turned_over and low <= abs(seen.get("angle", 0.0)) <= high)
-
-    def figure(self, rollout: Rollout) -> tuple[Figure, str] | None:
-        """Pan and pancake from the side; see `Task`."""
-        from wam_power_ros.tasks.flip.figures import side_view  # imports matplotlib: slow
-
-        if rollout.body is None:
-            return None
-        flight = observe_flight(rollout.tool, rollout.body, self.settings.delta_h)
-        return side_view(rollout.tool, rollout.body, flight.t_f), (
-            "Arrows are the normals of pan and pancake, as in Figs. 3 and 4 of the paper; dots are "
-            "camera frames."
-        )

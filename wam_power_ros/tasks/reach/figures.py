@@ -21,21 +21,13 @@ MARGIN = 0.03  # around the paths [m]
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """A panel of Fig. 2.
-
-    Attributes:
-        demonstrations: Demonstrated positions [m]. Shapes (T, 3).
-        obstacle: The obstacle, None for none.
-        learnt: Path of the learnt policy [m], drawn bold. Shape (T, 3); None if there is none.
-        rollouts: Further paths [m]. Shapes (T, 3); may be empty.
-        executed: Path executed by the arm [m]. Shape (M, 3); None if there is none.
-    """
+    """A panel of Fig. 2: paths of shapes (T, 3) [m]."""
 
     demonstrations: Sequence[np.ndarray]
     obstacle: Region | None
-    learnt: np.ndarray | None = None
-    rollouts: Sequence[np.ndarray] = ()
-    executed: np.ndarray | None = None
+    learnt: np.ndarray | None = None  # of the learnt policy, drawn bold
+    rollouts: Sequence[np.ndarray] = ()  # further ones
+    executed: np.ndarray | None = None  # by the arm
 
     @property
     def start(self) -> np.ndarray:
@@ -52,12 +44,7 @@ def paths(panels: Mapping[str, Panel]) -> Figure:
     """Fig. 2 of the paper: paths around the obstacle, from the side and from above.
 
     The axes point from the mean start of the demonstrations to their mean end, to the left, and up.
-
-    Args:
-        panels: Title -> panel, such as "diagonal" and "full".
-
-    Raises:
-        ValueError: There is no panel.
+    A title, such as "full", is that of its panel; a ValueError if there is none.
     """
     if not panels:
         raise ValueError("a figure of reaching must have at least one panel, got none")

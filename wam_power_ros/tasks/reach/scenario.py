@@ -22,28 +22,18 @@ RADIUS = 0.09  # radius of the sphere [m]
 class Scenario:
     """Demonstrations, a spherical obstacle and the return of Eq. 4.
 
-    Attributes:
-        demonstrations: Positions of the tool [m]. Shape (count, T, 3).
-        period: Time between samples [s].
-        radius: Radius of the obstacle, a sphere [m]; 0 for none.
-        policy: Least-squares fit to the demonstrations, from which learning starts.
-        start: Initial position of rollouts [m]. Shape (3,).
-        obstacle: Centre of the sphere [m]. Shape (3,).
-        demonstrated: Mean demonstration x_D [m]. Shape (T, 3).
-        goal: Last position x_G of the mean demonstration [m]. Shape (3,).
-
     Raises:
         ValueError: If a shape is wrong or a value is out of range.
     """
 
-    demonstrations: np.ndarray
-    period: float
-    radius: float
-    policy: Policy
-    start: np.ndarray
-    obstacle: np.ndarray
-    demonstrated: np.ndarray = field(init=False)
-    goal: np.ndarray = field(init=False)
+    demonstrations: np.ndarray  # positions of the tool [m], shape (count, T, 3)
+    period: float  # between samples [s]
+    radius: float  # of the obstacle, a sphere [m]; 0 for none
+    policy: Policy  # least-squares fit to the demonstrations, from which learning starts
+    start: np.ndarray  # initial position of rollouts [m], shape (3,)
+    obstacle: np.ndarray  # centre of the sphere [m], shape (3,)
+    demonstrated: np.ndarray = field(init=False)  # mean demonstration x_D [m], shape (T, 3)
+    goal: np.ndarray = field(init=False)  # its last position x_G [m], shape (3,)
 
     def __post_init__(self) -> None:
         paths = np.array(self.demonstrations, dtype=float)
@@ -75,8 +65,7 @@ class Scenario:
         A path that diverges, because its stiffness is too large for the period, is clipped to 1 km.
 
         Args:
-            stiffness: K_i of each policy; basis and damping are those of `policy` [1/s^2].
-                Shape (B, n, 3, 3).
+            stiffness: K_i of each policy [1/s^2]. Shape (B, n, 3, 3).
             attractors: mu_i of each policy [m]. Shape (B, n, 3).
 
         Returns:
@@ -84,15 +73,9 @@ class Scenario:
         """
         basis, damping = self.policy.basis, self.policy.damping
         with np.errstate(over="ignore", invalid="ignore"):
+            start, rest = self.start, np.zeros(3)
             path, _ = reproduce_many(
-                basis,
-                stiffness,
-                attractors,
-                damping,
-                self.start,
-                np.zeros(3),
-                self.steps,
-                self.period,
+                basis, stiffness, attractors, damping, start, rest, self.steps, self.period
             )
         return np.clip(np.nan_to_num(path, nan=1e3), -1e3, 1e3)
 

@@ -20,12 +20,9 @@ REACH_FIT = FitSettings(
 
 
 class ReachSettings(TaskSettings):
-    """Settings of the task.
+    """Settings of the task."""
 
-    Attributes:
-        goal_tolerance: Largest final distance of the tool from the goal in a success [m].
-    """
-
+    # Largest final distance of the tool from the goal in a success [m]
     goal_tolerance: float = Field(default=0.05, gt=0.0, le=1.0)
 
 

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The figure of a rollout shows how tool and body moved, and how a body turned."""
+
+import numpy as np
+import pytest
+
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
+from wam_power_ros.tasks.side_view import NORMAL_LENGTH, side_view
+
+T = np.linspace(0.0, 1.0, 101)
+LEVEL = np.tile([0.0, 0.0, 0.0, 1.0], (101, 1))
+TOOL = EndEffectorPath("toss", T, np.tile([0.7, 0.0, 0.4], (101, 1)), LEVEL)
+
+
+def thrown(half_turns: float) -> Rollout:
+    """A level tool that stays, a body that turns in a second and rises by .5 m."""
+    t = T[::4]
+    half = 0.5 * np.pi * half_turns * t
+    quat = np.stack([0 * half, np.sin(half), 0 * half, np.cos(half)], axis=1)
+    position = np.stack([0.7 + 0 * t, 0 * t, 0.4 + 2.0 * t * (1.0 - t)], axis=1)
+    return Rollout(TOOL, BodyPath("toss", t, position, quat))
+
+
+def test_the_normal_of_a_flipped_body_points_down_in_the_figure() -> None:
+    tool, body = side_view(thrown(1.0), "pancake").axes[0].collections
+    assert np.all(tool.V > 0.0)
+    assert body.V[0] == pytest.approx(NORMAL_LENGTH)
+    assert body.V[-1] == pytest.approx(-NORMAL_LENGTH)
+
+
+def test_a_body_that_does_not_turn_has_no_arrows_and_its_heights_are_drawn_over_time() -> None:
+    side, height = side_view(thrown(0.0), "ball").axes
+    assert not side.collections
+    assert [line.get_label() for line in height.lines] == ["tool", "ball (camera)"]
+    assert max(height.lines[1].get_ydata()) == pytest.approx(0.9, abs=1e-3)
+
+
+def test_a_rollout_without_a_body_or_a_single_frame_is_drawn_all_the_same() -> None:
+    unseen = BodyPath("toss", np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4)))
+    for body in (None, unseen):
+        assert len(side_view(Rollout(TOOL, body), "ball").axes[0].lines) == 1
