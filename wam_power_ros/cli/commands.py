@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wam_power_ros.cli import layouts
 from wam_power_ros.cli.keys import Keys
 from wam_power_ros.cli.launcher import (
     Devices,
@@ -32,7 +31,6 @@ from wam_power_ros.cli.launcher import (
 )
 from wam_power_ros.cli.node_log import PROBLEMS, NodeLogs, progress_messages
 from wam_power_ros.cli.plan import LEARNER, RECORDER, TRACKER, plan_of
-from wam_power_ros.cli.plan_command import checked_namespace
 from wam_power_ros.cli.processes import ProcessError, Processes, Running
 from wam_power_ros.cli.session_options import (
     DEFAULT_TASK,
@@ -472,12 +470,6 @@ def policy(config: Sequence[str], namespace: str) -> None:
 
     rights = security.table(overlay.setup(config), namespace)
     print(security.policy(rights, namespace), end="")
-
-
-def layout(program: str, config: Sequence[str], task: str | None, namespace: str) -> None:
-    """Print a layout of a program that shows a session."""
-    setup = overlay.setup(config, task=task or DEFAULT_TASK)
-    print(layouts.layout(program, setup, checked_namespace(namespace)), end="")
 
 
 def play(bag: Path, rate: float, topics: Sequence[str], wait: float) -> None:

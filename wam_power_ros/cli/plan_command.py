@@ -14,8 +14,8 @@ from pathlib import Path
 
 import yaml
 
+from wam_power_ros.cli import layouts
 from wam_power_ros.cli.launcher import Devices, UsageError, discovery_range, folder_lock
-from wam_power_ros.cli.layouts import layout
 from wam_power_ros.cli.parser import add_command, config_option, session_options
 from wam_power_ros.cli.plan import (
     CONTROLLER,
@@ -177,7 +177,7 @@ def with_displays(plan: Plan, rviz: bool, tf: bool) -> Plan:
     if rviz:
         program = _executable(RVIZ, required=True)
         file = logs / "session.rviz"
-        files[file] = layout("rviz", plan.parameters, plan.namespace)
+        files[file] = layouts.rviz(plan.parameters, plan.namespace)
         time = ["-p", f"use_sim_time:={str(arm.get('use_sim_time', False)).lower()}"]
         command = [str(program), "-d", str(file), *ros_arguments(plan.namespace), *time]
         processes.append(Process(RVIZ, tuple(command), required=False))
