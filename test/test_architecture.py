@@ -103,7 +103,7 @@ BUDGET = {
     "tasks": 3686,  # what follows from the errors of any task is written here once
     "practice": 2078,  # refusals by a person and pauses are in its log
     "conformance": 1123,
-    "bags": 2660,
+    "bags": 2320,
     "params": 1140,
     "ros": 2810,
     "client": 1450,
@@ -112,7 +112,7 @@ BUDGET = {
     "view": 1430,
     "reporting": 990,
     "in_process": 413,
-    "cli": 3353,
+    "cli": 3167,
     "hardware_sim": 3052,
     "launch": 260,
     "examples": 377,
