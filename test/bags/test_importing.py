@@ -7,7 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bag_samples import NAMES, QOS, START, demonstration, joint_state, random_q, string
+from bag_samples import (
+    NAMES,
+    QOS,
+    START,
+    demonstration,
+    joint_state,
+    of_states,
+    random_q,
+    string,
+)
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from wam_power_ros.arm_identity import ArmIdentity, to_json
@@ -135,3 +144,14 @@ def test_a_bag_that_is_there_is_never_written_over(tmp_path: Path) -> None:
     with pytest.raises(FileExistsError):
         importing.import_bag(Bag(path), path, NAMES)
     assert len(reader.read_demonstration(path, NAMES)[0]) == 20
+
+
+def test_a_time_of_reception_that_is_no_time_is_refused_and_can_be_cut_off(tmp_path: Path) -> None:
+    q = random_q(50)
+    times = [START + 4_000_000 * k for k in range(50)]
+    states = [(t if k < 49 else 2**63 - 5, t, NAMES, q[k]) for k, t in enumerate(times)]
+    bag, ours = Bag(of_states(tmp_path / "theirs", states)), tmp_path / "ours"
+    with pytest.raises(ValueError, match="is no time of ROS"):
+        importing.import_bag(bag, ours, NAMES, by_reception=True)
+    importing.import_bag(bag, ours, NAMES, by_reception=True, part=(0.0, 9.0))
+    np.testing.assert_array_equal(reader.read_demonstration(ours, NAMES)[1], q[:49])

@@ -17,6 +17,8 @@ from wam_power_ros.bags.quality import Remark
 from wam_power_ros.bags.reader import States
 from wam_power_ros.bags.writer import BagWriter
 
+STAMP_END = 2**31 * 1_000_000_000  # of a header [ns]
+
 
 def import_bag(
     bag: Bag,
@@ -58,6 +60,9 @@ def import_bag(
             )
     topic = topic or bag.notes.get("state_topic") or _only_states(bag)
     states = reader.read_states(bag, bag_names, topic, by_reception=by_reception, part=part)
+    received = states.stamps.tolist()  # in the new bag, so that they are in the order of the stamps
+    if wrong := [stamp for stamp in received if not 0 <= stamp < STAMP_END]:
+        raise ValueError(f"{bag.path}: {topic}: {wrong[0]} ns is no time of ROS; see --part")
     messages = list(bag.messages([topic]))
     notes = {
         "joint_names": json.dumps(list(joint_names)),
@@ -77,7 +82,6 @@ def import_bag(
     writer = BagWriter(to)
     try:
         writer.add(STATES, JOINT_STATE, [layout.qos(reliable=True, latched=False)])
-        received = states.stamps.clip(0).tolist()  # so that they are in the order of their stamps
         if kind:
             writer.event("start", kind, received[0])
         for row, (stamp, number) in enumerate(zip(received, states.index, strict=True)):
