@@ -49,7 +49,7 @@ from wam_power_ros.params.resources import share
 PACKAGES = ("wam_power_ros", "hardware_sim", "reproduction.rivals", "reproduction.studies")
 NOT_HASHED = (  # sources that cannot change a result; the studies run without ROS
     "reproduction.studies/__main__.py",
-    "wam_power_ros/bags/editing.py",
+    "wam_power_ros/bags/importing.py",
     "wam_power_ros/bags/series.py",
     "wam_power_ros/bags/takes.py",
     "wam_power_ros/cli",

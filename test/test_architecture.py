@@ -106,7 +106,7 @@ BUDGET = {
     "tasks": 3239,  # what follows from the errors of any task is written here once
     "practice": 2061,  # refusals by a person and pauses are in its log
     "conformance": 1123,
-    "bags": 2660,
+    "bags": 2324,
     "params": 1137,
     "ros": 2588,
     "client": 1450,

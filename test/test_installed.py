@@ -90,7 +90,7 @@ def test_a_task_that_is_not_installed_is_refused_wherever_it_is_named(
     known = "'tap' is not one of ball_in_cup, flip, reach"
     with pytest.raises(ValueError, match=known):
         overlay.setup(task="tap")
-    commands = "layout rviz", "config", "teach", "learn", "score x", "run-policy x"
+    commands = "config", "teach", "learn", "score x", "run-policy x"
     for words in commands:
         assert known in refusal(*words.split(), "--task", "tap"), words
     with pytest.raises(ValueError, match=r"learner 'pwoer' is not one of .*, power, "):

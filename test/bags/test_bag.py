@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from bag_samples import NAMES, demonstration, random_q
 
-from wam_power_ros.bags import integrity, judgements, takes
+from wam_power_ros.bags import files, takes
 from wam_power_ros.bags.bag import Bag
 from wam_power_ros.bags.reader import read_demonstration
 from wam_power_ros.cli import main
@@ -46,13 +46,13 @@ def opened() -> Iterator[Counter[str]]:
 def verified(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
     """Number of verifications by name of the file."""
     count: Counter[str] = Counter()
-    verify = integrity.verify
+    verify = files.opened
 
-    def counting(file: Path, information: dict[str, Any]) -> None:
+    def counting(file: Path) -> files.McapFile | files.SqliteFile:
         count[file.name] += 1
-        verify(file, information)
+        return verify(file)
 
-    monkeypatch.setattr(integrity, "verify", counting)
+    monkeypatch.setattr(files, "opened", counting)
     return count
 
 
@@ -63,7 +63,7 @@ def test_reading_a_demonstration_opens_its_metadata_and_verifies_its_file_once(
     opened.clear()
     read_demonstration(path, NAMES)
     assert verified == {"demo.mcap": 1}
-    assert opened == {"metadata.yaml": 1, "demo.mcap": 3}  # to verify, for its topics, to read
+    assert opened == {"metadata.yaml": 1, "demo.mcap": 2}  # to verify, to read
 
 
 def test_whatever_is_read_of_an_opened_bag_it_is_verified_once(
@@ -77,13 +77,14 @@ def test_whatever_is_read_of_an_opened_bag_it_is_verified_once(
     assert verified == {"demo.mcap": 1} and not opened["metadata.yaml"]
 
 
-def test_listing_verifies_each_bag_once(
+def test_listing_opens_no_bag_and_grading_verifies_each_once(
     opened: Counter[str], verified: Counter[str], tmp_path: Path
 ) -> None:
     bags = tmp_path / "bags"
-    shutil.copytree(BAGS, bags, ignore=shutil.ignore_patterns(judgements.FILE))
-    files = [file.name for file in bags.glob("*/*.mcap")]
+    shutil.copytree(BAGS, bags)
+    names = [file.name for file in bags.glob("*/*.mcap")]
     opened.clear()
     assert main.main(["bags", "list", str(bags)]) == 0
-    assert verified == dict.fromkeys(files, 1)
-    assert opened["metadata.yaml"] == 3 * len(files) > 6  # its digest, before and after
+    assert opened["metadata.yaml"] == len(names) > 2 and not verified
+    assert main.main(["bags", "list", "--quality", str(bags)]) == 0
+    assert verified == dict.fromkeys(names, 1)

@@ -12,7 +12,7 @@ from bag_samples import NAMES, QOS, START, joint_state
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wam_power_ros.bags import editing, layout, reader, takes
+from wam_power_ros.bags import importing, layout, reader, takes
 from wam_power_ros.bags.bag import Bag
 from wam_power_ros.bags.jumps import checked
 from wam_power_ros.bags.quality import Grade
@@ -148,7 +148,7 @@ def test_what_was_unwrapped_or_left_out_is_a_remark_on_the_take_and_on_its_impor
     texts = [remark.text for remark in takes.read(Bag(path), NAMES).states.remarks]
     assert len(texts) == 2 and texts[0].startswith("1 state left out")
     assert texts[1].startswith("wam_j1 was unwrapped")
-    made, remarks = editing.import_bag(Bag(path), tmp_path / "ours", NAMES)
+    made, remarks = importing.import_bag(Bag(path), tmp_path / "ours", NAMES)
     assert [remark.text for remark in remarks] == texts
     again = takes.read(Bag(made), NAMES).states
     assert again.remarks == ()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A series of demonstrations stays correct when bags are renamed or discarded."""
+"""A series of demonstrations stays correct when bags are discarded."""
 
 from __future__ import annotations
 
@@ -59,32 +59,13 @@ def test_a_folder_that_is_no_bag_is_not_discarded(file: Path) -> None:
             series.discard(path)
 
 
-def test_a_renamed_bag_is_renamed_in_its_series_and_can_be_read(file: Path) -> None:
-    first, second = series.read(file)
-    renamed = series.rename(first, "slow one")
-    assert series.read(file) == [renamed, second]
-    assert Bag(renamed).topics
-
-
 @pytest.mark.parametrize("way", ["link/bags/a", "real/bags/../bags/a"])
 def test_a_bag_that_is_named_another_way_is_the_one_in_its_series(way: str, tmp_path: Path) -> None:
-    for do in (series.discard, lambda bag: series.rename(bag, "c")):
-        bag = demonstration(tmp_path / "real/bags/a", random_q(20))
-        (tmp_path / "link").unlink(missing_ok=True)
-        (tmp_path / "link").symlink_to(tmp_path / "real")
-        series.write(tmp_path / "real" / series.FILE, [bag])
-        do(tmp_path / way)
-        assert bag not in series.read(tmp_path / "real" / series.FILE)
-
-
-@pytest.mark.parametrize(
-    "name", ["b", "", "..", ".hidden", "x/y", "x.unfinished", "a\nb", "\x1b[31mx"]
-)
-def test_a_name_that_is_taken_or_none_is_refused(file: Path, name: str) -> None:
-    first, _ = series.read(file)
-    with pytest.raises(ValueError, match=r"name of a bag|exists already"):
-        series.rename(first, name)
-    assert first.is_dir()
+    bag = demonstration(tmp_path / "real/bags/a", random_q(20))
+    (tmp_path / "link").symlink_to(tmp_path / "real")
+    series.write(tmp_path / "real" / series.FILE, [bag])
+    series.discard(tmp_path / way)
+    assert bag not in series.read(tmp_path / "real" / series.FILE)
 
 
 def test_a_bag_with_control_characters_in_its_name_is_refused_in_one_line(tmp_path: Path) -> None:

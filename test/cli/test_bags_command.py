@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from bag_samples import demonstration
 
-from wam_power_ros.bags import judgements, layout, reader, series
-from wam_power_ros.bags.bag import Bag
+from wam_power_ros.bags import layout, reader
 from wam_power_ros.bags.writer import BagWriter
 from wam_power_ros.cli import bags_command, main
 
@@ -40,7 +39,7 @@ def test_each_take_has_a_line_with_its_quality_and_why(
     BagWriter(take.with_name("demo_cut")).abandon()
     rows = {
         line.split()[0]: line.split(maxsplit=5)
-        for line in said(capsys, "list", take.parent.parent).splitlines()
+        for line in said(capsys, "list", "--quality", take.parent.parent).splitlines()
     }
     assert rows[take.name][1:] == ["reach", "2.7", "s", "good"]
     assert rows["demo_still"][1:] == ["flip", "0.6", "s", "poor", "hardly moves: 0.000 rad"]
@@ -55,34 +54,21 @@ def test_what_the_fit_would_leave_out_or_refuse_is_said_with_the_grade(
     back = once[-1] + 0.5 * (once[::-1] - once[-1])
     back = np.concatenate([once, np.tile(once[-1], (200, 1)), back])
     demonstration(tmp_path / "reach_back", back, WAM)
-    (line,) = [row for row in said(capsys, "list", tmp_path).splitlines() if "reach_back" in row]
+    (line,) = [
+        row
+        for row in said(capsys, "list", "--quality", tmp_path).splitlines()
+        if "reach_back" in row
+    ]
     assert " fair " in line and "s of movement after a pause of" in line
     shown = said(capsys, "show", tmp_path / "reach_back")
     assert "fair" in shown.splitlines()[0] and "s of movement after a pause of" in shown
     monkeypatch.setattr("wam_power_ros.learning.policy.DURATION_MAX", 1.5)
-    (tmp_path / "reach_back" / judgements.FILE).unlink()  # the code in the files is the same
-    (line,) = [row for row in said(capsys, "list", tmp_path).splitlines() if "reach_back" in row]
+    (line,) = [
+        row
+        for row in said(capsys, "list", "--quality", tmp_path).splitlines()
+        if "reach_back" in row
+    ]
     assert " poor " in line and "a movement of 1.6 s; at most 1.5 s can be learnt" in line
-
-
-def test_a_take_is_judged_once_and_again_after_any_change(
-    take: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    judge, judged = bags_command._judged, []
-    monkeypatch.setattr(
-        bags_command, "_judged", lambda path, *rest: judged.append(path) or judge(path, *rest)
-    )
-    first = said(capsys, "list", take)
-    assert said(capsys, "list", take) == first
-    assert judged == [take]
-    assert "poor" in said(capsys, "list", take, "--config", "franka")  # of another arm
-    (file,) = take.glob("*.mcap")
-    whole = file.read_bytes()
-    file.write_bytes(whole[:5000] + bytes([whole[5000] ^ 1]) + whole[5001:])  # the same size
-    assert "is damaged" in said(capsys, "list", take)
-    file.write_bytes(whole)
-    assert said(capsys, "list", take) == first
-    assert len(judged) == 4
 
 
 def test_sessions_are_listed_one_after_another(
@@ -114,13 +100,6 @@ def test_a_take_is_shown_with_its_topics_and_joints(
     assert text.count("% of its limit") == 7
 
 
-def test_a_take_does_not_differ_from_itself(take: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    other = sorted((ROOT / "bags").glob("reach_*"))[1]
-    _, same, different = said(capsys, "compare", take, take, other).splitlines()
-    assert "rms 0.000 rad" in same and "tool 0 mm, at most 0 mm" in same
-    assert "rms 0.000" not in different
-
-
 @pytest.mark.parametrize(("suffix", "begin"), [("png", b"\x89PNG"), ("svg", b"<?xml")])
 def test_takes_are_drawn_into_a_file(
     suffix: str, begin: bytes, take: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -128,20 +107,6 @@ def test_takes_are_drawn_into_a_file(
     output = tmp_path / f"takes.{suffix}"
     assert str(output) in said(capsys, "plot", take, "--output", output)
     assert output.read_bytes().startswith(begin)
-
-
-def test_parts_names_and_the_trash(take: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file = take.parent.parent / series.FILE
-    series.write(file, [take])
-    said(capsys, "rename", take, "reach_slow")
-    renamed = take.with_name("reach_slow")
-    assert series.read(file) == [renamed]
-    said(capsys, "trim", renamed, 0.2, 1.0)
-    stamps, _ = reader.read_demonstration(take.with_name("reach_slow_trimmed"), WAM)
-    assert (stamps[-1] - stamps[0]) * 1e-9 == pytest.approx(0.8, abs=0.01)
-    text = said(capsys, "delete", renamed)
-    assert not renamed.exists() and series.read(file) == []
-    assert Bag(text.split()[-1]).topics
 
 
 def test_an_imported_bag_is_of_the_task_it_was_imported_for(
@@ -158,14 +123,6 @@ def test_an_imported_bag_is_of_the_task_it_was_imported_for(
     assert "is a demonstration of reach, not of flip" in capsys.readouterr().err
 
 
-def test_an_imported_bag_from_which_nothing_can_be_learnt_is_graded_poor_at_once(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    still = demonstration(tmp_path / "still", np.zeros((200, 7)), WAM)
-    monkeypatch.chdir(tmp_path)
-    assert "poor  hardly moves" in said(capsys, "import", still)
-
-
 def test_a_bag_that_was_never_closed_is_recovered(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -178,11 +135,61 @@ def test_a_bag_that_was_never_closed_is_recovered(
     assert "1 messages" in capsys.readouterr().out
 
 
-def test_a_name_with_control_characters_is_listed_and_deleted_in_one_line(
+def test_a_name_with_control_characters_is_listed_in_one_line(
     take: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bag = take.rename(take.with_name("reach_\x1b[2J\nx"))
-    listed, deleted = said(capsys, "list", bag.parent), said(capsys, "delete", bag)
-    for text in (listed, deleted):
+    for words in (["list"], ["list", "--quality"]):
+        text = said(capsys, *words, bag.parent)
         assert "\x1b" not in text and "reach_\\x1b[2J\\nx" in text
-    assert len(deleted.splitlines()) == 1
+        assert len(text.splitlines()) == 3
+
+
+def test_takes_are_listed_at_once_by_what_their_descriptions_say(
+    take: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    BagWriter(take.with_name("demo_cut")).abandon()
+    (file,) = take.glob("*.mcap")
+    file.write_bytes(b"")  # it is not read
+    listed = said(capsys, "list", take.parent.parent)
+    rows = {line.split()[0]: line.split(maxsplit=4) for line in listed.splitlines()}
+    assert rows[take.name][1:] == ["reach", "6.1", "s"]  # with the rest before and after
+    assert "was never closed" in " ".join(rows["demo_cut"])
+
+
+def test_bags_are_imported_in_part_or_together(
+    take: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    stamps, q = reader.read_demonstration(take, WAM)
+    for begin, end in ((0.0, 1.0), (1.0005, 9.0)):
+        said(capsys, "import", take, "--part", begin, end, "--task", "reach", "--output", f"p{end}")
+    found, _ = reader.read_demonstration("p1.0", WAM)
+    assert (found[-1] - found[0]) * 1e-9 == pytest.approx(1.0, abs=0.01)
+    said(capsys, "import", "p9.0", "p1.0", "--task", "reach", "--output", "both")
+    found, angles = reader.read_demonstration("both", WAM)
+    np.testing.assert_array_equal(angles, q)
+    np.testing.assert_array_equal(found, stamps)
+    assert main.main(["bags", "import", str(take), "--part", "2", "1"]) == 2
+    assert "0 <= START < END" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("scale", "count", "why"),
+    [(180 / np.pi, 2000, "degrees?"), (12.0, 2000, "degrees?"), (1.0, 1, "")],
+)
+def test_what_show_refuses_is_not_imported(
+    scale: float,
+    count: int,
+    why: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    _, q = reader.read_demonstration(SHIPPED, WAM)
+    theirs = demonstration(tmp_path / "theirs", scale * q[:count], WAM)
+    monkeypatch.chdir(tmp_path)
+    for command in ("show", "import"):
+        assert main.main(["bags", command, str(theirs)]) == 2
+        assert why in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["theirs"]

@@ -6,42 +6,15 @@ from __future__ import annotations
 import shutil
 import tempfile
 import weakref
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import replace
+from pathlib import Path, PurePath
 from typing import Any
-
-from rosbags.interfaces import Qos, QosDurability
-from rosbags.rosbag2 import Reader
 
 from wam_power_ros import durable_files, plain_yaml
 from wam_power_ros.arm_identity import ArmIdentity, from_json
-from wam_power_ros.bags import integrity, layout
-
-FILES = (".mcap", ".db3")  # what a bag may consist of
-
-
-@dataclass(frozen=True)
-class Topic:
-    """A topic of a bag.
-
-    Attributes:
-        msgtype: Message type, such as "std_msgs/msg/String".
-        offered: QoS of its publishers.
-        counted: Number of its messages according to the recorder.
-    """
-
-    msgtype: str
-    offered: tuple[Qos, ...]
-    counted: int = 0
-
-    @property
-    def latched(self) -> bool:
-        """Whether late subscribers receive the last messages."""
-        return bool(self.offered) and all(
-            qos.durability == QosDurability.TRANSIENT_LOCAL for qos in self.offered
-        )
+from wam_power_ros.bags import files, layout
+from wam_power_ros.bags.files import FILES, PACKED, Received, Topic
 
 
 class Bag:
@@ -53,28 +26,36 @@ class Bag:
         notes: Notes of the recorder.
     """
 
-    def __init__(self, path: Path | str) -> None:
-        """Open and verify a bag.
+    def __init__(self, path: Path | str, *others: Path | str) -> None:
+        """Open and verify a bag, or several that follow each other as one.
 
         Raises:
-            ValueError: `path` is not a bag, is damaged, unpacks to too much, or a topic has
-                several types.
+            ValueError: A path is not a bag, or is damaged, or unpacks to too much; or several bags
+                are of different arms.
         """
         self.path = Path(path)
-        durable_files.check_name(self.path)
-        metadata = _metadata(self.path)
+        self._files: list[files.McapFile | files.SqliteFile] = []
+        listed: list[Mapping[str, Any]] = []
+        notes: list[dict[str, str]] = []
+        for each in map(Path, (path, *others)):
+            durable_files.check_name(each)
+            described = information(each)
+            try:
+                found = self._opened(each, described)
+                described = described or found[0].information
+                notes.append(layout.notes(described))
+                listed += described.get("topics_with_message_count") or []
+            except Exception as error:  # of any type, depending on the damage
+                raise _unreadable(each, error) from error
+            self._files += found
+        self.notes, *_ = notes
+        if len({noted.get("arm") for noted in notes}) > 1:
+            raise ValueError(f"{', '.join(map(str, (path, *others)))} are of different arms")
+        self._files.sort(key=lambda file: file.first)
         try:
-            if metadata is None:
-                file = integrity.unpacked(self.path, self._folder)
-                metadata = _described(file)
-            else:
-                file = self.path
-            information = integrity.information(metadata)
-            self.notes = layout.notes(information)
-            self._files = integrity.verified(file, information, self._folder)
-            self.topics = _topics(information, self._files)
-        except Exception as error:  # of any type, depending on the damage
-            raise self._unreadable(error) from error
+            self.topics = self._topics(listed)
+        except Exception as error:  # the list of a metadata.yaml may be anything
+            raise _unreadable(self.path, error) from error
 
     @property
     def arm(self) -> ArmIdentity | None:
@@ -96,133 +77,108 @@ class Bag:
         noted = str(event.get("reason", "")) if event.get("event") == "start" else ""
         return noted or self.path.resolve().name.partition("_")[0]
 
-    def messages(self, names: Iterable[str]) -> Iterator[tuple[str, int, bytes]]:
+    def messages(self, names: Iterable[str]) -> Iterator[Received]:
         """Topic, time of reception [ns] and bytes of each message on some topics.
 
         Raises:
             ValueError: The messages cannot be read, or unpack to too much.
         """
         names = set(names)
-        budget = integrity.Budget(self.path, sum(file.stat().st_size for file in self._files))
         try:
             for file in self._files:
-                with Reader(file) as reader:
-                    _expect_all(reader)
-                    kept = [item for item in reader.connections if item.topic in names]
-                    for item, stamp_ns, cdr in reader.messages(kept) if kept else ():
-                        if cdr[:4] == integrity.ZSTD:  # unpacked here, with a limit
-                            where = f"{self.path}: a message on {item.topic}"
-                            cdr = integrity.unpack(cdr, "zstd", integrity.UNPACKED_MAX, where)
-                        budget.spend(len(cdr))
-                        yield item.topic, stamp_ns, cdr
+                for name, stamp_ns, cdr in file.messages(names):
+                    compression = "zstd" if cdr[:4] == files.ZSTD else ""
+                    yield name, stamp_ns, files.unpacked(cdr, compression)
         except Exception as error:
-            raise self._unreadable(error) from error
+            raise _unreadable(self.path, error) from error
 
     def check_counts(self) -> None:
-        """Read all messages and compare their number by topic with what the recorder counted.
+        """Check that no message is missing that the recorder counted.
 
         Raises:
-            ValueError: They cannot be read, or fewer are there.
+            ValueError: One is.
         """
-        found = Counter(name for name, _, _ in self.messages(self.topics))
         for name, topic in self.topics.items():
-            if found[name] < topic.counted:
+            if topic.found < topic.counted:
                 raise ValueError(
-                    f"{self.path}: {found[name]} of {topic.counted} messages on {name} are there"
+                    f"{self.path}: {topic.found} of {topic.counted} messages on {name} are there"
                 )
 
-    def _folder(self) -> Path:
-        """A folder for unpacked files, removed with this value."""
-        folder = tempfile.mkdtemp()
-        weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
-        return Path(folder)
+    def _opened(
+        self, path: Path, described: Mapping[str, Any]
+    ) -> list[files.McapFile | files.SqliteFile]:
+        """Files of a bag, verified, whose metadata.yaml is that description; empty without."""
+        paths = [path]
+        if described:
+            names = [PurePath(str(name)).name for name in described["relative_file_paths"]]
+            paths = [path / name for name in names]
+        folder = None
+        for number, file in enumerate(paths):
+            packed = str(described.get("compression_mode")).lower() == "file"
+            if packed or file.suffix == PACKED:
+                if folder is None:
+                    folder = Path(tempfile.mkdtemp())  # removed with this value
+                    weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+                paths[number] = files.unpacked_file(file, folder)
+        found = [files.opened(file) for file in paths]
+        for file, name in zip(found, paths, strict=True):
+            if described and file.sealed and file.information not in ({}, described):
+                keys = file.information.keys() | described.keys()
+                differ = [k for k in keys if file.information.get(k) != described.get(k)]
+                raise ValueError(
+                    "metadata.yaml was changed after the recording: "
+                    f"{', '.join(sorted(differ))} differ from the copy in {name.name}"
+                )
+        return found
 
-    def _unreadable(self, error: Exception) -> ValueError:
-        return ValueError(f"{self.path} cannot be read as a bag: {error}")
+    def _topics(self, listed: Iterable[Mapping[str, Any]]) -> dict[str, Topic]:
+        """Topics of the files, and those that only the recorder lists, with what it counted.
+
+        A recorder that was killed, and some conversions, leave a list that is not complete.
+        """
+        found: dict[str, Topic] = {}
+        for file in self._files:
+            for name, topic in file.topics.items():
+                files.add_topic(found, name, topic)
+        for each in listed:
+            item, count = each["topic_metadata"], int(each.get("message_count") or 0)
+            known = found.get(item["name"]) or Topic(item["type"])
+            found[item["name"]] = replace(known, counted=known.counted + count)
+        return dict(sorted(found.items()))
 
 
-def _metadata(path: Path) -> object:
-    """Contents of metadata.yaml, None for files without; ValueError if `path` is not a bag."""
+def _unreadable(path: Path, error: Exception) -> ValueError:
+    return ValueError(f"{path} cannot be read as a bag: {str(error) or type(error).__name__}")
+
+
+def information(path: Path) -> Mapping[str, Any]:
+    """Description of a bag in its metadata.yaml; empty for a lone file.
+
+    Raises:
+        ValueError: The path is not a bag, or the description does not name its files.
+    """
     if not path.exists():
         if layout.unfinished(path).exists():
             raise ValueError(f"{path} was never closed; recover it first: wam-power recover {path}")
         raise ValueError(f"{path} is not a bag: there is no such folder")
-    if path.is_file() and path.name.removesuffix(integrity.PACKED).endswith(FILES):
-        return None
+    if path.is_file() and path.name.removesuffix(PACKED).endswith(FILES):
+        return {}
     if path.suffix == ".bag":
         to = path.with_suffix("")
         raise ValueError(f"{path} is a bag of ROS 1: rosbags-convert --src {path} --dst {to}")
     file = path / "metadata.yaml"
     if not file.is_file():
-        files = sorted(str(each) for each in path.glob("*") if each.name.endswith(FILES))
-        remedy = f"all of them: wam-power bags merge {' '.join(files)}" if files[1:] else ""
+        names = sorted(str(each) for each in path.glob("*") if each.name.endswith(FILES))
+        remedy = f"all of them: wam-power bags import {' '.join(names)}" if names[1:] else ""
         raise ValueError(
             f"{path} is not a bag: it has no metadata.yaml; name its .mcap or .db3 file instead, "
             f"{remedy or f'or, if an .mcap file is damaged: wam-power recover {path}'}"
         )
-    return plain_yaml.read(file)
-
-
-def _described(file: Path) -> dict[str, Any]:
-    """Description of a lone file, as metadata.yaml would give it, from the file itself."""
-    noted = integrity.noted(file) if file.suffix == ".mcap" else {}
-    described = {
-        "relative_file_paths": [file.name],
-        "topics_with_message_count": _counts(file),
-        "custom_data": noted.get("custom_data"),
-    }
-    return {"rosbag2_bagfile_information": described}
-
-
-def _counts(file: Path) -> list[dict[str, Any]]:
-    """Topics of a file and the numbers of their messages, as metadata.yaml would give them."""
-    with Reader(file) as reader:
-        return [
-            {
-                "topic_metadata": {
-                    "name": item.topic,
-                    "type": item.msgtype,
-                    "serialization_format": getattr(item.ext, "serialization_format", "cdr"),
-                    "offered_qos_profiles": layout.described_qos(
-                        getattr(item.ext, "offered_qos_profiles", ())
-                    ),
-                },
-                "message_count": item.msgcount,
-            }
-            for item in reader.connections
-        ]
-
-
-def _expect_all(reader: Reader) -> None:
-    """Make a reader look for each topic in each chunk.
-
-    It skips chunks in which a topic has no message according to their indexes of messages. These
-    are optional in MCAP, and rosbag2 leaves them out with `noMessageIndex`.
-    """
-    for chunk in getattr(reader.storage, "chunks", ()):
-        for item in reader.connections:
-            chunk.channel_count.setdefault(item.id, 1)
-
-
-def _topics(information: Mapping[str, Any], files: Iterable[Path]) -> dict[str, Topic]:
-    """Topics of a bag in the order of their names: those of its files that no metadata lists, too.
-
-    A recorder that was killed, and some conversions, leave a list that is not complete.
-    """
-    found: dict[str, Topic] = {}
-    listed = [*information["topics_with_message_count"]]
-    names = {counts["topic_metadata"]["name"] for counts in listed}
-    for file in files:
-        listed += [each for each in _counts(file) if each["topic_metadata"]["name"] not in names]
-    for counts in sorted(listed, key=lambda counts: counts["topic_metadata"]["name"]):
-        item = counts["topic_metadata"]
-        name, msgtype = item["name"], item["type"]
-        known = found.get(name, Topic(msgtype, ()))
-        if known.msgtype != msgtype:
-            raise ValueError(f"{name} has types {known.msgtype} and {msgtype}")
-        if item["serialization_format"] != "cdr":
-            raise ValueError(f"{name} is not serialized as cdr: {item['serialization_format']}")
-        offered = layout.parsed_qos(item.get("offered_qos_profiles"))
-        counted = known.counted + int(counts.get("message_count") or 0)
-        found[name] = Topic(msgtype, (*known.offered, *offered), counted)
+    try:
+        read = plain_yaml.read(file)
+    except ValueError as error:
+        raise _unreadable(path, error) from error
+    found = read.get("rosbag2_bagfile_information") if isinstance(read, dict) else None
+    if not isinstance(found, dict) or not isinstance(found.get("relative_file_paths"), list):
+        raise _unreadable(path, ValueError("metadata.yaml has no relative_file_paths"))
     return found

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wam_power_ros.bags.quality import Grade, Remark
+from wam_power_ros.bags.quality import ANGLE_USUAL, Grade, Remark
 
 # A change between two states is a jump beyond JUMP plus SPEED_MAX times the interval: beyond
 # 70 rad/s at 500 Hz, 45 at 250 Hz, 23 at 30 Hz. The fastest joint of a toss reaches 10 rad/s.
@@ -54,7 +54,7 @@ def checked(stamps_ns: np.ndarray, q: np.ndarray, names: Sequence[str]) -> Check
 
     Raises:
         ValueError: A jump remains, more states are not finite, or too many are bad. Times in the
-            message are those since the first state, as `bags trim` counts them.
+            message are those since the first state, as `bags import --part` counts them.
     """
     t = (stamps_ns - stamps_ns[0]) * 1e-9
     kept, remarks = _finite(t, q)
@@ -73,10 +73,11 @@ def checked(stamps_ns: np.ndarray, q: np.ndarray, names: Sequence[str]) -> Check
     short = _without_turns(step, most)
     if (jumps := np.argwhere(np.abs(short) > most)).size:
         at, joint = jumps[0]
+        degrees = " Are these degrees?" if np.abs(q).max() > ANGLE_USUAL else ""
         raise ValueError(
             f"{names[joint]} jumps from {q[at, joint]:.3f} to {q[at + 1, joint]:.3f} rad within "
             f"{1e3 * (t[at + 1] - t[at]):.1f} ms, {t[at + 1]:.3f} s after the first state; if a "
-            "part without the jump is enough: wam-power bags trim"
+            f"part without the jump is enough: wam-power bags import BAG --part START END.{degrees}"
         )
     turns = np.rint((step - short) / TURN)  # (K - 1, n)
     for joint in np.flatnonzero(turns.any(axis=0)):
@@ -100,7 +101,7 @@ def _finite(t: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, list[Remark]]:
         raise ValueError(
             f"position {q[at].tolist()} is not finite, {t[at]:.3f} s after the first state, nor "
             f"are {steps.max() - 2} that follow it; if a part without them is enough: "
-            "wam-power bags trim"
+            "wam-power bags import BAG --part START END"
         )
     return kept, [] if finite.all() else [_left_out(t[~finite], "not finite")]
 

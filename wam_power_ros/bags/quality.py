@@ -82,6 +82,9 @@ def movement_remarks(
         q: Joint angles [rad]. Shape (N, n).
         joint_names: Names of the joints.
         limits: Limits of the arm, if known.
+
+    Raises:
+        ValueError: A joint is beyond its limits, and where no arm turns.
     """
     found = []
     largest = np.ptp(q, axis=0).max()
@@ -96,11 +99,13 @@ def movement_remarks(
     margin = np.minimum(q.min(axis=0) - limits.q_min, limits.q_max - q.max(axis=0))
     joint = int(margin.argmin())
     if margin[joint] < MARGIN_MIN:
+        furthest = float(np.abs(q[:, joint]).max())
+        if furthest > ANGLE_USUAL:
+            text = f"{joint_names[joint]} is at {furthest:.0f} rad, beyond its limit; are these"
+            raise ValueError(f"{text} degrees? Convert them to rad")
         where = "beyond" if margin[joint] < 0.0 else "at"
         grade = Grade.POOR if margin[joint] < 0.0 else Grade.FAIR
-        furthest = float(np.abs(q[:, joint]).max())
-        degrees = f": {furthest:.0f} rad; are these degrees?" if furthest > ANGLE_USUAL else ""
-        found.append(Remark(grade, f"{joint_names[joint]} {where} its position limit{degrees}"))
+        found.append(Remark(grade, f"{joint_names[joint]} {where} its position limit"))
     share = np.abs(qd).max(axis=0) / limits.qd_max
     joint = int(share.argmax())
     if share[joint] > SPEED_SHARE_MAX:

@@ -55,6 +55,7 @@ def read_states(
     topic: str | None = None,
     arm: ArmIdentity | None = None,
     by_reception: bool = False,
+    part: tuple[float, float] | None = None,
 ) -> States:
     """Joint states of a bag of any recorder: everyone reads them here.
 
@@ -74,6 +75,7 @@ def read_states(
         topic: Topic of JointState; if omitted, the one in the metadata, else /joint_states.
         arm: Required arm, if the bag identifies its arm; any if omitted.
         by_reception: True to use the times of reception instead of the stamps of the headers.
+        part: First and last time of a part, since the first state [s]; all states if omitted.
 
     Raises:
         ValueError: The bag is of another arm, the topic or joints are missing, a joint jumps,
@@ -86,7 +88,7 @@ def read_states(
     simulated = bag.notes.get("source") == "sim"
     try:
         states = _states(
-            messages, tuple(joint_names), noted_names(bag.notes), simulated, by_reception
+            messages, tuple(joint_names), noted_names(bag.notes), simulated, by_reception, part
         )
     except ValueError as error:
         raise ValueError(f"{bag.path}: {topic}: {error}") from None
@@ -102,6 +104,7 @@ def _states(
     noted: tuple[str, ...],
     simulated: bool,
     by_reception: bool,
+    part: tuple[float, float] | None,
 ) -> States:
     known = {*names, *noted}
     states = [_joint_angles(cdr, known) for _, cdr in messages]
@@ -128,16 +131,19 @@ def _states(
     for found, group in groups.items():
         stamped = [] if by_reception else [state for state in group if state[1]]
         timed = stamped or [(number, received[number], row) for number, _, row in group]
-        part = _part(timed, found, simulated)
+        of = _of_same_joints(timed, found, simulated, part)
         if unstamped := len(group) - len(timed):
             text = f"{unstamped} of {len(group)} states left out: they have no stamp"
-            part = replace(part, remarks=(Remark(Grade.FAIR, text), *part.remarks))
-        parts[found] = part
+            of = replace(of, remarks=(Remark(Grade.FAIR, text), *of.remarks))
+        parts[found] = of
     return _joined(parts, names) if len(parts) > 1 else parts[names]
 
 
-def _part(
-    group: Sequence[tuple[int, int, np.ndarray]], names: tuple[str, ...], simulated: bool
+def _of_same_joints(
+    group: Sequence[tuple[int, int, np.ndarray]],
+    names: tuple[str, ...],
+    simulated: bool,
+    part: tuple[float, float] | None,
 ) -> States:
     """States of messages that have the same joints: number, stamp [ns] and angles of each."""
     rows: dict[int, tuple[int, np.ndarray]] = {}  # number and angles by stamp
@@ -160,6 +166,11 @@ def _part(
         newest = max(newest, stamp_ns)
         rows[stamp_ns] = number, row
     stamps = np.array(sorted(rows), dtype=np.int64)
+    if part is not None:
+        t = (stamps - stamps[0]) * 1e-9
+        stamps = stamps[(t >= part[0]) & (t <= part[1])]
+        if not len(stamps):
+            raise ValueError(f"no state from {part[0]} to {part[1]} s; the last is at {t[-1]:.3f}")
     found = jumps.checked(stamps, np.array([rows[stamp][1] for stamp in stamps.tolist()]), names)
     index = np.array([rows[stamp][0] for stamp in stamps.tolist()])[found.kept]
     remarks = list(found.remarks)

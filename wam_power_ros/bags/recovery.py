@@ -3,12 +3,14 @@
 
 An MCAP file is a sequence of records. Every complete message, even of a truncated chunk, is copied
 into a new bag; a chunk that does not match its checksum is skipped as a whole and reported.
+https://mcap.dev/spec
 """
 
 from __future__ import annotations
 
 import fcntl
 import json
+import mmap
 import os
 import shutil
 import struct
@@ -16,21 +18,26 @@ import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from mmap import mmap
+from io import BytesIO
 from pathlib import Path
+from typing import TypeVar
 
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Metadata, Schema
+from mcap.records import Channel, Chunk, McapRecord, Metadata, Schema
 
 from wam_power_ros import plain_yaml
-from wam_power_ros.bags import layout, mcap_records
+from wam_power_ros.bags import files, layout
 from wam_power_ros.bags.bag import Bag
 from wam_power_ros.bags.layout import unfinished
-from wam_power_ros.bags.mcap_records import MAGIC, parsed
 from wam_power_ros.bags.writer import BagWriter
-from wam_power_ros.durable_files import check_regular
 
+MAGIC = b"\x89MCAP0\r\n"
+HEADER = struct.Struct("<BQ")  # opcode and size of a record
 MESSAGE_HEADER = struct.Struct("<HIQQ")  # channel, number, times of reception and publication [ns]
+
+R = TypeVar("R", bound=McapRecord)
 
 
 @dataclass(frozen=True)
@@ -62,7 +69,7 @@ def recover(path: Path) -> Recovered:
         path: Folder of the bag, closed or not, with or without metadata; or its .mcap file.
 
     Raises:
-        ValueError: There is no MCAP file, or it is still being written, or it is compressed.
+        ValueError: There is no MCAP file, or it is still being written, or compressed as a whole.
         FileExistsError: There is a recovered bag already.
         OSError: The new bag cannot be written.
     """
@@ -123,28 +130,28 @@ class _Copy:
         """Copy the records of one file."""
         self._schemas.clear()  # ids of schemas and channels are local to a file
         self._topics.clear()
-        check_regular(file)
         if file.stat().st_size <= len(MAGIC):
             return
         damaged: list[str] = []
-        with mcap_records.mapped(file) as data:
+        with (
+            file.open("rb") as opened,
+            mmap.mmap(opened.fileno(), 0, prot=mmap.PROT_READ) as data,
+        ):
+            if data[: len(MAGIC)] != MAGIC:
+                raise ValueError(f"{file} is not an MCAP file: it begins {data[:8]!r}")
             try:
                 for opcode, body in _records(data, len(MAGIC), damaged):
                     self._record(opcode, body)
             except (ValueError, struct.error, KeyError):
                 damaged.append("everything after a damaged record")
-            except _CompressedError as error:
-                raise ValueError(
-                    f"{file} has chunks compressed with {error}; recover it with `mcap recover`"
-                ) from None
         self.left_out |= {f"{file.name}, {part}": "damaged" for part in damaged}
 
     def _record(self, opcode: int, body: bytes) -> None:
         if opcode == Opcode.SCHEMA:
-            schema = parsed(Schema, body)
+            schema = _parsed(Schema, body)
             self._schemas[schema.id] = schema.name
         elif opcode == Opcode.CHANNEL:
-            self._channel(parsed(Channel, body))
+            self._channel(_parsed(Channel, body))
         elif opcode == Opcode.MESSAGE:
             channel, _, stamp_ns, _ = MESSAGE_HEADER.unpack_from(body)
             topic = self._topics[channel]
@@ -154,7 +161,7 @@ class _Copy:
                 if topic == layout.EVENT and not self.notes:
                     self.notes = layout.texts(layout.event(cdr).get("notes"))
         elif opcode == Opcode.METADATA:
-            metadata = parsed(Metadata, body)
+            metadata = _parsed(Metadata, body)
             if metadata.name == "rosbag2":  # of a closed bag
                 text = metadata.metadata.get("serialized_metadata", "")
                 with suppress(ValueError):
@@ -174,26 +181,35 @@ class _Copy:
             self.left_out[topic] = str(error)
 
 
-class _CompressedError(Exception):
-    """A chunk is compressed; the message names the algorithm."""
+def _parsed(kind: type[R], body: bytes) -> R:
+    """Record of a kind; of a truncated body, its last field may be truncated."""
+    try:
+        record: R = kind.read(ReadDataStream(BytesIO(body)))  # type: ignore[attr-defined]
+    except (McapError, OverflowError) as error:
+        raise ValueError(f"{kind.__name__} of {len(body)} bytes is damaged: {error}") from None
+    return record
 
 
-def _records(data: bytes | mmap, at: int, damaged: list[str]) -> Iterator[tuple[int, bytes]]:
+def _records(data: bytes | mmap.mmap, at: int, damaged: list[str]) -> Iterator[tuple[int, bytes]]:
     """Complete MCAP records from an offset on, including those in chunks; data may be truncated.
 
-    A chunk that does not match its checksum is added to `damaged`. A chunk truncated by the end of
-    the data cannot be checked.
+    A chunk that does not match its checksum, or cannot be unpacked, is added to `damaged`. A chunk
+    truncated by the end of the data cannot be checked.
     """
-    for opcode, begins, begin, end in mcap_records.records(data, at):
-        body, complete = data[begin:end], end <= len(data)
+    while at + HEADER.size <= len(data):
+        opcode, size = HEADER.unpack_from(data, at)
+        begins, at = at, at + HEADER.size + size
+        body, complete = data[begins + HEADER.size : at], at <= len(data)
         if opcode == Opcode.CHUNK:
-            chunk = parsed(Chunk, body)
-            if chunk.compression:
-                raise _CompressedError(chunk.compression)
+            chunk = _parsed(Chunk, body)
+            try:
+                raw = files.unpacked(chunk.data, chunk.compression)
+            except Exception:  # of the library of its compression
+                raw = b""
             crc = chunk.uncompressed_crc
-            if complete and crc and crc != zlib.crc32(chunk.data):
+            if not raw or (complete and crc and crc != zlib.crc32(raw)):
                 damaged.append(f"chunk at byte {begins}")
             else:
-                yield from _records(chunk.data, 0, damaged)
+                yield from _records(raw, 0, damaged)
         elif complete:
             yield opcode, body

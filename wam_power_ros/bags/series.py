@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Series of demonstrations: demonstrations.json, a list of bags, beside the folder of the bags.
 
-The list is updated after every take, and when a bag is renamed or discarded. Discarding moves a bag
-to `.trash` beside it, from where it can be moved back.
+The list is updated after every take, and when a bag is discarded, which moves it to `.trash` beside
+it, from where it can be moved back.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from wam_power_ros import durable_files, plain_json
@@ -52,29 +52,13 @@ def discard(bag: Path) -> Path:
     trash = folder.parent / TRASH
     trash.mkdir(exist_ok=True)
     old = folder.parent.resolve() / folder.name
-    to = layout.free_path(trash, folder.name)
-    return _move(folder, to, lambda bags: [b for b in bags if b.resolve() != old])
-
-
-def rename(bag: Path, name: str) -> Path:
-    """Rename a bag in its folder, and in its series.
-
-    Returns:
-        New path of the bag.
-
-    Raises:
-        ValueError: The path is not a bag, or the new name is invalid or in use.
-    """
-    if not _is_bag(bag, bag):
-        raise ValueError(f"{bag} is not a bag")
-    invalid = not name or Path(name).name != name or name.startswith(".")
-    if invalid or not name.isprintable() or name.endswith(layout.UNFINISHED):
-        raise ValueError(f"{name!r} is not a valid name of a bag")
-    to = bag.with_name(name)
-    if to.exists() or layout.unfinished(to).exists():
-        raise ValueError(f"{to} exists already")
-    old, new = bag.resolve(), to.resolve()
-    return _move(bag, to, lambda bags: [new if b.resolve() == old else b for b in bags])
+    file = bag.parent.resolve().parent / FILE
+    listed = read(file)
+    to = folder.rename(layout.free_path(trash, folder.name))
+    kept = [each for each in listed if each.resolve() != old]
+    if kept != listed:
+        write(file, kept)
+    return to
 
 
 def _is_bag(bag: Path, folder: Path) -> bool:
@@ -84,13 +68,3 @@ def _is_bag(bag: Path, folder: Path) -> bool:
         or any(folder.glob("*.mcap"))
         or (folder / bag.name).is_dir()
     )
-
-
-def _move(bag: Path, to: Path, change: Callable[[Sequence[Path]], list[Path]]) -> Path:
-    """Move a bag, then change the series that contains it."""
-    file = bag.parent.resolve().parent / FILE
-    listed = read(file)
-    bag.rename(to)
-    if (changed := change(listed)) != listed:
-        write(file, changed)
-    return to

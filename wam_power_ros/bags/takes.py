@@ -23,8 +23,6 @@ class Take:
     """A bag, and a summary of its messages.
 
     Attributes:
-        bag: The bag.
-        states: Its joint states.
         counts: Number of messages by topic.
         missing: Number of messages missing according to the stamps, by topic.
         ended: Reason for the end, such as `layout.STOP_REQUESTED`; empty if unknown.
@@ -70,17 +68,16 @@ def read(bag: Bag, joint_names: Sequence[str]) -> Take:
         ValueError: As `read_states`.
     """
     states = read_states(bag, joint_names)
-    counts = dict.fromkeys(bag.topics, 0)
+    counts = {name: topic.found for name, topic in bag.topics.items()}
     stamps: dict[str, dict[tuple[str, ...], list[int]]] = {}  # by topic and device
     ended = ""
-    for name, _, cdr in bag.messages(bag.topics):
-        counts[name] += 1
-        if name == layout.EVENT and (event := layout.event(cdr)).get("event") == "stop":
+    known = {n: t.msgtype for n, t in bag.topics.items() if t.msgtype in layout.TYPES.fielddefs}
+    for name, _, cdr in bag.messages({n for n, kind in known.items() if has_header(kind)}):
+        devices = stamps.setdefault(name, {})
+        devices.setdefault(layout.device(cdr, known[name]), []).append(header_stamp(cdr))
+    for _, _, cdr in bag.messages([layout.EVENT]):
+        if (event := layout.event(cdr)).get("event") == "stop":
             ended = str(event.get("reason", ended))
-        msgtype = bag.topics[name].msgtype
-        if msgtype in layout.TYPES.fielddefs and has_header(msgtype):
-            devices = stamps.setdefault(name, {})
-            devices.setdefault(layout.device(cdr, msgtype), []).append(header_stamp(cdr))
     missing = {
         name: device_gaps(found, states.names).missing
         for name, found in stamps.items()

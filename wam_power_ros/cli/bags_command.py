@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`wam-power bags`: inspect and edit recordings."""
+"""`wam-power bags`: inspect and import recordings."""
 
 from __future__ import annotations
 
 import argparse
-import sys
+import shutil
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from wam_power_ros.control.arm import Arm
 
 NAME_WIDTH_MAX = 40  # columns of a name in the table
-COMPARED_SAMPLES = 101  # of each movement in a comparison
 
 
 class InspectedTake(NamedTuple):
@@ -47,57 +46,41 @@ class InspectedTake(NamedTuple):
 
 def add_to(subparsers: argparse._SubParsersAction) -> None:
     """Add the command to the command line."""
-    group = add_command(subparsers, "bags", None, "inspect and edit recordings")
+    group = add_command(subparsers, "bags", None, "inspect and import recordings")
     group.set_defaults(command=group.print_help)
     add = partial(add_command, group.add_subparsers(metavar="COMMAND"))
-    listing = add("list", list_, "print a line for each take: task, duration, quality and reasons")
+    listing = add("list", list_, "print a line for each take: task, duration and outcome")
     listing.add_argument("folder", type=Path, nargs="*", help="of takes (default: the usual ones)")
+    help_quality = "read each take, and grade it with reasons"
+    listing.add_argument("--quality", action="store_true", help=help_quality)
     shown = add("show", show, "print topics, joints and quality of a take")
     shown.add_argument("bag", type=Path)
     plotted = add("plot", plot, "draw joint angles and speeds of takes, with the arm's limits")
     plotted.add_argument("bag", type=Path, nargs="+")
     plotted.add_argument("--output", type=Path, help=".png or .svg (default: BAG.png)")
-    compared = add("compare", compare, "print how takes differ from the first one")
-    compared.add_argument("bag", type=Path, nargs="+")
-    for command in (listing, shown, plotted, compared):
-        config_option(command, "set-up of the arm")
-    trimmed = add("trim", trim, "copy a part of a take")
-    trimmed.add_argument("bag", type=Path)
-    trimmed.add_argument("begin", type=float, help="time since the first state of the arm [s]")
-    trimmed.add_argument("end", type=float, help="time since the first state of the arm [s]")
-    renamed = add("rename", rename, "give a bag another name")
-    renamed.add_argument("bag", type=Path)
-    renamed.add_argument("name")
-    deleted = add("delete", delete, "move bags to the folder .trash beside them")
-    deleted.add_argument("bag", type=Path, nargs="+")
-    merged = add("merge", merge, "copy consecutive recordings into one bag")
-    merged.add_argument("bag", type=Path, nargs="+")
     imported = add("import", import_, "make a demonstration of any bag with joint states")
-    imported.add_argument("bag", type=Path, help="folder, .mcap or .db3 file")
+    help_bags = "folder, .mcap or .db3 file; several that follow each other become one"
+    imported.add_argument("bag", type=Path, nargs="+", help=help_bags)
+    help_part = "only the states between two times since the first [s]"
+    imported.add_argument("--part", type=float, nargs=2, metavar=("START", "END"), help=help_part)
     help_joints = "names of the arm's joints in that bag, base to tip"
     imported.add_argument("--joints", nargs="+", default=[], metavar="NAME", help=help_joints)
     imported.add_argument("--topic", default="", help="of the joint states (default: the only one)")
     help_task = f"of the demonstration (default: {DEFAULT_TASK})"
     imported.add_argument("--task", default=DEFAULT_TASK, help=help_task)
-    config_option(imported, "set-up of the arm")
     help_reception = "use the times of reception, where the stamps of the driver are wrong"
     imported.add_argument("--by-reception", action="store_true", help=help_reception)
-    config_option(trimmed, "set-up of the arm")
+    imported.add_argument("--output", type=Path, help="new bag (default: TASK_NAME)")
     exported = add("export", export, "write a table of a bag, or of a session's rollouts")
     exported.add_argument("recorded", type=Path, metavar="BAG|SESSION")
     exported.add_argument("--output", type=Path, required=True, help="new .csv or .parquet file")
-    config_option(exported, "set-up of the arm")
-    for command, name in ((trimmed, "trimmed"), (merged, "merged"), (imported, "TASK_NAME")):
-        command.add_argument("--output", type=Path, help=f"new bag (default: BAG_{name})")
+    for command in (listing, shown, plotted, imported, exported):
+        config_option(command, "set-up of the arm")
 
 
-# Inspecting
-
-
-def list_(folder: Sequence[Path], config: Sequence[str]) -> None:
+def list_(folder: Sequence[Path], quality: bool, config: Sequence[str]) -> None:
     """Print a line for each take."""
     from wam_power_ros.bags import takes
-    from wam_power_ros.bags.judgements import Judgements
 
     folders = folder or [Path(name) for name in takes.FOLDERS]
     found = takes.find(folders)
@@ -105,17 +88,15 @@ def list_(folder: Sequence[Path], config: Sequence[str]) -> None:
         raise UsageError(f"no bags below {', '.join(map(str, folders))}")
     outcomes: dict[Path, str] = {}
     tasks, setup = task_stems(), overlay.setup(config)
-    arm = setup.arm()
-    judgements = Judgements(*_judged_by(setup, arm, tasks))
+    judge = partial(_verdict, names=setup.joint_names, arm=setup.arm(), tasks=tasks)
     width = min(max(len(printable(path.name)) for path in found), NAME_WIDTH_MAX)
-    print(f"{'take':{width}}  {'task':9}  {'time':>6}  {'quality':7}  reasons")
+    print(f"{'take':{width}}  {'task':9}  {'time':>6}  {'quality  reasons' * quality}".rstrip())
     shown = None
     for path in found:
         if path.parent != shown:
             shown, outcomes = path.parent, _outcomes([path])
             print(f"{printable(short_path(shown.resolve()))}/", flush=True)
-        judge = partial(_verdict, path, setup.joint_names, arm, tasks)
-        kind, row, reasons = _row(path, partial(judgements.of, path, judge))
+        kind, row, reasons = _row(path, judge if quality else _noted)
         kind = "/".join(sorted(tasks.get(kind, {kind})))
         notes = "; ".join(filter(None, (outcomes.get(path.resolve(), ""), reasons)))
         name = printable(path.name)
@@ -163,32 +144,6 @@ def plot(bag: Sequence[Path], output: Path | None, config: Sequence[str]) -> Non
         raise UsageError(f"{output} must end in .png or .svg")
     output.write_bytes(plotting.png(drawn) if output.suffix == ".png" else plotting.svg(drawn))
     print(f"Figure: {output}")
-
-
-def compare(bag: Sequence[Path], config: Sequence[str]) -> None:
-    """Print how takes differ from the first."""
-    import numpy as np
-
-    if len(bag) < 2:
-        raise UsageError("compare needs at least two bags")
-    setup = overlay.setup(config)
-    names, arm = setup.joint_names, setup.arm()
-    first, *others = [inspect(path, names) for path in bag]
-    one, took = _movement(first)
-    print(f"{first.take.bag.path.name}: movement of {took:.2f} s, the reference")
-    for other in others:
-        q, took = _movement(other)
-        away = np.abs(q - one)
-        rms, joint = np.sqrt((away**2).mean(axis=0)), int(away.max(axis=0).argmax())
-        tool = ""
-        if arm is not None:
-            ends = zip(q, one, strict=True)
-            apart = [np.linalg.norm(arm.tool_pose(a)[0] - arm.tool_pose(b)[0]) for a, b in ends]
-            tool = f"; tool {1e3 * np.mean(apart):.0f} mm, at most {1e3 * np.max(apart):.0f} mm"
-        print(
-            f"{other.take.bag.path.name}: movement of {took:.2f} s; joints rms {rms.max():.3f} rad "
-            f"in {names[int(rms.argmax())]}, at most {away.max():.3f} rad in {names[joint]}{tool}"
-        )
 
 
 def inspect(path: Path, names: Sequence[str], limits: Limits | None = None) -> InspectedTake:
@@ -241,17 +196,28 @@ def _limits(arm: Arm | None) -> Limits | None:
     return None if arm is None else Limits(arm.q_min, arm.q_max, arm.qd_max)
 
 
-def _row(path: Path, judge: Callable[[], tuple[str, str, str]]) -> tuple[str, str, str]:
+def _row(path: Path, judge: Callable[[Path], tuple[str, str, str]]) -> tuple[str, str, str]:
     """Return what `judge` returns about a take, see `_verdict`, or why it cannot be read."""
-    from wam_power_ros.bags.quality import Grade
-
     try:
         with progress_messages(f"reading {path.name}"):
-            return judge()
+            return judge(path)
     except (ValueError, OSError) as error:
         reason = pasteable(str(error).removeprefix(printable(path)).lstrip(": "))
-        kind = printable(path.name.partition("_")[0])
-        return kind, f"{'–':>6}  {Grade.POOR.name.lower():7}", reason
+        return printable(path.name.partition("_")[0]), f"{'–':>6}  poor   ", reason
+
+
+def _noted(path: Path) -> tuple[str, str, str]:
+    """What `_verdict` returns, from name and description of a take alone, without a quality.
+
+    Raises:
+        ValueError: It was never closed, or its metadata.yaml is damaged.
+    """
+    from wam_power_ros.bags.bag import information
+
+    duration = information(path).get("duration")
+    ns = duration.get("nanoseconds") if isinstance(duration, dict) else None
+    time = f"{1e-9 * ns:4.1f} s" if isinstance(ns, int) else f"{'–':>6}"
+    return path.resolve().name.partition("_")[0], time, ""
 
 
 def _verdict(
@@ -262,30 +228,16 @@ def _verdict(
     Raises:
         ValueError: As `inspect`.
     """
+    return _columns(_judged(path, names, arm, tasks))
+
+
+def _columns(judged: InspectedTake) -> tuple[str, str, str]:
     from wam_power_ros.bags import quality
 
-    take, _, _, remarks = _judged(path, names, arm, tasks)
-    graded: Grade = quality.grade(remarks)
-    row = f"{take.duration:4.1f} s  {graded.name.lower():7}"
-    reasons = (remark.text for remark in remarks if remark.grade is not quality.Grade.GOOD)
-    return take.bag.kind, row, "; ".join(reasons)
-
-
-def _judged_by(
-    setup: overlay.Setup, arm: Arm | None, tasks: Mapping[str, set[str]]
-) -> tuple[list[Path], list[str]]:
-    """Folders of the code, and texts of the set-up, on which `_verdict` depends."""
-    from wam_power_ros import arm_identity
-
-    names = {min(of_stem) for of_stem in tasks.values()}
-    modules = [sys.modules[installed.task_type(name).__module__] for name in sorted(names)]
-    own = Path(__file__).resolve().parents[1]
-    folders = dict.fromkeys(Path(str(module.__file__)).resolve().parent for module in modules)
-    about = [overlay.text(setup), *(f"{stem} {min(tasks[stem])}" for stem in sorted(tasks))]
-    if arm is not None:
-        limits = [limit.tolist() for limit in _limits(arm)]
-        about += [arm_identity.to_json(arm.identity()), str(limits)]
-    return [own, *(folder for folder in folders if not folder.is_relative_to(own))], about
+    graded: Grade = quality.grade(judged.remarks)
+    row = f"{judged.take.duration:4.1f} s  {graded.name.lower():7}"
+    reasons = (each.text for each in judged.remarks if each.grade is not quality.Grade.GOOD)
+    return judged.take.bag.kind, row, "; ".join(reasons)
 
 
 def _outcomes(found: Sequence[Path]) -> dict[Path, str]:
@@ -303,47 +255,9 @@ def _outcomes(found: Sequence[Path]) -> dict[Path, str]:
     return outcomes
 
 
-def _movement(inspected: InspectedTake) -> tuple[np.ndarray, float]:
-    """Moving part of a take, resampled, shape (COMPARED_SAMPLES, n) [rad], and its duration [s]."""
-    import numpy as np
-
-    from wam_power_ros.bags import quality
-
-    _, t, q, _ = inspected
-    speed = np.linalg.norm(quality.joint_speeds(t, q), axis=1)
-    fast = np.flatnonzero(speed > 0.05 * speed.max())
-    begin, end = t[fast[0]], t[fast[-1]]
-    grid = np.linspace(begin, end, COMPARED_SAMPLES)
-    return np.stack([np.interp(grid, t, each) for each in q.T], axis=1), end - begin
-
-
-# Editing
-
-
-def trim(bag: Path, begin: float, end: float, output: Path | None, config: Sequence[str]) -> None:
-    """Copy a part of a take."""
-    from wam_power_ros.bags import editing
-    from wam_power_ros.bags.bag import Bag
-
-    if not 0.0 <= begin < end:
-        raise UsageError(f"begin {begin} and end {end} must be 0 <= begin < end")
-    names = overlay.setup(config).joint_names
-    output = output or _beside(bag, "trimmed")
-    _print_bag(*editing.trim(Bag(bag), output, begin, end, names))
-
-
-def merge(bag: Sequence[Path], output: Path | None) -> None:
-    """Copy several bags into one."""
-    from wam_power_ros.bags import editing
-    from wam_power_ros.bags.bag import Bag
-
-    if len(bag) < 2:
-        raise UsageError("merge needs at least two bags")
-    _print_bag(*editing.merge([*map(Bag, bag)], output or _beside(bag[0], "merged")))
-
-
 def import_(
-    bag: Path,
+    bag: Sequence[Path],
+    part: Sequence[float] | None,
     joints: Sequence[str],
     topic: str,
     task: str,
@@ -351,20 +265,30 @@ def import_(
     config: Sequence[str],
     by_reception: bool,
 ) -> None:
-    """Convert a bag of another recorder into a demonstration."""
-    from wam_power_ros.bags import editing, layout
+    """Make a demonstration of bags of any recorder; what nothing can be learnt from is not kept."""
+    from wam_power_ros.bags import importing, layout
     from wam_power_ros.bags.bag import Bag
 
+    if part is not None and not 0.0 <= part[0] < part[1]:
+        raise UsageError(f"--part {part[0]} {part[1]} must be 0 <= START < END")
     setup = overlay.setup(config, task=task)
-    names, kind = setup.joint_names, setup["demonstration_recorder"]["stem"]
-    output = output or layout.free_path(Path(), f"{kind}_{bag.resolve().stem}")
-    with progress_messages(f"importing {bag}"):
-        made, remarks = editing.import_bag(
-            Bag(bag), output, names, joints, topic, kind, by_reception
+    names, arm = setup.joint_names, setup.arm()
+    kind = setup["demonstration_recorder"]["stem"]
+    output = output or layout.free_path(Path(), f"{kind}_{bag[0].resolve().stem}")
+    with progress_messages(f"importing {', '.join(map(str, bag))}"):
+        made, remarks = importing.import_bag(
+            Bag(*bag), output, names, joints, topic, kind, by_reception, part and (part[0], part[1])
         )
-        judge = partial(_verdict, made, names, setup.arm(), {kind: {task}})
-        _, row, reasons = _row(made, judge)
-    _print_bag(made, remarks)
+        try:
+            judged = _judged(made, names, arm, {kind: {task}})
+        except ValueError as error:
+            shutil.rmtree(made)
+            why = str(error).removeprefix(f"{made}: ")
+            raise ValueError(f"{', '.join(map(str, bag))}: nothing was imported: {why}") from None
+    print(f"Bag: {short_path(made.resolve())}")
+    for remark in remarks:
+        print(f"  {remark.text}")
+    _, row, reasons = _columns(judged)
     print(f"  {row.strip()}  {reasons}".rstrip())
 
 
@@ -416,21 +340,6 @@ def _bag_columns(path: Path, setup: overlay.Setup) -> tuple[dict[str, list[Any]]
     return columns | bodies, [*filter(None, texts), *(remark.text for remark in remarks)]
 
 
-def rename(bag: Path, name: str) -> None:
-    """Give a bag another name."""
-    from wam_power_ros.bags import series
-
-    _print_bag(series.rename(bag, name))
-
-
-def delete(bag: Sequence[Path]) -> None:
-    """Move bags to the trash beside them."""
-    from wam_power_ros.bags import series
-
-    for each in bag:
-        print(f"{printable(each)} was moved to {printable(series.discard(each))}")
-
-
 def recover(bag: Sequence[Path]) -> None:
     """Recover damaged bags."""
     from wam_power_ros.bags.recovery import recover
@@ -438,15 +347,3 @@ def recover(bag: Sequence[Path]) -> None:
     for each in bag:
         check_name(each)
         print(recover(each))
-
-
-def _beside(bag: Path, suffix: str) -> Path:
-    """Path of a new bag beside another."""
-    bag = bag.resolve()
-    return bag.with_name(f"{bag.stem if bag.is_file() else bag.name}_{suffix}")
-
-
-def _print_bag(path: Path, remarks: Sequence[Remark] = ()) -> None:
-    print(f"Bag: {short_path(path.resolve())}")
-    for remark in remarks:
-        print(f"  {remark.text}")

@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wam_power_ros.cli import layouts
 from wam_power_ros.cli.keys import Keys
 from wam_power_ros.cli.launcher import (
     Devices,
@@ -465,26 +464,6 @@ def config(devices: Devices, task: str | None) -> None:
     for node in (DemonstrationRecorderParams, LearnerParams, *stand_ins):
         node.of_setup(setup)
     print(overlay.text(setup), end="")
-
-
-def checked_namespace(text: str) -> str:
-    """Namespace of the nodes of one arm, such as `/left`; empty for none.
-
-    Raises:
-        UsageError: It is not names, separated by slashes.
-    """
-    name = text.strip("/")
-    if name and not NAMESPACE.fullmatch(name):
-        raise UsageError(
-            f"namespace {text!r} must be names of letters, digits and underscores, separated by /"
-        )
-    return f"/{name}" if name else ""
-
-
-def layout(program: str, config: Sequence[str], task: str | None, namespace: str) -> None:
-    """Print a layout of a program that shows a session."""
-    setup = overlay.setup(config, task=task or DEFAULT_TASK)
-    print(layouts.layout(program, setup, checked_namespace(namespace)), end="")
 
 
 def play(bag: Path, rate: float, topics: Sequence[str], wait: float) -> None:

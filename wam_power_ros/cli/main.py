@@ -25,7 +25,6 @@ from wam_power_ros.cli import (
     commands,
     commission_command,
     doctor_command,
-    layouts,
     score_command,
 )
 from wam_power_ros.cli.launcher import Devices, UsageError, pasteable
@@ -149,17 +148,6 @@ def _parser() -> argparse.ArgumentParser:
 
     commission_command.add_to(add, _arm_options)
     doctor_command.add_to(add, _arm_options)
-
-    layout = add(
-        "layout",
-        commands.layout,
-        "print a layout for RViz, Foxglove or PlotJuggler",
-        "Print a layout with the joints, topics and frames of the given set-ups.",
-    )
-    layout.add_argument("program", choices=layouts.FILES)
-    config_option(layout, "set-up; may be repeated")
-    task_option(layout)
-    layout.add_argument("--namespace", default="", help="namespace of the arm's nodes")
 
     feedback = add(
         "feedback",

@@ -105,10 +105,10 @@ class _Player:
         self._publishers = {name: self._publisher(name, topic) for name, topic in topics.items()}
 
     def _publisher(self, name: str, topic: Topic) -> Publisher:
-        package, _, message = topic.msgtype.split("/")
         try:
+            package, _, message = topic.msgtype.split("/")
             message_type = getattr(importlib.import_module(f"{package}.msg"), message)
-        except (ImportError, AttributeError):
+        except (ImportError, AttributeError, ValueError):
             raise ValueError(
                 f"{name}: type {topic.msgtype} is not installed; select others with --topics"
             ) from None

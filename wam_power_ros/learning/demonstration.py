@@ -248,7 +248,7 @@ def _resampled(
     if abs(largest := float(q[sample, joint])) > ANGLE_MAX:
         raise ValueError(
             f"q[{sample}, {joint}] = {largest:g} rad at stamp {stamps[sample]}; at most "
-            f"{ANGLE_MAX:g} rad in magnitude are allowed"
+            f"{ANGLE_MAX:g} rad in magnitude are allowed; degrees?"
         )
     period_ns = round(PERIOD * 1e9)
     first = -(-int(stamps[0]) // period_ns)

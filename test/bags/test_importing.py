@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Trimmed, merged and imported bags have the right contents; their sources are unchanged."""
+"""Imported bags have the right contents; their sources are unchanged."""
 
 from __future__ import annotations
 
@@ -7,10 +7,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bag_samples import NAMES, QOS, START, demonstration, joint_state, random_q, string
+from bag_samples import (
+    NAMES,
+    QOS,
+    START,
+    demonstration,
+    joint_state,
+    of_states,
+    random_q,
+    string,
+)
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from wam_power_ros.bags import editing, layout, reader
+from wam_power_ros.arm_identity import ArmIdentity, to_json
+from wam_power_ros.bags import importing, layout, reader
 from wam_power_ros.bags.bag import Bag
 from wam_power_ros.bags.layout import JOINT_STATE, TYPES
 from wam_power_ros.bags.writer import BagWriter
@@ -39,7 +49,7 @@ def test_any_bag_with_joint_states_becomes_a_demonstration(
 ) -> None:
     q = random_q(50)
     path = foreign(tmp_path / "theirs", q, storage)
-    made, _ = editing.import_bag(Bag(path), tmp_path / "ours", NAMES, THEIRS, kind="reach")
+    made, _ = importing.import_bag(Bag(path), tmp_path / "ours", NAMES, THEIRS, kind="reach")
     stamps, angles = reader.read_demonstration(made, NAMES)
     np.testing.assert_array_equal(angles, q)
     np.testing.assert_array_equal(np.diff(stamps), 10_000_000)
@@ -48,7 +58,7 @@ def test_any_bag_with_joint_states_becomes_a_demonstration(
 
 def test_states_without_a_stamp_have_that_of_their_reception(tmp_path: Path) -> None:
     path = foreign(tmp_path / "theirs", random_q(20), StoragePlugin.SQLITE3, stamped=False)
-    made, _ = editing.import_bag(Bag(path), tmp_path / "ours", NAMES, THEIRS)
+    made, _ = importing.import_bag(Bag(path), tmp_path / "ours", NAMES, THEIRS)
     stamps, _ = reader.read_demonstration(made, NAMES)
     assert stamps[0] == START
 
@@ -56,11 +66,11 @@ def test_states_without_a_stamp_have_that_of_their_reception(tmp_path: Path) -> 
 def test_other_names_are_refused_with_those_that_are_there(tmp_path: Path) -> None:
     path = foreign(tmp_path / "theirs", random_q(5), StoragePlugin.MCAP)
     with pytest.raises(ValueError, match=r"it has .*'panda_joint1'.*--joints"):
-        editing.import_bag(Bag(path), tmp_path / "ours", NAMES)
+        importing.import_bag(Bag(path), tmp_path / "ours", NAMES)
     with pytest.raises(ValueError, match=r"\['nose'\] missing among"):
-        editing.import_bag(Bag(path), tmp_path / "ours", NAMES, (*THEIRS[:2], "nose"))
+        importing.import_bag(Bag(path), tmp_path / "ours", NAMES, (*THEIRS[:2], "nose"))
     with pytest.raises(ValueError, match="2 names"):
-        editing.import_bag(Bag(path), tmp_path / "ours", NAMES, THEIRS[:2])
+        importing.import_bag(Bag(path), tmp_path / "ours", NAMES, THEIRS[:2])
     assert [item.name for item in tmp_path.iterdir()] == ["theirs"]  # nothing is left behind
 
 
@@ -71,51 +81,77 @@ def test_of_several_topics_one_has_to_be_named(tmp_path: Path) -> None:
         writer.write(topic, START, joint_state(START, NAMES, np.full(3, float(index))))
     path = writer.close({})
     with pytest.raises(ValueError, match="/left, /right; name one with --topic"):
-        editing.import_bag(Bag(path), tmp_path / "ours", NAMES)
-    made, _ = editing.import_bag(Bag(path), tmp_path / "ours", NAMES, topic="/right")
+        importing.import_bag(Bag(path), tmp_path / "ours", NAMES)
+    made, _ = importing.import_bag(Bag(path), tmp_path / "ours", NAMES, topic="/right")
     assert reader.read_demonstration(made, NAMES)[1].tolist() == [[1.0, 1.0, 1.0]]
 
 
-def test_a_part_of_a_take_keeps_its_latched_messages(tmp_path: Path) -> None:
+def test_a_part_of_a_take_has_its_states_alone(tmp_path: Path) -> None:
     q = random_q(500)
     path = demonstration(tmp_path / "take", q)
-    made, _ = editing.trim(Bag(path), tmp_path / "part", 0.2, 0.4)
+    made, _ = importing.import_bag(Bag(path), tmp_path / "part", NAMES, part=(0.2, 0.4))
     stamps, angles = reader.read_demonstration(made, NAMES)
     np.testing.assert_array_equal(angles, q[100:201])
     assert stamps[0] == START + 200_000_000
-    ((_, stamp, data),) = Bag(made).messages(["/robot_description"])
-    assert data == string("<robot/>")
-    assert stamp >= stamps[0]  # no gap from the start of the bag to its first state
     np.testing.assert_array_equal(reader.read_demonstration(path, NAMES)[1], q)
 
 
 def test_a_part_without_a_state_is_refused(tmp_path: Path) -> None:
     path = demonstration(tmp_path / "take", random_q(50))
-    with pytest.raises(ValueError, match="no message on /joint_states from 5"):
-        editing.trim(Bag(path), tmp_path / "part", 5.0, 6.0)
+    with pytest.raises(ValueError, match="no state from 5"):
+        importing.import_bag(Bag(path), tmp_path / "part", NAMES, part=(5.0, 6.0))
     assert not (tmp_path / "part").exists()
 
 
-def test_the_parts_of_a_take_merged_are_the_take(tmp_path: Path) -> None:
+def test_the_parts_of_a_take_together_are_the_take_in_any_order(tmp_path: Path) -> None:
     q = random_q(200)
     path = demonstration(tmp_path / "take", q)
     parts = [
-        editing.trim(Bag(path), tmp_path / str(begin), begin, end)[0]
-        for begin, end in ((0.2, 0.4), (0.0, 0.199))
+        importing.import_bag(Bag(path), tmp_path / str(part[0]), NAMES, part=part)[0]
+        for part in ((0.2, 0.4), (0.0, 0.199))
     ]
-    merged, _ = editing.merge([*map(Bag, parts)], tmp_path / "merged")
-    np.testing.assert_array_equal(reader.read_demonstration(merged, NAMES)[1], q)
+    whole, _ = importing.import_bag(Bag(*parts), tmp_path / "whole", NAMES)
+    np.testing.assert_array_equal(reader.read_demonstration(whole, NAMES)[1], q)
 
 
-def test_bags_of_the_same_time_are_not_merged(tmp_path: Path) -> None:
-    bags = [demonstration(tmp_path / name, random_q(20)) for name in "ab"]
-    with pytest.raises(ValueError, match=r"/joint_states is in .* at the same time"):
-        editing.merge([*map(Bag, bags)], tmp_path / "merged")
-    assert not (tmp_path / "merged").exists()
+def test_bags_of_the_same_time_are_not_imported_as_one(tmp_path: Path) -> None:
+    bags = [demonstration(tmp_path / name, random_q(20, seed)) for seed, name in enumerate("ab")]
+    with pytest.raises(ValueError, match=r"/joint_states: stamp .* stamps must increase"):
+        importing.import_bag(Bag(*bags), tmp_path / "both", NAMES)
+    assert not (tmp_path / "both").exists()
+
+
+def test_bags_of_different_arms_are_not_read_as_one(tmp_path: Path) -> None:
+    bags = []
+    for name, arm in (("a", ArmIdentity("wam", NAMES, "0" * 64, "1" * 64)), ("b", None)):
+        writer = BagWriter(tmp_path / name)
+        writer.add("/joint_states", JOINT_STATE, QOS)
+        bags.append(writer.close({"arm": to_json(arm)} if arm else {}))
+    with pytest.raises(ValueError, match="are of different arms"):
+        Bag(*bags)
+
+
+def test_names_in_the_place_of_others_are_refused(tmp_path: Path) -> None:
+    path = demonstration(tmp_path / "take", random_q(20))
+    sorted_by_another_rule = (NAMES[1], NAMES[0], NAMES[2])
+    with pytest.raises(ValueError, match="'wam_j2' is in the place of 'wam_j1'"):
+        importing.import_bag(Bag(path), tmp_path / "ours", NAMES, sorted_by_another_rule)
+    assert not (tmp_path / "ours").exists()
 
 
 def test_a_bag_that_is_there_is_never_written_over(tmp_path: Path) -> None:
     path = demonstration(tmp_path / "take", random_q(20))
     with pytest.raises(FileExistsError):
-        editing.trim(Bag(path), path, 0.0, 1.0)
+        importing.import_bag(Bag(path), path, NAMES)
     assert len(reader.read_demonstration(path, NAMES)[0]) == 20
+
+
+def test_a_time_of_reception_that_is_no_time_is_refused_and_can_be_cut_off(tmp_path: Path) -> None:
+    q = random_q(50)
+    times = [START + 4_000_000 * k for k in range(50)]
+    states = [(t if k < 49 else 2**63 - 5, t, NAMES, q[k]) for k, t in enumerate(times)]
+    bag, ours = Bag(of_states(tmp_path / "theirs", states)), tmp_path / "ours"
+    with pytest.raises(ValueError, match="is no time of ROS"):
+        importing.import_bag(bag, ours, NAMES, by_reception=True)
+    importing.import_bag(bag, ours, NAMES, by_reception=True, part=(0.0, 9.0))
+    np.testing.assert_array_equal(reader.read_demonstration(ours, NAMES)[1], q[:49])

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Demonstrations from the joint states in bags of any recorder; these bags are not changed."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from wam_power_ros.bags import layout, reader
+from wam_power_ros.bags.bag import Bag
+from wam_power_ros.bags.layout import JOINT_STATE, STATES, TYPES
+from wam_power_ros.bags.quality import Remark
+from wam_power_ros.bags.reader import States
+from wam_power_ros.bags.writer import BagWriter
+
+STAMP_END = 2**31 * 1_000_000_000  # of a header [ns]
+
+
+def import_bag(
+    bag: Bag,
+    to: Path,
+    joint_names: Sequence[str],
+    bag_names: Sequence[str] = (),
+    topic: str = "",
+    kind: str = "",
+    by_reception: bool = False,
+    part: tuple[float, float] | None = None,
+) -> tuple[Path, tuple[Remark, ...]]:
+    """Create a demonstration from the joint states in a bag of any recorder.
+
+    Args:
+        bag: The bag.
+        to: Folder of the new bag.
+        joint_names: Names of the arm's joints, base to tip.
+        bag_names: Names of the same joints in the bag, in that order; `joint_names` if omitted.
+        topic: Topic of the joint states; that of our recorder, or the only one, if omitted.
+        kind: Stem of the demonstrated task.
+        by_reception: True to use the times of reception instead of the stamps of the headers.
+        part: First and last time of a part, since the first state [s]; all states if omitted.
+
+    Returns:
+        Path of the new bag, and what was left out or unwrapped in reading the states.
+
+    Raises:
+        ValueError: As `reader.read_states`, or the names are not those of the same joints.
+        FileExistsError: `to` exists already.
+    """
+    bag_names = list(bag_names) or list(joint_names)
+    if len(bag_names) != len(joint_names):
+        raise ValueError(f"{len(bag_names)} names {bag_names} for the joints {list(joint_names)}")
+    for theirs, name in zip(bag_names, joint_names, strict=True):
+        if theirs != name and theirs in joint_names:
+            raise ValueError(
+                f"{theirs!r} is in the place of {name!r}: the names of the bag's joints go base to "
+                f"tip, as {list(joint_names)}; their order in the messages does not matter"
+            )
+    topic = topic or bag.notes.get("state_topic") or _only_states(bag)
+    states = reader.read_states(bag, bag_names, topic, by_reception=by_reception, part=part)
+    received = states.stamps.tolist()  # in the new bag, so that they are in the order of the stamps
+    if wrong := [stamp for stamp in received if not 0 <= stamp < STAMP_END]:
+        raise ValueError(f"{bag.path}: {topic}: {wrong[0]} ns is no time of ROS; see --part")
+    messages = list(bag.messages([topic]))
+    notes = {
+        "joint_names": json.dumps(list(joint_names)),
+        **({"arm": bag.notes["arm"]} if bag.arm else {}),
+        "state_topic": STATES,
+        "source": "imported",
+        "imported": json.dumps(
+            {
+                "from": bag.path.resolve().name,
+                "topic": topic,
+                "joints": states.names,
+                "part": part,
+                "remarks": [remark.text for remark in states.remarks],
+            }
+        ),
+    }
+    writer = BagWriter(to)
+    try:
+        writer.add(STATES, JOINT_STATE, [layout.qos(reliable=True, latched=False)])
+        if kind:
+            writer.event("start", kind, received[0])
+        for row, (stamp, number) in enumerate(zip(received, states.index, strict=True)):
+            data = _converted(messages[number][2], states, row, joint_names)
+            writer.write(STATES, stamp, data)
+        made = writer.close({**notes, **writer.completeness(notes)})
+    except BaseException:
+        writer.abandon()
+        shutil.rmtree(layout.unfinished(to), ignore_errors=True)
+        raise
+    try:
+        back = reader.read_states(Bag(made), joint_names)
+        if not (np.array_equal(back.q, states.q) and np.array_equal(back.stamps, states.stamps)):
+            raise ValueError("other states come back than were written")
+    except BaseException:
+        shutil.rmtree(made)
+        raise
+    return made, states.remarks
+
+
+def _only_states(bag: Bag) -> str:
+    """Name of the only topic of joint states."""
+    found = [name for name, topic in bag.topics.items() if topic.msgtype == JOINT_STATE]
+    if len(found) != 1:
+        names = ", ".join(found or bag.topics) or "nothing"
+        what = "several topics" if found else "no topic"
+        raise ValueError(f"{bag.path} has {what} of joint states: {names}; name one with --topic")
+    return found[0]
+
+
+def _converted(data: bytes, states: States, row: int, joint_names: Sequence[str]) -> bytes:
+    """A joint state with the names and order of the arm, and the stamp and angles as read."""
+    message = layout.decoded(data, JOINT_STATE)
+    whole = set(states.names) <= set(message.name)  # not joined from several messages
+    order = [message.name.index(name) for name in states.names] if whole else []
+    for field in ("velocity", "effort"):
+        values = getattr(message, field)
+        complete = whole and len(values) == len(message.name)
+        setattr(message, field, values[order] if complete else np.zeros(0))
+    message.name, message.position = list(joint_names), states.q[row]
+    time = message.header.stamp
+    time.sec, time.nanosec = divmod(int(states.stamps[row]), 1_000_000_000)
+    return bytes(TYPES.serialize_cdr(message, JOINT_STATE))
