@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Supervision of the arm: are its states believed, does it move within its limits, does it rest."""
 
+from collections import deque
+
 import numpy as np
 
 from wam_power_ros.control import safety
@@ -27,7 +29,6 @@ FAULT_SHARE = 0.15  # share of a torque limit: beyond it no motion in a fault is
 USUAL_TIME = 1.0  # [s] in which an unexplained torque that stays becomes usual
 SLIDING = 2.5 * FRICTION_SPEED  # [rad/s] from which the sign of a joint's friction is known
 NEAR = 0.1  # [rad] from the end of a movement, to where what the joints needed there holds
-# Numbers of states are those at 500 Hz: at a higher rate they are more, see `at_rate`.
 REST_NS = 200_000_000  # [ns] at rest before a fault may be reset
 DOUBTFUL_STATES = 12  # consecutive states that nothing explains until none is believed
 BELIEF_STATES = 50  # consecutive states that agree until states are believed again: 0.1 s
@@ -41,12 +42,11 @@ AGREEMENT = 0.005  # [rad] in that time, between the motion reported and that of
 class Supervision:
     """Asks of every joint state whether it is believed, and reacts to a fault.
 
-    States are not believed any more when a joint jumped, when positions and velocities contradict
-    each other, when a hold's torque creeps although no joint reports a motion, and when in a fault
-    nothing explains the motion, or the brake makes the reported arm faster. They are believed again
-    when they have agreed with the model for `BELIEF_STATES` in a row, at rest if nothing else was
-    wrong with them, or when they report an arm that falls as the torques explain; after a jump
-    never before the reset.
+    States are not believed any more when a joint jumped, positions and velocities contradict each
+    other, a hold's torque creeps although no joint reports a motion, or in a fault nothing explains
+    the motion or the brake makes the reported arm faster. They are believed again when they agreed
+    with the model for `BELIEF_STATES` in a row, at rest if nothing else was wrong with them, or
+    report an arm that falls as the torques explain; after a jump never before the reset.
 
     Attributes:
         believed: Whether joint states are believed.
@@ -86,29 +86,30 @@ class Supervision:
         self._explainable = self.reaction.known
         self._rest_since_ns: int | None = None  # stamp since which an arm in a fault is at rest
         self.believed, self._lasting = True, False
-        self._drifts = False  # states are believed again only after a fall
         self._states, self._first_states = 0, at_rate(FIRST_STATES, settings.period)
         self._gravity_wrong = False  # the driver adds g(q) though it should not, or the reverse
         self._doubted = False  # states of this fault were not believed, so show no mass either
-        self._contradicted = False  # a reason not to believe them that no torque removes
+        # A reason not to believe them that no torque removes; they may be again only after a fall.
+        self._contradicted = self._drifts = False
         self._agreed = 0  # consecutive states that agree with the model
         self._agreed_from: np.ndarray | None = None  # reported minus predicted at their first [rad]
         self._weight: np.ndarray | None = None  # unexplained torque that is a weight's [N m]
         self._rest_states = round(BEFORE / settings.period)
+        self._usual_before = deque([self._usual], maxlen=self._rest_states)
         self._at_rest = np.zeros(arm.n)  # residual when it last reported rest [N m]
         # Speeds [rad/s] and residual [N m] at the first of these, and what it has changed [N m s].
         self._fall: tuple[np.ndarray, np.ndarray, np.ndarray]
         self._explained = 0  # consecutive states whose motion the torques explain
         bound = settings.contact_share * arm.tau_max
         contact = Bound(bound, bound, INERTIAL_SHARE)
-        standing = STANDING_SHARE * arm.tau_max
+        standing, fault = STANDING_SHARE * arm.tau_max, FAULT_SHARE * arm.tau_max
         self._bounds: dict[Mode, Bound] = {
             Mode.GRAVITY_COMPENSATION: Bound(np.full(arm.n, np.inf), np.full(arm.n, np.inf)),
             Mode.HOLD: contact,
             Mode.MOVE_TO_START: contact,
             Mode.ROLLOUT: Bound(settings.unexplained_share * arm.tau_max, standing),
             Mode.REPLAY: contact,
-            Mode.FAULT: Bound(FAULT_SHARE * arm.tau_max, FAULT_SHARE * arm.tau_max),
+            Mode.FAULT: Bound(fault, fault),
         }
 
     def begin(self) -> None:
@@ -140,10 +141,9 @@ class Supervision:
             self.reaction.carried = self._holding(kind, unexplained)
         self.reaction.begin(sudden if guided else BEFORE, alone, guided, held)
         if mode in MOVING_MODES:
-            beyond = -self._usual
-            if mode is Mode.ROLLOUT:  # fast: what sensors and motors lag is unexplained, too
-                beyond = np.where(np.abs(beyond) > self._arm.friction, beyond, 0.0)
-            self.reaction.carried = beyond
+            usual = self._usual_before[0]  # the last of it has what was found
+            lag = (mode is Mode.ROLLOUT) & (np.abs(usual) <= self._arm.friction)
+            self.reaction.carried = np.where(lag, 0.0, -usual)  # of sensors and motors, if fast
         elif not held:  # what held it there; elsewhere the share of friction in it is not known
             self.reaction.carried = unexplained.before(self.reaction.posture)
         past = list(self.reaction.past)[-self._rest_states :]
@@ -211,6 +211,7 @@ class Supervision:
         if fault is not None and mode is Mode.HOLD and self._states < self._first_states:
             fault = self._gravity_fault(state.q, residual) or fault
         self._usual = self._usual + state.span / USUAL_TIME * (residual - self._usual)
+        self._usual_before.append(self._usual)
         if mode in MOVING_MODES and mode is not Mode.ROLLOUT:
             slides = np.abs(state.qd) > SLIDING
             self._least = np.where(slides, -residual, np.fmin(self._least, -residual))
@@ -250,11 +251,10 @@ class Supervision:
         if abs(share) < GRAVITY_SHARE or (left > self._explainable).any():
             return None
         self._gravity_wrong = True
-        text = "twice, by the driver too" if share > 0.0 else "by nobody"
-        advice = "true" if share > 0.0 else "false"
+        text, meant = ("twice, also by the driver", "true") if share > 0 else ("by nobody", "false")
         return Fault(
             FaultKind.EXTERNAL_TORQUE,
-            f"gravity is compensated {text}: is driver_compensates_gravity: {advice} meant?",
+            f"gravity is compensated {text}: is driver_compensates_gravity: {meant} meant?",
         )
 
     def limit_fault(self, mode: Mode, state: JointState, motion: Motion | Speeds) -> Fault | None:
