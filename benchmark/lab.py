@@ -35,7 +35,7 @@ from wam_power_ros.learning.policy import Policy, to_json
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.ros import interface, joint_messages
-from wam_power_ros.ros.answers import Answer
+from wam_power_ros.ros.outcomes import Answer
 from wam_power_ros.ros.domain import private_domain
 from wam_power_ros.ros.simulation_guard import STAND_IN
 

@@ -42,7 +42,7 @@ from wam_power_ros.client.link import Link
 from wam_power_ros.params import overlay
 from wam_power_ros.practice import session
 from wam_power_ros.ros import interface, requests
-from wam_power_ros.ros.answers import Code
+from wam_power_ros.ros.outcomes import Code
 from wam_power_ros.ros.diagnostics import LEARNER_STATE
 from wam_power_ros.ros.domain import private_domain
 from wam_power_ros.view.live import View

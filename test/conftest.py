@@ -32,7 +32,7 @@ from wam_power_ros.client.link import DISCOVERY
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.policy import Basis, Policy, to_json
 from wam_power_ros.ros import interface, network
-from wam_power_ros.ros.answers import Answer, Code
+from wam_power_ros.ros.outcomes import Answer, Code
 from wam_power_ros.ros.domain import private_domain, shared
 from wam_power_ros.ros.requests import Request, read_answer
 

@@ -25,7 +25,7 @@ from wam_power_ros.control.arm import Arm
 from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.answers import Answer, Code, ServiceError
+from wam_power_ros.ros.outcomes import Answer, Code, ServiceError
 from wam_power_ros.ros.requests import Answers
 from wam_power_ros.view.live import View
 

@@ -15,7 +15,7 @@ from wam_power_ros.client import robot as robots
 from wam_power_ros.client.feedback import Feedback
 from wam_power_ros.client.robot import Robot
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.answers import Answer, Code, ServiceError
+from wam_power_ros.ros.outcomes import Answer, Code, ServiceError
 
 PAUSE, FREE = interface.LEARNER_PAUSE, interface.GRAVITY_COMPENSATION
 RECORD, LEARN = interface.RECORD, interface.LEARNER_REQUEST

@@ -18,7 +18,7 @@ from std_srvs.srv import SetBool, Trigger
 from wam_power_ros.client import link as links
 from wam_power_ros.client.link import Link
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.answers import Answer, Code, ServiceError
+from wam_power_ros.ros.outcomes import Answer, Code, ServiceError
 from wam_power_ros.ros.deferred_service import DeferredTrigger
 
 Serve = Callable[[str, Callable[[], Answer | None]], DeferredTrigger]

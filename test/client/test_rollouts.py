@@ -35,7 +35,7 @@ from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
 from wam_power_ros.ros import interface, pose_messages
-from wam_power_ros.ros.answers import Answer, Code
+from wam_power_ros.ros.outcomes import Answer, Code
 from wam_power_ros.ros.diagnostics import LAST_STOP, diagnostics_message
 from wam_power_ros.ros.requests import Answers, Request, RolloutEnd, Server
 from wam_power_ros.tasks.reset import Move

@@ -24,7 +24,7 @@ from wam_power_ros.cli import main
 from wam_power_ros.console.replay import with_possible_speed
 from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.answers import Answer, Code
+from wam_power_ros.ros.outcomes import Answer, Code
 from wam_power_ros.ros.requests import Answers
 
 ROOT = Path(__file__).resolve().parents[2]

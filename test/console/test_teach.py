@@ -19,7 +19,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from wam_power_ros.bags import series
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.answers import Answer, Code
+from wam_power_ros.ros.outcomes import Answer, Code
 from wam_power_ros.ros.requests import Server
 
 

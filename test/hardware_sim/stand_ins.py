@@ -16,7 +16,7 @@ from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.params import overlay
 from wam_power_ros.ros import interface, joint_messages, pose_messages
-from wam_power_ros.ros.answers import Answer, Code
+from wam_power_ros.ros.outcomes import Answer, Code
 
 TICK = 2_000_000  # [ns]
 CONFIGS = ("wam_sim.yaml", "optitrack_sim.yaml")

@@ -38,7 +38,7 @@ from wam_power_ros.learning.policy import Basis, Policy, to_json
 from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorder
 from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface, joint_messages, pose_messages
-from wam_power_ros.ros.answers import Code, read
+from wam_power_ros.ros.outcomes import Code, read
 from wam_power_ros.ros.stamps import time_message
 
 NODE = "wam_power_ros.nodes.demonstration_recorder"

@@ -16,7 +16,7 @@ from wam_power_ros.control.joint_references import Sampled
 from wam_power_ros.control.modes import Mode
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.nodes.motion_requests import MotionRequests
-from wam_power_ros.ros.answers import Answer, Code
+from wam_power_ros.ros.outcomes import Answer, Code
 from wam_power_ros.ros.requests import RolloutEnd
 
 LATER = 10**9  # [ns]

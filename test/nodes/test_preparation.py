@@ -33,7 +33,7 @@ from wam_power_ros.nodes.preparation import (
 )
 from wam_power_ros.regions import Region
 from wam_power_ros.ros import interface, joint_messages
-from wam_power_ros.ros.answers import Answer, Code
+from wam_power_ros.ros.outcomes import Answer, Code
 from wam_power_ros.ros.requests import SIZE_MAX
 
 

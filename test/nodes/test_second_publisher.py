@@ -19,7 +19,7 @@ from std_srvs.srv import Trigger
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.faults import FaultKind
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.answers import Code, read
+from wam_power_ros.ros.outcomes import Code, read
 from wam_power_ros.ros.simulation_guard import STAND_IN
 from wam_power_ros.ros.stamps import time_message
 

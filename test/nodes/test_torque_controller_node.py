@@ -21,7 +21,7 @@ from std_srvs.srv import SetBool, Trigger
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.policy import to_json, with_id
 from wam_power_ros.ros import interface, joint_messages
-from wam_power_ros.ros.answers import Answer, Code
+from wam_power_ros.ros.outcomes import Answer, Code
 from wam_power_ros.ros.requests import Request, RolloutEnd
 
 

@@ -24,7 +24,7 @@ from wam_power_ros.control.arm import Arm
 from wam_power_ros.faults import FaultKind
 from wam_power_ros.learning.policy import to_json
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.answers import Answer, Code, read
+from wam_power_ros.ros.outcomes import Answer, Code, read
 from wam_power_ros.ros.requests import RolloutEnd
 
 DRIVER = """

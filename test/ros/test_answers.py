@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wam_power_ros.ros.answers import Answer, Code, read
+from wam_power_ros.ros.outcomes import Answer, Code, read
 
 WORD = st.from_regex(r"[A-Za-z0-9_.-]{1,20}", fullmatch=True)
 KEY = st.from_regex(r"[a-z_]{1,10}", fullmatch=True)

@@ -11,7 +11,7 @@ from std_msgs.msg import String
 
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.ros import requests
-from wam_power_ros.ros.answers import Answer, Code
+from wam_power_ros.ros.outcomes import Answer, Code
 from wam_power_ros.ros.requests import Request, RolloutEnd, Server
 
 

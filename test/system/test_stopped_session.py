@@ -22,7 +22,7 @@ from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.practice.session import Session, read
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.answers import Code
+from wam_power_ros.ros.outcomes import Code
 from wam_power_ros.ros.diagnostics import LEARNER_STATE
 from wam_power_ros.ros.requests import read_answer, request
 

@@ -7,7 +7,7 @@ import rclpy
 
 from wam_power_ros.params import overlay
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.answers import Code
+from wam_power_ros.ros.outcomes import Code
 from wam_power_ros.view.live import View
 
 

@@ -28,7 +28,7 @@ from wam_power_ros.learning.policy import to_json
 from wam_power_ros.practice.session import Session
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.answers import Answer, Code
+from wam_power_ros.ros.outcomes import Answer, Code
 from wam_power_ros.ros.diagnostics import diagnostics_message
 from wam_power_ros.ros.domain import private_domain
 

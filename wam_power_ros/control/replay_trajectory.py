@@ -81,5 +81,5 @@ def sampled(t: npt.ArrayLike, q: npt.ArrayLike, period: float, limits: Limits) -
     share = float(np.max(np.abs(movement.qd) / limits.qd_max))
     if share > 1.0:
         text = f"replay refused: the movement reaches {share:.2f} times a joint-speed limit"
-        raise ControllerError(Refusal.TOO_FAST, text, {"speed": f"{1.0 / share:.3f}"})
+        raise ControllerError(Refusal.TOO_FAST, text, round(1.0 / share, 3))
     return movement

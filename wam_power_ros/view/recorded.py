@@ -120,8 +120,9 @@ def _texts(bag: Bag, name: str) -> Iterator[Any]:
 
 
 def _policy(bag: Bag) -> Policy | None:
-    texts = [message.data for message in _texts(bag, POLICY)]
-    return from_json(texts[-1]) if texts else None
+    topics = [name for name in bag.topics if name.endswith(POLICY)]
+    found = [*_decoded(bag, topics[0], bag.topics[topics[0]].msgtype)] if topics else []
+    return from_json(found[-1].text) if found else None
 
 
 def _body_states(bag: Bag, topic: str, start_ns: int) -> Iterator[tuple[float, ...]]:
