@@ -18,6 +18,7 @@ from wam_power_ros.learning.demonstration import smooth_joints
 EASE_TIME = 0.3  # [s] in which a replay accelerates to its speed, and decelerates at the end
 SPEED_MIN, SPEED_MAX = 0.01, 5.0  # bounds of the speed relative to the recording
 KNOT_PERIOD = 0.01  # [s] between two postures of a movement
+KNOTS_MIN = 4  # of a cubic spline
 
 
 def movement(
@@ -52,6 +53,29 @@ def movement(
     half = 0.5 * (duration + ease)
     played = np.where(times < half, eased(times), duration - eased(duration + ease - times))
     return times, scipy.interpolate.CubicSpline(t, smooth)(np.clip(played * speed, 0.0, t[-1]))
+
+
+def through(t: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Movement through waypoints from rest to rest, such as those of MoveIt.
+
+    Args:
+        t: Times of the waypoints, strictly increasing [s]. Shape (N,), N >= 1.
+        q: Joint angles there [rad]. Shape (N, n).
+
+    Returns:
+        Times from 0 [s], shape (M,), and joint angles [rad], shape (M, n), M >= 4. A single
+        waypoint is a posture to rest at.
+
+    Raises:
+        ValueError: The times do not increase.
+    """
+    if len(t) == 1:
+        times = np.linspace(0.0, KNOT_PERIOD, KNOTS_MIN)
+        return times, np.tile(q, (KNOTS_MIN, 1))
+    spline = scipy.interpolate.CubicSpline(t - t[0], q, bc_type="clamped")
+    duration = float(t[-1] - t[0])
+    times = np.linspace(0.0, duration, max(math.ceil(duration / KNOT_PERIOD) + 1, KNOTS_MIN))
+    return times, spline(times)
 
 
 def sampled(t: npt.ArrayLike, q: npt.ArrayLike, period: float, limits: Limits) -> Sampled:

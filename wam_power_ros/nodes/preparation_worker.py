@@ -231,7 +231,7 @@ class PreparationWorker(Node):
     def _follow(self, id: str, goal: FollowJointTrajectory.Goal) -> Answer | None:
         asked = time.time_ns(), ""
         return self._prepare(
-            id, MOVEMENT, lambda: self._prepare_movement(id, goal.trajectory, asked)
+            id, MOVEMENT, lambda: self._prepare_movement(id, goal.trajectory, asked, waypoints=True)
         )
 
     def _on_movement(self, data: bytes) -> None:
@@ -241,16 +241,25 @@ class PreparationWorker(Node):
         def prepare() -> None:
             if (size := len(data)) > SIZE_MAX:
                 raise ValueError(f"{size} bytes; at most {SIZE_MAX} allowed")
-            self._prepare_movement(id, deserialize_message(data, JointTrajectory), asked)
+            message = deserialize_message(data, JointTrajectory)
+            self._prepare_movement(id, message, asked, waypoints=True)
 
         if (answer := self._prepare(id, MOVEMENT, prepare)) is not None:
             self.get_logger().warning(f"movement refused: {answer.text}")
 
-    def _prepare_movement(self, id: str, message: JointTrajectory, asked: tuple[int, str]) -> None:
+    def _prepare_movement(
+        self,
+        id: str,
+        message: JointTrajectory,
+        asked: tuple[int, str],
+        waypoints: bool = False,
+    ) -> None:
         settings, limits = self._arm()
         if (points := len(message.points)) > POINTS_MAX:
             raise ValueError(f"{points} points; at most {POINTS_MAX} allowed")
         t, q = joint_messages.movement(message, self._joint_names)
+        if waypoints:
+            t, q = replay_trajectory.through(t, q)
         sampled = replay_trajectory.sampled(t, q, settings.period, limits)
         values = {"duration": sampled.duration, "period": sampled.period}
         arrays = {"q": sampled.q, "qd": sampled.qd, "qdd": sampled.qdd}
@@ -269,7 +278,7 @@ class PreparationWorker(Node):
 def followed(answer: Answer, **_: object) -> FollowJointTrajectory.Result:
     """Result of a FollowJointTrajectory that ended with an answer."""
     result = FollowJointTrajectory.Result(error_string=answer.text)
-    if answer.code is Code.REFUSED:
+    if answer.code in (Code.REFUSED, Code.TOO_FAST):
         result.error_code = result.INVALID_GOAL
     elif not answer.success:
         result.error_code = result.PATH_TOLERANCE_VIOLATED
