@@ -18,9 +18,9 @@ import forked
 import numpy as np
 import pytest
 import rclpy
-from hypothesis import settings
 from action_msgs.msg import GoalStatus
 from control_msgs.action import FollowJointTrajectory
+from hypothesis import settings
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -44,6 +44,7 @@ from wam_power_ros.learning.policy import Basis, Policy, to_json
 from wam_power_ros.ros import interface, network
 from wam_power_ros.ros.domain import private_domain, shared
 from wam_power_ros.ros.outcomes import Answer, read
+from wam_power_ros.ros.stamps import goal_id
 
 network.confine(os.environ)  # this process, too
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # started in the background by a shell
@@ -222,7 +223,9 @@ class Probe:
             goal["policy"] = PolicyMessage(id=id, text=text)
         sent = Sent()
         self._actions[do].send_goal_async(
-            kind.Goal(**goal), lambda message: sent.stages.append(message.feedback.stage)
+            kind.Goal(**goal),
+            lambda message: sent.stages.append(message.feedback.stage),
+            goal_id(),
         ).add_done_callback(sent.accepted)
         return sent
 

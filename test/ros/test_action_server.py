@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import pytest
 import rclpy
@@ -59,20 +59,22 @@ class Moves:
     def _cancel(self, id: str) -> None:
         self.cancelled.append(id)
 
-    def do(self, *work: object) -> None:
-        """Let a method of the action be called in the thread of its node, as its callbacks are."""
-        method, *given = work
+    def _do(self, work: Callable[[], object]) -> None:
+        """Let work be done in the thread of the node, as in another of its callbacks."""
         done = threading.Event()
-        self._executor.create_task(lambda: (method(*given[0], **given[1]), done.set()))
+        self._executor.create_task(lambda: (work(), done.set()))
         assert done.wait(10.0)
 
     def report(self, id: str, stage: str) -> None:
-        self.do(self.action.report, (id, stage), {})
+        """Report a stage."""
+        self._do(lambda: self.action.report(id, stage))
 
     def finish(self, id: str, answer: Answer, **more: object) -> None:
-        self.do(self.action.finish, (id, answer), more)
+        """End a goal."""
+        self._do(lambda: self.action.finish(id, answer, **more))
 
     def close(self) -> None:
+        """End the node."""
         self._ended = True
         self._thread.join()
 

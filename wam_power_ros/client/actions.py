@@ -13,6 +13,7 @@ from rclpy.task import Future
 from wam_power_ros.client.link import DISCOVERY, TIMEOUT, Link
 from wam_power_ros.ros import outcomes
 from wam_power_ros.ros.outcomes import NO_ANSWER, Answer, ServiceError
+from wam_power_ros.ros.stamps import goal_id
 
 ACCEPT_TIMEOUT = 10.0  # [s of wall time] after which a goal that nobody accepts counts as lost
 ASK_PERIOD = 2.0  # [s of wall time] between questions for a result: a new server knows no old goal
@@ -121,7 +122,8 @@ class Action:
             raise ServiceError(f"{name} did not appear in {timeout:.0f} s")
         self._goals = [each for each in self._goals if each.answer is None]
         request = self._kind.Goal(**goal)
-        sending = link.schedule(lambda: Goal(link, name, self._client.send_goal_async(request)))
+        send = lambda: self._client.send_goal_async(request, goal_uuid=goal_id())  # noqa: E731
+        sending = link.schedule(lambda: Goal(link, name, send()))
         link.until(sending.done)
         sent = sending.result()
         self._goals.append(sent)

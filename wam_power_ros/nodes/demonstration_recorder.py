@@ -35,7 +35,7 @@ from wam_power_ros.bags.background_writer import Recording
 from wam_power_ros.bags.writer import header_stamp
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.durable_files import explained
-from wam_power_ros.learning.policy import DURATION_MAX
+from wam_power_ros.learning.policy import DURATION_MAX, check_id
 from wam_power_ros.params.node_params import Names, Params
 from wam_power_ros.params.resources import robot_description
 from wam_power_ros.ros import interface, node_runner, scheduling
@@ -160,7 +160,11 @@ class DemonstrationRecorder(Node):
             self._write(topic, cdr)
 
     def _on_policy(self, message: Policy) -> None:
-        self._policy_id = message.id
+        try:
+            check_id(message.id)  # will be the name of a file
+            self._policy_id = message.id
+        except ValueError as error:
+            self.get_logger().warning(f"policy refused: {error}", throttle_duration_sec=1.0)
 
     def _on_record(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         try:

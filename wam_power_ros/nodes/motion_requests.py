@@ -77,7 +77,7 @@ class MotionRequests:
             id: Id of the request.
             do: "move_to_start" or "execute" a policy, or "replay" a movement.
             about: The policy or the movement.
-            asked_ns: Wall time at which the request was received [ns].
+            asked_ns: Wall time at which it was sent, or received if that is not known [ns].
             known_stop: Last stop that its sender knows, after which a person has let it go on; ""
                 if it does not say. A request that does not know of the last stop is not begun, so
                 that no stop can be overtaken.

@@ -48,7 +48,7 @@ class Preparation:
     Args:
         domain: DDS domain of the node.
         on_request: Called by `poll` with the id of a request, what to do, the policy or movement
-            that it is about, when it came [ns], and the last stop that its sender knows.
+            that it is about, when it was sent [ns], and the last stop that its sender knows.
         on_cancel: Called by `poll` with the id of a request that its sender cancels.
         on_refusal: Called by `poll` with the kind of a refused message, REQUEST or MOVEMENT, and
             the reason.

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import sys
 import threading
-import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
@@ -48,7 +47,7 @@ from wam_power_ros.ros.action_server import Action, Begin
 from wam_power_ros.ros.diagnostics import diagnostics_message
 from wam_power_ros.ros.outcomes import NOT_ACTIVE, Answer, Code, Ended
 from wam_power_ros.ros.process_channel import Channel, Message
-from wam_power_ros.ros.stamps import time_message
+from wam_power_ros.ros.stamps import sent_ns, time_message
 
 # Larger movements are refused unread: 20 MB are 200 000 points of seven joints with positions,
 # where the 600 s that may be replayed have 60 000 points.
@@ -205,7 +204,7 @@ class PreparationWorker(Node):
         """Begin of an action that is about a policy."""
 
         def begin(id: str, goal: ExecutePolicy.Goal | MoveToStart.Goal) -> Answer | None:
-            asked = time.time_ns(), goal.known_stop
+            asked = sent_ns(id), goal.known_stop
             return self._prepare(
                 id, REQUEST, lambda: self._prepare_policy(id, do, goal.policy, asked)
             )
@@ -225,18 +224,18 @@ class PreparationWorker(Node):
         self._hand_over(REQUEST, values, arrays)
 
     def _replay(self, id: str, goal: Replay.Goal) -> Answer | None:
-        asked = time.time_ns(), goal.known_stop
+        asked = sent_ns(id), goal.known_stop
         return self._prepare(id, MOVEMENT, lambda: self._prepare_movement(id, goal.movement, asked))
 
     def _follow(self, id: str, goal: FollowJointTrajectory.Goal) -> Answer | None:
-        asked = time.time_ns(), ""
+        asked = sent_ns(id), ""
         return self._prepare(
             id, MOVEMENT, lambda: self._prepare_movement(id, goal.trajectory, asked, waypoints=True)
         )
 
-    def _on_movement(self, data: bytes) -> None:
+    def _on_movement(self, data: bytes, info: dict[str, int]) -> None:
         """Take a movement from the topic, whose sender gets no answer."""
-        asked, id = (time.time_ns(), ""), uuid4().hex
+        asked, id = (info["source_timestamp"], ""), uuid4().hex
 
         def prepare() -> None:
             if (size := len(data)) > SIZE_MAX:
