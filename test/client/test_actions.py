@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import signal
 import sys
-import time
 from collections.abc import Iterator
 
 import pytest
@@ -100,11 +99,9 @@ def test_a_goal_whose_server_was_killed_and_restarted_ends_as_unknown_within_sec
     assert processes.end(server, signal.SIGKILL) == -signal.SIGKILL
     assert not link.until(lambda: goal.ended, timeout=2.0 * actions.ASK_PERIOD)  # nobody knows
     again = processes.start(COMMAND)
-    begun = time.monotonic()
-    assert send(action, "done").done().outcome.text == "here you are"
     assert link.until(lambda: goal.ended, timeout=30.0), processes.output(again)
     assert goal.answer.code is Code.UNKNOWN and goal.result is None
-    assert time.monotonic() - begun < 30.0
+    assert send(action, "done").done().outcome.text == "here you are"
 
 
 def test_a_goal_that_nobody_accepts_counts_as_lost(

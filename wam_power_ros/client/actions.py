@@ -99,7 +99,7 @@ class Action:
     @property
     def offered(self) -> bool:
         """Whether a server is there and has had the time to discover this client."""
-        if not self._client.server_is_ready():
+        if not (self._link.node.context.ok() and self._client.server_is_ready()):
             self._ready_since = None
             return False
         self._ready_since = self._ready_since or time.monotonic()

@@ -23,7 +23,7 @@ from std_msgs.msg import String
 from wam_power_interfaces.msg import Policy as PolicyMessage
 from wam_power_interfaces.srv import Pause
 from wam_power_ros.client.feedback import Feedback
-from wam_power_ros.client.link import Data, Link
+from wam_power_ros.client.link import DISCOVERY, Data, Link
 from wam_power_ros.client.robot import Robot
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.policy import Policy
@@ -136,7 +136,7 @@ class View(Node):
         """
 
         def teach() -> Answer:
-            simulated = self._scene[0].offered
+            simulated = self.link.until(lambda: self._scene[0].offered, timeout=2.0 * DISCOVERY)
             return self._feedback.teach(self._robot, None if simulated else lead, notify)
 
         return self._answered(teach)
