@@ -26,13 +26,15 @@ from std_msgs.msg import Float64MultiArray
 from benchmark.false_states import Falsifier, N, Reading
 from benchmark.loop import MOMENTS, Outcome, Plant, outcome
 from benchmark.nodes import JOINTS, PERIOD_NS, environment, node_command, taught
+from wam_power_interfaces.action import ExecutePolicy, MoveToStart
+from wam_power_interfaces.msg import Policy as PolicyMessage
 from wam_power_ros.cli.processes import Processes, Running
+from wam_power_ros.client.actions import Action, Goal
 from wam_power_ros.client.link import Data, Link
-from wam_power_ros.client.requests import Asked, Requests
 from wam_power_ros.learning.policy import Policy, to_json
 from wam_power_ros.ros import interface, joint_messages
-from wam_power_ros.ros.answers import Answer
 from wam_power_ros.ros.domain import private_domain
+from wam_power_ros.ros.outcomes import Answer
 from wam_power_ros.ros.simulation_guard import STAND_IN
 
 TIMEOUT = 90.0  # [s] for a node to start, to hold, to fault
@@ -62,9 +64,10 @@ class Lab:
             self._node = Node("observer", context=self._context)
             self._driver_node = Node(STAND_IN, context=self._context)
             self._link = Link(Node("person", context=self._context))
-            self._requests = Requests(
-                self._link, interface.CONTROLLER_REQUEST, interface.CONTROLLER_ANSWER
-            )
+            self._actions = {
+                "execute": Action(self._link, ExecutePolicy, interface.EXECUTE_POLICY),
+                "move_to_start": Action(self._link, MoveToStart, interface.MOVE_TO_START),
+            }
             self._threads = ThreadPoolExecutor()
             self._executor = EventsExecutor(context=self._context)
             self._executor.add_node(self._node)
@@ -112,9 +115,10 @@ class Lab:
         """Call a service in another thread: this one may have to play the arm meanwhile."""
         return self._threads.submit(self._link.call, name, data)
 
-    def request(self, do: str, policy: Policy) -> Future[Asked]:
-        """Send a request about a policy, in another thread; done once it has begun or not."""
-        return self._threads.submit(self._requests.begin, do, policy=to_json(policy))
+    def request(self, do: str, policy: Policy) -> Future[Goal]:
+        """Send a goal about a policy, in another thread; done once it is accepted."""
+        message = PolicyMessage(id=policy.id, text=to_json(policy))
+        return self._threads.submit(self._actions[do].send, policy=message)
 
 
 class Driver:
@@ -193,9 +197,9 @@ class Driver:
     def request(self, do: str) -> bool:
         """Request something about the policy while the arm keeps running; True on success."""
         future = self._lab.request(do, self.policy)
-        asked = future.result() if self.play(TIMEOUT, future.done) else None
-        self.play(TIMEOUT, lambda: asked is None or asked.answer or not asked.answers)
-        return asked is not None and asked.answer is not None and asked.answer.success
+        goal = future.result() if self.play(TIMEOUT, future.done) else None
+        self.play(TIMEOUT, lambda: goal is None or goal.ended)
+        return goal is not None and goal.answer is not None and goal.answer.success
 
     def begin(self, phase: str) -> None:
         """Bring the arm into a phase, to the moment at which false states begin."""

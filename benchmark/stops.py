@@ -30,18 +30,16 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
-from trajectory_msgs.msg import JointTrajectory
 
 from benchmark.kill import learning, lines
 from benchmark.nodes import environment
 from benchmark.terminal import options
+from wam_power_interfaces.action import ExecutePolicy, MoveToStart, Replay
 from wam_power_ros.cli.processes import Processes
 from wam_power_ros.client.link import Link
 from wam_power_ros.params import overlay
 from wam_power_ros.practice import session
-from wam_power_ros.ros import interface, requests
-from wam_power_ros.ros.answers import Code
+from wam_power_ros.ros import interface
 from wam_power_ros.ros.diagnostics import LEARNER_STATE
 from wam_power_ros.ros.domain import private_domain
 from wam_power_ros.view.live import View
@@ -106,26 +104,20 @@ class Person:
         self.link, self.state = link, ""
         self.begun: list[str] = []
         self.view, self._keys = view, keys
-        self._asked: dict[str, str] = {}
         self._take, self._q = link.newest(JointState, state), np.zeros(0)
         listen = link.listen
-        listen(String, interface.CONTROLLER_REQUEST, self._on_request, interface.REQUESTS)
-        listen(JointTrajectory, interface.REPLAY, self._on_replay, interface.REQUESTS)
-        listen(String, interface.CONTROLLER_ANSWER, self._on_answer, interface.ANSWERS)
+        for do, kind, name in (
+            ("move_to_start", MoveToStart, interface.MOVE_TO_START),
+            ("execute", ExecutePolicy, interface.EXECUTE_POLICY),
+            ("replay", Replay, interface.REPLAY_MOVEMENT),
+        ):
+            feedback, begun = kind.Impl.FeedbackMessage, partial(self._on_begin, do)
+            listen(feedback, f"{name}/_action/feedback", begun, interface.STATE_OUT)
         qos = interface.DIAGNOSTICS_QOS
         listen(DiagnosticArray, interface.DIAGNOSTICS, self._on_report, qos)
 
-    def _on_request(self, message: String) -> None:
-        asked = requests.request(message.data)
-        self._asked[asked.id] = asked.do
-
-    def _on_replay(self, message: JointTrajectory) -> None:
-        self._asked[message.header.frame_id.partition(" ")[0]] = "replay"
-
-    def _on_answer(self, message: String) -> None:
-        id, answer = requests.read_answer(message)
-        if answer.code is Code.BEGUN:
-            self.begun.append(self._asked.get(id, ""))
+    def _on_begin(self, do: str, _: object) -> None:
+        self.begun.append(do)
 
     def _on_report(self, message: DiagnosticArray) -> None:
         values = {each.key: each.value for status in message.status for each in status.values}
@@ -176,7 +168,7 @@ class Person:
         """Make the arm ready again, and continue."""
         if means == "deactivation":
             self.link.call(CHANGE, Transition(id=Transition.TRANSITION_ACTIVATE))
-        self.link.insist(interface.LEARNER_PAUSE, False)
+        self.link.insist(interface.LEARNER_PAUSE, Pause.Request(pause=False))
         self.state = ""  # the last report is out of date
         self.link.sleep(REPORT)
         self.state = ""
@@ -207,7 +199,8 @@ def person(setup: overlay.Setup, check: Callable[[], None]) -> Iterator[Person]:
         with Link(rclpy.create_node("person")) as link:
             view = View(setup["torque_controller"], setup["pancake_tracker"]["body"])
             link.prepare(interface.STOP)
-            link.prepare(interface.GRAVITY_COMPENSATION, interface.LEARNER_PAUSE, data=True)
+            link.prepare(interface.GRAVITY_COMPENSATION, data=True)
+            link.prepare(interface.LEARNER_PAUSE, data=Pause.Request())
             link.prepare(CHANGE, data=Transition())
             with view.link:
                 yield Person(link, view, keys, state, check)

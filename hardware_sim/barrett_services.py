@@ -12,8 +12,8 @@ from hardware_sim.wam import FOLDED, HOME_SPEED, POSITION_KD, POSITION_KP, POSIT
 from hardware_sim.world import World
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.deferred_service import DeferredTrigger
+from wam_power_ros.ros.outcomes import Answer, Code, fill
 
 STIFFNESS, DAMPING = 400.0, 40.0  # [1/s^2], [1/s] of position control of another arm than the WAM
 
@@ -85,9 +85,9 @@ class BarrettServices:
         if not self._home.pending:
             return
         if self.control.arrived:
-            self._home.finish(True, str(Answer(Code.DONE, "at home")))
+            self._home.finish(True, "at home")
         elif not self.control.engaged:
-            self._home.finish(False, str(Answer(Code.STOPPED, "interrupted")))
+            self._home.finish(False, "interrupted")
 
     def torque(self, tau: np.ndarray | None) -> np.ndarray | None:
         """Torques (n,) [N m] that take effect where `tau` is commanded; None for no command."""
@@ -103,30 +103,25 @@ class BarrettServices:
         self.control.disengage()
         self.deactivated = False
         self._world.idle = not request.data
-        return _done(response)
+        return fill(response, Answer(Code.DONE))
 
     def _on_hold(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         q = self._world.joint_state().q
         self._world.idle = False
         self.control.move(q, q) if request.data else self.control.disengage()
-        return _done(response)
+        return fill(response, Answer(Code.DONE))
 
     def _on_idle(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self.control.disengage()
         self._world.idle = True
-        return _done(response)
+        return fill(response, Answer(Code.DONE))
 
     def _begin_home(self) -> str | None:
         if self._world.frozen:
             if not self._params.lockstep:
-                return str(Answer(Code.BUSY, "the scene is being reset"))
+                return "the scene is being reset"
             self._world.release()  # between rollouts
         self._world.idle = False
         home = FOLDED if self._params.drives == "wam" else self._world.home
         self.control.move(self._world.joint_state().q, home)
         return None
-
-
-def _done(response: SetBool.Response | Trigger.Response) -> SetBool.Response | Trigger.Response:
-    response.success, response.message = True, str(Answer(Code.DONE))
-    return response

@@ -12,18 +12,19 @@ from itertools import repeat
 
 import numpy as np
 from rclpy.node import Node
-from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from hardware_sim.barrett_services import PositionControl
 from hardware_sim.demonstrator import Demonstrator
 from hardware_sim.settings import ArmSimParams
 from hardware_sim.world import World
+from wam_power_interfaces.action import Demonstrate, ResetScene
+from wam_power_interfaces.msg import GroundTruth
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.answers import Answer, Code
-from wam_power_ros.ros.pose_messages import GroundTruth, ground_truth_message
-from wam_power_ros.ros.requests import Request, Server
+from wam_power_ros.ros.action_server import Action
+from wam_power_ros.ros.outcomes import Answer, Code, fill
+from wam_power_ros.ros.pose_messages import TruthReading, ground_truth_message
 
 ROLLOUT = "rollout "  # begins the label of a rollout, before its id
 WAIT_TIME = 0.1  # [s] from a reset to its answer, and from a request to a refusal
@@ -32,10 +33,7 @@ Steps = Iterator[Answer | None]  # what a request does, a step a tick: None unti
 
 
 class SceneServices:
-    """Requests to a simulated world.
-
-    "reset" puts the scene back: for the rollout of a policy whose text is given, or else, under
-    gravity compensation, for the next demonstration, which "demonstrate" guides.
+    """Actions of a simulated world, see `ResetScene` and `Demonstrate`.
 
     Attributes:
         label: Activity of the controller, the label of its torques; "" before the first.
@@ -49,15 +47,17 @@ class SceneServices:
         self._lockstep = params.lockstep
         self._demonstrations = 0  # completed
         self._wait_ticks = world.settings.ticks(WAIT_TIME)
-        self._under_way: dict[str, Steps] = {}  # by request
+        self._under_way: dict[str, Steps] = {}  # by the id of the goal
         self._resetting = False  # in slices
         self._prepared = ""  # id of the rollout that the world was reset for
         body = world.scene.body
         self._truths = node.create_publisher(
-            String, interface.body_topic(body, "truth"), interface.LATCHED
+            GroundTruth, interface.body_topic(body, "truth"), interface.LATCHED
         )
-        begin = {"reset": self._begin_reset, "demonstrate": self._begin_demonstration}
-        self._server = Server(node, interface.SCENE_REQUEST, interface.SCENE_ANSWER, begin)
+        self._reset_action = Action(node, ResetScene, interface.RESET_SCENE, self._begin_reset)
+        self._demonstration = Action(
+            node, Demonstrate, interface.DEMONSTRATE, self._begin_demonstration
+        )
         if body:
             node.create_service(Trigger, interface.body_topic(body, "drop"), self._on_drop)
 
@@ -83,18 +83,18 @@ class SceneServices:
                 world.release(rollout_id)
             self._prepared = ""
         if previous.startswith(ROLLOUT):
-            truth = world.truth() | {"id": previous.removeprefix(ROLLOUT)}
-            self._truths.publish(ground_truth_message(GroundTruth(stamp_ns, truth)))
+            truth = TruthReading(previous.removeprefix(ROLLOUT), stamp_ns, world.truth())
+            self._truths.publish(ground_truth_message(truth))
 
     def update(self) -> None:
-        """Advance the requests under way; called every tick."""
-        for do, steps in [*self._under_way.items()]:
-            done = Answer(Code.DONE, values={"rollout": self._world.rollout_id})
-            if (answer := next(steps, done)) is not None:
-                del self._under_way[do]
-                self._server.finish(do, answer)
+        """Advance the goals under way; called every tick."""
+        for id, steps in [*self._under_way.items()]:
+            if (answer := next(steps, Answer(Code.DONE))) is not None:
+                del self._under_way[id]
+                for action in (self._reset_action, self._demonstration):
+                    action.finish(id, answer)
 
-    def _begin_reset(self, asked: Request) -> Answer | None:
+    def _begin_reset(self, id: str, goal: ResetScene.Goal) -> Answer | None:
         """Reset the scene; in lockstep the world then stays frozen until the next activity.
 
         Without a policy it waits for gravity compensation, and the arm is put to the start of the
@@ -104,12 +104,14 @@ class SceneServices:
             ValueError: The policy is not valid, or of another arm.
         """
         world = self._world
-        if "policy" not in asked.about:
+        if len(self._reset_action.under_way) > 1:
+            return Answer(Code.BUSY, "the scene is being reset")
+        if not goal.policy.text:
             if world.pulled:
                 return Answer(Code.BUSY, "a demonstration is under way")
-            self._under_way["reset"] = self._reset_for_demonstration()
+            self._under_way[id] = self._reset_for_demonstration()
             return None
-        policy = policies.from_json(asked.about["policy"])
+        policy = policies.from_json(goal.policy.text)
         if len(policy.q_start) != world.n:
             raise ValueError(f"{policy.id} is for {len(policy.q_start)} joints, not {world.n}")
         if world.pulled or self.label not in ("", "inactive", "hold", "move_to_start"):
@@ -118,13 +120,13 @@ class SceneServices:
         if far > START_TOLERANCE:
             text = f"the arm is {far:.3f} rad from the start of {policy.id}"
             return Answer(Code.NOT_AT_START, text)
-        self._under_way["reset"] = self._reset(policy.id, policy.q_start)
+        self._under_way[id] = self._reset(policy.id, policy.q_start)
         return None
 
-    def _begin_demonstration(self, _: Request) -> Answer | None:
-        if self._world.pulled:
+    def _begin_demonstration(self, id: str, _: Demonstrate.Goal) -> Answer | None:
+        if self._world.pulled or len(self._demonstration.under_way) > 1:
             return Answer(Code.BUSY, "a demonstration is under way")
-        self._under_way["demonstrate"] = self._demonstrate()
+        self._under_way[id] = self._demonstrate()
         return None
 
     def _reset(self, rollout_id: str, q: np.ndarray) -> Steps:
@@ -197,5 +199,4 @@ class SceneServices:
             answer = Answer(Code.REFUSED, "only in real time, and not during a demonstration")
         else:
             self._world.drop()
-        response.success, response.message = answer.success, str(answer)
-        return response
+        return fill(response, answer)

@@ -12,23 +12,25 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 
 from wam_power_interfaces.action import ExecutePolicy
-from wam_power_interfaces.msg import Outcome
+from wam_power_interfaces.msg import Outcome, RolloutEnd
 
 
 def execute(goal: ServerGoalHandle) -> ExecutePolicy.Result:
     """Publish feedback until the goal is cancelled."""
     wanted = goal.request
-    if wanted.id == "refused":
+    if wanted.policy.id == "refused":
         goal.abort()
-        return ExecutePolicy.Result(outcome=Outcome.REFUSED, reason=f"no policy {wanted.policy}")
-    for step in range(10_000):
+        why = Outcome(code=Outcome.REFUSED, text=f"no policy {wanted.policy.text}")
+        return ExecutePolicy.Result(outcome=why)
+    for _ in range(10_000):
         if goal.is_cancel_requested:
             goal.canceled()
-            return ExecutePolicy.Result(outcome=Outcome.STOPPED, policy_id=wanted.id)
-        goal.publish_feedback(ExecutePolicy.Feedback(stage="executing", progress=step * 1e-4))
+            end = RolloutEnd(policy_id=wanted.policy.id)
+            return ExecutePolicy.Result(outcome=Outcome(code=Outcome.STOPPED), end=end)
+        goal.publish_feedback(ExecutePolicy.Feedback(stage="moving"))
         time.sleep(0.01)
     goal.succeed()
-    return ExecutePolicy.Result(outcome=Outcome.DONE)
+    return ExecutePolicy.Result()
 
 
 def main() -> None:

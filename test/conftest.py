@@ -18,23 +18,33 @@ import forked
 import numpy as np
 import pytest
 import rclpy
+from action_msgs.msg import GoalStatus
+from control_msgs.action import FollowJointTrajectory
 from hypothesis import settings
+from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.task import Future
-from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
+from wam_power_interfaces.action import (
+    Demonstrate,
+    ExecutePolicy,
+    MoveToStart,
+    Replay,
+    ResetScene,
+)
+from wam_power_interfaces.msg import Policy as PolicyMessage
 from wam_power_ros import rotations
 from wam_power_ros.client.link import DISCOVERY
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.policy import Basis, Policy, to_json
 from wam_power_ros.ros import interface, network
-from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.domain import private_domain, shared
-from wam_power_ros.ros.requests import Request, read_answer
+from wam_power_ros.ros.outcomes import Answer, read
+from wam_power_ros.ros.stamps import goal_id
 
 network.confine(os.environ)  # this process, too
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # started in the background by a shell
@@ -91,6 +101,50 @@ def domain_id() -> Iterator[int]:
         yield domain
 
 
+ACTIONS = {
+    "move_to_start": (MoveToStart, interface.MOVE_TO_START),
+    "execute": (ExecutePolicy, interface.EXECUTE_POLICY),
+    "replay": (Replay, interface.REPLAY_MOVEMENT),
+    "follow": (FollowJointTrajectory, interface.FOLLOW_TRAJECTORY),
+    "reset": (ResetScene, interface.RESET_SCENE),
+    "demonstrate": (Demonstrate, interface.DEMONSTRATE),
+}
+
+
+class Sent:
+    """A goal of the test.
+
+    Attributes:
+        stages: Stages that it has reported: one once the arm moves.
+        status: Status at its end, as of `GoalStatus`; 0 before.
+        result: Its result, None before its end.
+    """
+
+    def __init__(self) -> None:
+        self.stages: list[str] = []
+        self.status = GoalStatus.STATUS_UNKNOWN
+        self.result: Any = None
+        self.handle: Any = None  # of the client, None before it is accepted
+
+    def accepted(self, sent: Future) -> None:
+        """Ask for the result."""
+        self.handle = sent.result()
+        self.handle.get_result_async().add_done_callback(self._ended)
+
+    def _ended(self, asked: Future) -> None:
+        self.status, self.result = asked.result().status, asked.result().result
+
+    @property
+    def answer(self) -> Answer | None:
+        """Its outcome, None before its end."""
+        return None if self.result is None else read(self.result.outcome)
+
+    @property
+    def begun(self) -> bool:
+        """Whether its movement has begun or it has ended."""
+        return bool(self.stages) or self.result is not None
+
+
 class Probe:
     """A node of the test: publishes, listens and calls services, each wait with a deadline."""
 
@@ -102,8 +156,7 @@ class Probe:
         self._executor.add_node(self.node)
         self._clients: dict[str, Any] = {}
         self._others: list[Node] = []
-        self._requests: dict[str, Publisher] = {}
-        self._answers: dict[str, dict[str, list[Answer]]] = {}
+        self._actions: dict[str, ActionClient] = {}
 
     def listen(self, message_type: type, topic: str, qos: QoSProfile) -> list[Any]:
         """Subscribe; the list grows by every message that comes in."""
@@ -157,54 +210,53 @@ class Probe:
         return future.result()
 
     def ask(
-        self, do: str, policy: Policy | str | None = None, to: str = "CONTROLLER", **about: str
-    ) -> list[Answer]:
-        """Send a request to a node; the list grows by every answer to it."""
+        self, do: str, policy: Policy | str | None = None, id: str = "", **goal: object
+    ) -> Sent:
+        """Send a goal of an action of `ACTIONS`, about a policy, or a text instead, of an id."""
+        kind, name = ACTIONS[do]
+        if do not in self._actions:
+            self._actions[do] = ActionClient(self.node, kind, name)
+            self.until(self._actions[do].server_is_ready, f"action {name}")
+            self.spin(DISCOVERY)
         if policy is not None:
-            about["policy"] = policy if isinstance(policy, str) else to_json(policy)
-        request = Request(do, about)
-        return self.send(String, f"{to}_REQUEST", request.message(), request.id, to)
+            text = policy if isinstance(policy, str) else to_json(policy)
+            goal["policy"] = PolicyMessage(id=id, text=text)
+        sent = Sent()
+        self._actions[do].send_goal_async(
+            kind.Goal(**goal),
+            lambda message: sent.stages.append(message.feedback.stage),
+            goal_id(),
+        ).add_done_callback(sent.accepted)
+        return sent
 
-    def insist(
-        self, do: str, policy: Policy | None = None, to: str = "CONTROLLER", deadline: float = 60.0
+    def answer(
+        self, sent: Sent, meanwhile: Callable[[], object] = lambda: None, deadline: float = 60.0
     ) -> Answer:
-        """Send a request until it succeeds, such as to a controller that becomes active."""
+        """The outcome of a goal, once it has ended; `meanwhile` is called again and again."""
+        self.until(lambda: meanwhile() or sent.result, "the end of a goal", deadline)
+        return sent.answer
+
+    def cancel(self, sent: Sent) -> bool:
+        """Cancel a goal; returns whether it will end."""
+        self.until(lambda: sent.handle, "an accepted goal")
+        future = sent.handle.cancel_goal_async()
+        self.until(future.done, "the answer to a cancel")
+        return bool(future.result().goals_canceling)
+
+    def insist(self, do: str, policy: Policy | None = None, deadline: float = 60.0) -> Answer:
+        """Send a goal until it succeeds, such as to a controller that becomes active."""
         end = time.monotonic() + deadline
         while True:
-            answers = self.ask(do, policy, to)
-            ended = lambda: answers and answers[-1].code is not Code.BEGUN  # noqa: B023, E731
-            self.until(ended, f"the end of {do}", deadline)
-            if answers[-1].success:
-                return answers[-1]
+            answer = self.answer(self.ask(do, policy), deadline=deadline)
+            if answer.success:
+                return answer
             if time.monotonic() > end:
-                pytest.fail(f"{do} was refused to the end: {answers[-1]}")
+                pytest.fail(f"{do} was refused to the end: {answer}")
             self.spin(0.1)
 
-    def replay(self, movement: JointTrajectory) -> list[Answer]:
-        """Send a movement to replay; the list grows by every answer to it."""
-        movement.header.frame_id = Request("replay").id
-        return self.send(JointTrajectory, "REPLAY", movement, movement.header.frame_id)
-
-    def send(
-        self, kind: type, topic: str, message: object, id: str, to: str = "CONTROLLER"
-    ) -> list[Answer]:
-        """Send a request of an id on a topic; the list grows by every answer to it."""
-        answered_on = getattr(interface, f"{to}_ANSWER")
-        if answered_on not in self._answers:
-            self._answers[answered_on] = {}
-            self.node.create_subscription(
-                String, answered_on, functools.partial(self._on_answer, to), interface.ANSWERS
-            )
-        if topic not in self._requests:
-            name = getattr(interface, topic)
-            self._requests[topic] = self.publisher(kind, name, interface.REQUESTS)
-        answers = self._answers[answered_on].setdefault(id, [])
-        self._requests[topic].publish(message)
-        return answers
-
-    def _on_answer(self, to: str, message: String) -> None:
-        id, answer = read_answer(message)
-        self._answers[getattr(interface, f"{to}_ANSWER")].setdefault(id, []).append(answer)
+    def replay(self, movement: JointTrajectory) -> Sent:
+        """Send a movement to replay."""
+        return self.ask("replay", movement=movement)
 
     def close(self) -> None:
         """Leave the domain."""

@@ -12,7 +12,7 @@ RIGHTS: dict[str, Rights] = {}
 for profile in ElementTree.parse(ROOT / "security/policy.xml").iter("profile"):
     rights: Rights = {
         (kind, right): {each.text or "" for each in group}
-        for kind in ("topic", "service")
+        for kind in ("topic", "service", "action")
         for group in profile.iter(f"{kind}s")
         for right in group.attrib
     }

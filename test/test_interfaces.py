@@ -20,7 +20,7 @@ from control_msgs.action import FollowJointTrajectory
 from rclpy.action import ActionClient
 
 from wam_power_interfaces.action import ExecutePolicy
-from wam_power_interfaces.msg import Outcome
+from wam_power_interfaces.msg import Outcome, Policy
 
 FOLDER = ROOT / "wam_power_interfaces"
 KINDS = ("action", "msg", "srv")
@@ -73,7 +73,7 @@ def test_every_field_says_what_it_is() -> None:
         f"{path.stem}: {line}"
         for path in DEFINITIONS
         for line in path.read_text().splitlines()
-        if re.match(r"[a-z]\S+ \w+\s*$", line) and not line.startswith("Rating rating")
+        if re.match(r"[a-z]\S+ \w+\s*$", line)
     ]
     assert silent == []
 
@@ -101,16 +101,17 @@ def test_an_action_crosses_processes_with_feedback_cancellation_and_result(
     probe.until(client.server_is_ready, "the server")
     probe.spin(0.3)
     text = json.dumps({"schema": 1, "id": "trial-0001", "comment": "ünïcode"})
-    response, feedback = finished(probe, client, ExecutePolicy.Goal(policy=text, id="trial-0001"))
+    policy = Policy(id="trial-0001", text=text)
+    response, feedback = finished(probe, client, ExecutePolicy.Goal(policy=policy))
     assert response.status == GoalStatus.STATUS_CANCELED
-    assert (response.result.outcome, response.result.policy_id) == (Outcome.STOPPED, "trial-0001")
-    assert feedback[0].stage == "executing" and 0.0 <= feedback[0].progress < 1.0
-    response, _ = finished(probe, client, ExecutePolicy.Goal(policy=text, id="refused"))
+    assert response.result.outcome.code == Outcome.STOPPED
+    assert response.result.end.policy_id == "trial-0001"
+    assert feedback[0].stage == "moving"
+    policy.id = "refused"
+    response, _ = finished(probe, client, ExecutePolicy.Goal(policy=policy))
     assert response.status == GoalStatus.STATUS_ABORTED
-    assert (response.result.outcome, response.result.reason) == (
-        Outcome.REFUSED,
-        f"no policy {text}",
-    )
+    outcome = response.result.outcome
+    assert (outcome.code, outcome.text) == (Outcome.REFUSED, f"no policy {text}")
     client.destroy()
 
 
@@ -125,7 +126,7 @@ def test_a_trajectory_of_control_msgs_is_a_goal() -> None:
 def test_ros2_shows_the_definitions_with_their_comments() -> None:
     command = ["ros2", "interface", "show", "wam_power_interfaces/action/ExecutePolicy"]
     shown = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    assert "string policy" in shown and "float64 progress" in shown
+    assert "Policy policy" in shown and "string stage" in shown
 
 
 @pytest.mark.skipif("ROS_DISTRO" in os.environ, reason="colcon builds the interfaces")

@@ -9,9 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import ROOT, lift
+from diagnostic_msgs.msg import KeyValue
 from hypothesis import given
 from hypothesis import strategies as st
 
+from wam_power_interfaces.msg import GroundTruth
 from wam_power_ros import arm_identity, plain_json
 from wam_power_ros.bags import layout, quality, reader, series
 from wam_power_ros.bags.bag import Bag
@@ -22,7 +24,7 @@ from wam_power_ros.learning import demonstration
 from wam_power_ros.learning.policy import from_json
 from wam_power_ros.practice import session
 from wam_power_ros.practice.settings import preset
-from wam_power_ros.ros import pose_messages, requests
+from wam_power_ros.ros import pose_messages
 
 DEEP = "[" * 100_000 + "]" * 100_000
 DATA = st.recursive(
@@ -115,10 +117,8 @@ def test_a_hostile_text_of_a_bag_a_series_or_a_message_is_refused_by_name(tmp_pa
     (tmp_path / series.FILE).write_text(DEEP)
     with pytest.raises(ValueError, match=r"demonstrations\.json is nested deeper"):
         series.read(tmp_path / series.FILE)
-    with pytest.raises(ValueError, match="a request is nested deeper"):
-        requests.request(DEEP)
-    with pytest.raises(ValueError, match="the ground truth of a rollout is nested deeper"):
-        pose_messages.ground_truth(pose_messages.String(data=DEEP))
+    with pytest.raises(ValueError, match="a value of the ground truth is nested deeper"):
+        pose_messages.ground_truth(GroundTruth(values=[KeyValue(key="caught", value=DEEP)]))
     with pytest.raises(ValueError, match="policy text is nested deeper"):
         from_json(DEEP)
     with pytest.raises(ValueError, match="identity of an arm is nested deeper"):

@@ -15,8 +15,8 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 from test_docs import blocks
-from trajectory_msgs.msg import JointTrajectory
 
+from wam_power_interfaces.action import Replay
 from wam_power_ros import robot
 from wam_power_ros.client.link import Link
 from wam_power_ros.client.robot import REST_TIMES, Robot, Stopped
@@ -25,8 +25,8 @@ from wam_power_ros.control.arm import Arm
 from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.answers import Answer, Code, ServiceError
-from wam_power_ros.ros.requests import Answers
+from wam_power_ros.ros.action_server import Action
+from wam_power_ros.ros.outcomes import Answer, Code, ServiceError
 from wam_power_ros.view.live import View
 
 
@@ -81,25 +81,20 @@ def asked(probe: Probe) -> Iterator[tuple[Robot, list[str], list[Answer]]]:
     said: list[str] = []
     answers: list[Answer] = []
     node = rclpy.create_node("controller", context=probe.context)
-    give = Answers(node, interface.CONTROLLER_ANSWER).give
-    begun: list[str] = []
 
     def stop(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         said.append("stop")
-        for id in begun:
-            give(id, Answer(Code.STOPPED, "stopped"))
-        begun.clear()
-        response.success, response.message = True, str(Answer(Code.DONE))
+        for id in [*replays.under_way]:
+            replays.finish(id, Answer(Code.STOPPED, "stopped", "17", 0.0))
+        response.success = True
         return response
 
-    def replay(message: JointTrajectory) -> None:
+    def replay(id: str, goal: Replay.Goal) -> Answer | None:
         said.append("replay")
-        id = message.header.frame_id
-        give(id, answers.pop(0) if answers else Answer(Code.BEGUN))
-        begun.append(id)
+        return answers.pop(0) if answers else None
 
+    replays = Action(node, Replay, interface.REPLAY_MOVEMENT, replay)
     node.create_service(Trigger, interface.STOP, stop)
-    node.create_subscription(JointTrajectory, interface.REPLAY, replay, interface.REQUESTS)
     client = rclpy.create_node("client", context=probe.context)
     with Link(node), Link(client) as link:
         yield Robot(link, joint_names=["a"]), said, answers
@@ -115,7 +110,7 @@ def test_an_interrupt_stops_the_arm_and_keeps_the_answer_of_the_controller(
     until = robot.link.until
 
     def interrupted(condition: Callable[[], object], what: str = "", timeout: float = 60.0) -> bool:
-        if what == "the end of the movement" and "replay" in said and said[-1] == "replay":
+        if what == f"the end of /{interface.REPLAY_MOVEMENT}" and said[-1] == "replay":
             raise KeyboardInterrupt
         return until(condition, what, timeout)
 
@@ -123,7 +118,7 @@ def test_an_interrupt_stops_the_arm_and_keeps_the_answer_of_the_controller(
     with pytest.raises(Stopped) as raised:
         robot.follow(*MOVEMENT)
     assert isinstance(raised.value, KeyboardInterrupt)
-    assert raised.value.answer == Answer(Code.STOPPED, "stopped")
+    assert raised.value.answer == Answer(Code.STOPPED, "stopped", "17", 0.0)
     assert said == ["stop", "replay", "stop"]
 
 
@@ -133,10 +128,11 @@ def test_the_answer_to_a_replay_is_its_text_or_an_error_that_has_it(
     robot, said, answers = asked
     answers.append(Answer(Code.DONE, "rms error"))
     assert robot.follow(*MOVEMENT) == "rms error"
-    answers.append(Answer(Code.REFUSED, "never"))
+    refused = Answer(Code.REFUSED, "never", speed=0.0)
+    answers.append(refused)
     with pytest.raises(ServiceError, match="never") as raised:
         robot.follow(*MOVEMENT)
-    assert raised.value.answer == Answer(Code.REFUSED, "never")
+    assert raised.value.answer == refused
     assert said == ["stop", "replay"] * 2
 
 

@@ -9,7 +9,9 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from conftest import ROOT
 from rclpy.serialization import deserialize_message, serialize_message
+from rosbags.typesys import get_types_from_msg
 from rosbags.typesys.base import normalize_fieldname
 from rosidl_parser.definition import (
     AbstractSequence,
@@ -40,6 +42,7 @@ OURS = {
     "trajectory_msgs/msg/JointTrajectory",
     "trajectory_msgs/msg/JointTrajectoryPoint",
     "visualization_msgs/msg/MarkerArray",
+    *(f"wam_power_interfaces/msg/{name}" for name in layout.OWN),
 }
 
 
@@ -162,6 +165,16 @@ def test_what_ros_writes_is_read_and_what_is_written_is_read_by_ros(msgtype: str
 def test_every_type_of_this_package_is_among_those_that_were_tried() -> None:
     assert OURS < set(INSTALLED)
     assert len(INSTALLED) > 100
+
+
+@pytest.mark.parametrize("name", layout.OWN)
+def test_messages_of_our_own_are_defined_in_bags_as_in_their_package(name: str) -> None:
+    text = (ROOT / "wam_power_interfaces/msg" / f"{name}.msg").read_text()
+    msgtype = f"wam_power_interfaces/msg/{name}"
+    defined = get_types_from_msg(layout.OWN[name], msgtype)
+    assert defined == get_types_from_msg(text, msgtype)
+    installed = class_of(msgtype).get_fields_and_field_types()
+    assert [field for field, _ in defined[msgtype][1]] == list(installed)
 
 
 @pytest.mark.parametrize("velocity", [[], [0.5, 0.25]])

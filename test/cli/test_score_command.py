@@ -7,11 +7,12 @@ import math
 from pathlib import Path
 
 import pytest
-from bag_samples import LATCHED, string
+from bag_samples import LATCHED
 from rclpy.serialization import serialize_message
 from test_session_report import a_rollout
 from toss_task import ANY_ARM, demonstrated_policy
 
+from wam_power_interfaces.msg import Policy as PolicyMessage
 from wam_power_ros.bags.writer import BagWriter
 from wam_power_ros.cli import main
 from wam_power_ros.faults import Fault, FaultKind
@@ -19,8 +20,8 @@ from wam_power_ros.learning.policy import Policy, to_json
 from wam_power_ros.learning.rollout import EndEffectorPath, Rollout
 from wam_power_ros.practice.session import Session
 from wam_power_ros.practice.settings import preset
+from wam_power_ros.ros.outcomes import Ended
 from wam_power_ros.ros.pose_messages import path_message
-from wam_power_ros.ros.requests import RolloutEnd, answer_message
 
 ROOT = Path(__file__).resolve().parents[2]
 START = 1_700_000_000_000_000_000
@@ -31,8 +32,9 @@ def recorded(
 ) -> Path:
     """Bag of a rollout, with paths of the one before it at its beginning, as latched topics are."""
     writer = BagWriter(path)
-    writer.add("/policy", "std_msgs/msg/String", LATCHED)
-    writer.write("/policy", START, string(to_json(policy)))
+    writer.add("/policy", "wam_power_interfaces/msg/Policy", LATCHED)
+    text = PolicyMessage(id=policy.id, text=to_json(policy))
+    writer.write("/policy", START, serialize_message(text))
     paths = {"/rollout/end_effector": rollout.tool, "/rollout/pancake": rollout.body}
     before = a_rollout("trial-0099", 0.1)
     old = {"/rollout/end_effector": before.tool, "/rollout/pancake": before.body}
@@ -40,11 +42,9 @@ def recorded(
         writer.add(topic, "nav_msgs/msg/Path", LATCHED)
         for stamp, found in ((START, old[topic]), (START + 10**9, paths[topic])):
             writer.write(topic, stamp, serialize_message(path_message(found, stamp, "base")))
-    writer.add("/controller/answer", "std_msgs/msg/String", LATCHED)
-    end = RolloutEnd(executed or policy.id, START + 10**9, fault)
-    writer.write(
-        "/controller/answer", START + 10**9, string(answer_message("7", end.answer()).data)
-    )
+    writer.add("/rollout/end", "wam_power_interfaces/msg/RolloutEnd", LATCHED)
+    end = Ended(executed or policy.id, START + 10**9, fault)
+    writer.write("/rollout/end", START + 10**9, serialize_message(end.message()))
     return writer.close({})
 
 

@@ -9,17 +9,19 @@ from types import SimpleNamespace
 
 import pytest
 
+from wam_power_interfaces.srv import AddDemonstration
 from wam_power_ros.client import feedback as feedbacks
 from wam_power_ros.client import link as links
 from wam_power_ros.client import robot as robots
 from wam_power_ros.client.feedback import Feedback
+from wam_power_ros.client.link import Data
 from wam_power_ros.client.robot import Robot
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.answers import Answer, Code, ServiceError
+from wam_power_ros.ros.outcomes import Answer, Code, ServiceError
 
 PAUSE, FREE = interface.LEARNER_PAUSE, interface.GRAVITY_COMPENSATION
-RECORD, LEARN = interface.RECORD, interface.LEARNER_REQUEST
-RESET, LEAD = ("reset", "demonstrate")
+RECORD, LEARN = interface.RECORD, interface.ADD_DEMONSTRATION
+RESET, LEAD = interface.RESET_SCENE, interface.DEMONSTRATE
 BEFORE, AFTER = [(PAUSE, True), (FREE, True)], [(RECORD, False), (FREE, False)]
 GIVEN = [(LEARN, None), (PAUSE, False)]
 
@@ -37,13 +39,14 @@ class Services:
             get_subscriptions_info_by_topic=lambda _: [recorder],
         )
 
-    def call(
-        self, name: str, data: bool | None = None, timeout: float = 0.0, do: str = ""
-    ) -> Answer:
+    def call(self, name: str, data: Data = None, timeout: float = 0.0) -> Answer:
         """Note the call, and answer."""
-        self.asked.append((name, data))
-        waiting = self.answers.get(do or name.rpartition("/")[2], [])
-        return waiting.pop(0) if waiting else Answer(Code.DONE, "/bags/demo_1", {"trial": "over"})
+        if isinstance(data, AddDemonstration.Request):
+            self.bags.append(data.bag)
+            data = None
+        self.asked.append((name, getattr(data, "pause", data)))
+        waiting = self.answers.get(name.rpartition("/")[2], [])
+        return waiting.pop(0) if waiting else Answer(Code.DONE, "/bags/demo_1")
 
     def until(self, condition: Callable[[], object], what: str) -> bool:
         """Whether the condition holds already."""
@@ -57,25 +60,24 @@ class Services:
         return name
 
 
-class Requests:
-    """Requests to a node whose answers are given."""
+class Action:
+    """Client of an action whose goals are done at once."""
 
-    def __init__(self, services: Services, topic: str, answers: str) -> None:
-        self._services, self._topic = services, topic
+    def __init__(self, services: Services, kind: type, name: str) -> None:
+        self._services, self._name = services, name
 
-    def ask(self, do: str, timeout: float = 0.0, **about: str) -> Answer:
-        """Note the request, and answer."""
-        self._services.bags += about.values()
-        answer = self._services.call(self._topic if about else do, do=do)
-        if not answer.success:
-            raise ServiceError(answer.text, answer)
-        return answer
+    def send(self) -> Action:
+        """Note the goal."""
+        self._services.call(self._name)
+        return self
+
+    def done(self, timeout: float = 0.0) -> None:
+        """Do nothing."""
 
 
 @pytest.fixture(autouse=True)
 def given(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (feedbacks, robots):
-        monkeypatch.setattr(module, "Requests", Requests)
+    monkeypatch.setattr(robots, "Action", Action)
 
 
 def teach(
@@ -93,16 +95,15 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_gravity_compensation_begins_only_after_the_trial_has_ended() -> None:
-    under_way = Answer(Code.DONE, "pauses after the trial under way", {"trial": "under_way"})
+    under_way = Answer(Code.DONE, "pauses after the trial under way", under_way=True)
     services = Services(pause=[under_way] * 3)
     teach(services)
     assert services.asked == [(PAUSE, True)] * 3 + [*BEFORE, (RECORD, True), *AFTER, *GIVEN]
 
 
 @pytest.mark.usefixtures("impatient")
-@pytest.mark.parametrize("said", [{"trial": "under_way"}, {}])  # {}: another version
-def test_gravity_compensation_never_begins_if_the_trial_does_not_end(said: dict[str, str]) -> None:
-    services = Services(pause=[Answer(Code.DONE, "waits", said)] * 10_000)
+def test_gravity_compensation_never_begins_if_the_trial_does_not_end() -> None:
+    services = Services(pause=[Answer(Code.DONE, "waits", under_way=True)] * 10_000)
     with pytest.raises(ServiceError, match="no trial ended in 0 s; the learner is paused"):
         teach(services)
     assert set(services.asked) == {(PAUSE, True)}

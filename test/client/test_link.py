@@ -15,11 +15,12 @@ from rclpy.executors import ExternalShutdownException
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
+from wam_power_interfaces.srv import AddDemonstration, Pause
 from wam_power_ros.client import link as links
 from wam_power_ros.client.link import Link
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.answers import Answer, Code, ServiceError
 from wam_power_ros.ros.deferred_service import DeferredTrigger
+from wam_power_ros.ros.outcomes import Answer, Code, ServiceError, fill
 
 Serve = Callable[[str, Callable[[], Answer | None]], DeferredTrigger]
 
@@ -30,11 +31,15 @@ def serve(probe: Probe) -> Iterator[Serve]:
     node = rclpy.create_node("server", context=probe.context)
 
     def offer(name: str, answer: Callable[[], Answer | None]) -> DeferredTrigger:
-        def begin() -> str | None:
-            given = answer()
-            return None if given is None else str(given)
+        late = DeferredTrigger(node, name, lambda: None)
+        later = late._called
 
-        return DeferredTrigger(node, name, begin)
+        def called(asked: Trigger.Request, response: Trigger.Response) -> Trigger.Response | None:
+            given = answer()
+            return later(asked, response) if given is None else fill(response, given)
+
+        late._service.callback = called
+        return late
 
     with Link(node):
         yield offer
@@ -46,19 +51,41 @@ def link(probe: Probe) -> Iterator[Link]:
         yield link
 
 
-def test_an_answer_comes_with_its_code_and_its_values(link: Link, serve: Serve) -> None:
-    given = Answer(Code.NOT_AT_START, "the arm is 0.2 rad away", {"policy": "trial-3"})
+@pytest.mark.parametrize(
+    ("given", "code"),
+    [
+        (Answer(Code.DONE, "/bags/demo_1"), Code.DONE),
+        (Answer(Code.BUSY, "a rollout is under way"), Code.UNKNOWN),
+    ],
+)
+def test_an_answer_says_whether_it_was_done_and_its_sentence(
+    given: Answer, code: Code, link: Link, serve: Serve
+) -> None:
     serve("/ask", lambda: given)
-    assert link.call("/ask") == given
+    assert link.call("/ask") == Answer(code, given.text)
 
 
 def test_a_request_may_carry_something(link: Link) -> None:
     def flip(request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        response.success, response.message = request.data, str(Answer(Code.DONE, "on"))
+        response.success, response.message = request.data, "on"
+        return response
+
+    def pause(request: Pause.Request, response: Pause.Response) -> Pause.Response:
+        response.success = response.under_way = request.pause
+        return response
+
+    def add(
+        request: AddDemonstration.Request, response: AddDemonstration.Response
+    ) -> AddDemonstration.Response:
+        response.success, response.message = True, request.bag
         return response
 
     link.node.create_service(SetBool, "/switch", flip)
+    link.node.create_service(Pause, "/pause", pause)
+    link.node.create_service(AddDemonstration, "/add", add)
     assert link.call("/switch", True) == Answer(Code.DONE, "on")
+    assert link.call("/pause", Pause.Request(pause=True)) == Answer(Code.DONE, under_way=True)
+    assert link.call("/add", AddDemonstration.Request(bag="b")) == Answer(Code.DONE, "b")
 
 
 def test_requests_of_several_threads_are_answered_each_with_its_own(
@@ -89,7 +116,7 @@ def test_no_answer_in_time_is_none_and_does_not_answer_the_next_request(
     assert not only._pending_requests  # an abandoned request is deleted
     second = link.begin("/late")
     assert link.until(lambda: len(late._headers) == 2, "both requests")
-    late.finish(True, str(Answer(Code.DONE, "now")))
+    late.finish(True, "now")
     assert link.until(second.done, "the second answer", 10.0)
     assert link.answer("/late", second) == Answer(Code.DONE, "now")
 
@@ -153,7 +180,7 @@ def test_a_service_that_never_agrees_is_reported_with_its_answer(
     serve("/ask", lambda: answer)
     with pytest.raises(ServiceError, match=says) as raised:
         link.insist("/ask")
-    assert raised.value.answer == answer
+    assert raised.value.answer == (answer and Answer(Code.UNKNOWN, answer.text))
 
 
 def test_a_long_wait_is_logged_once_with_what_it_is_for(
@@ -227,3 +254,9 @@ def test_a_signal_interrupts_a_wait_at_once(link: Link) -> None:
         link.until(lambda: False, timeout=30.0)
     assert time.monotonic() - begun < 10.0
     waking.join()
+
+
+def test_work_that_is_scheduled_is_done_by_the_thread_of_the_callbacks(link: Link) -> None:
+    done = link.schedule(threading.current_thread)
+    assert link.until(done.done)
+    assert done.result() is link._thread is not threading.current_thread()

@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -18,11 +19,11 @@ from nav_msgs.msg import Odometry, Path
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
-from std_msgs.msg import String
 from std_srvs.srv import Trigger
-from trajectory_msgs.msg import JointTrajectory
 
-from wam_power_ros.client import link, requests, rollouts
+from wam_power_interfaces.action import ExecutePolicy, MoveToStart, Replay, ResetScene
+from wam_power_interfaces.msg import GroundTruth
+from wam_power_ros.client import link, rollouts
 from wam_power_ros.client.link import Link
 from wam_power_ros.client.rollouts import (
     Awaited,
@@ -35,14 +36,16 @@ from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
 from wam_power_ros.ros import interface, pose_messages
-from wam_power_ros.ros.answers import Answer, Code
+from wam_power_ros.ros.action_server import Action
 from wam_power_ros.ros.diagnostics import LAST_STOP, diagnostics_message
-from wam_power_ros.ros.requests import Answers, Request, RolloutEnd, Server
+from wam_power_ros.ros.outcomes import Answer, Code, Ended
 from wam_power_ros.tasks.reset import Move
 
 POLICY = lift("trial-0002")
-MOVE, EXECUTE = "move_to_start", "execute"
+MOVE, EXECUTE, SCENE = "move_to_start", "execute", "reset"
 WHOLE = 0.5  # [s]
+START_NS = 10**9  # stamp of each rollout
+LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
 SETTINGS = RolloutSettings(
     scene_reset=False,
     reset_faults=True,
@@ -53,69 +56,58 @@ SETTINGS = RolloutSettings(
 )
 
 
-class Deaf(Server):
-    """A server that loses the first messages."""
-
-    def __init__(self, cell: Cell, *args: object) -> None:
-        self._cell = cell
-        super().__init__(*args)
-
-    def _called(self, message: String) -> None:
-        if self._cell.deaf:
-            self._cell.deaf -= 1
-        else:
-            super()._called(message)
-
-
 class Cell:
-    """Requests and topics of a controller; every request is kept."""
+    """Actions and topics of a controller; every request is kept."""
 
     def __init__(self, node: Node) -> None:
         self.node, self.requests = node, []
         self.policies: list[str] = []
-        self.known: list[str | None] = []  # last stop that each request knows of
-        self.answers = {MOVE: [], EXECUTE: [], interface.RESET: []}  # first ones; later ones: done
-        self.deaf = 0  # number of messages that are lost
-        take = {MOVE: self.take, EXECUTE: self.take}
-        Deaf(self, node, interface.CONTROLLER_REQUEST, interface.CONTROLLER_ANSWER, take)
+        self.known: list[str] = []  # last stop that each request knows of
+        self.answers = {MOVE: [], EXECUTE: []}  # first ones; later ones: done
+        Action(node, MoveToStart, interface.MOVE_TO_START, partial(self.take, MOVE))
+        execute = partial(self.take, EXECUTE)
+        self._execution = Action(node, ExecutePolicy, interface.EXECUTE_POLICY, execute)
         node.create_service(Trigger, interface.RESET, self._reset)
-        latched = interface.LATCHED
-        self.paths = self.node.create_publisher(Path, interface.ROLLOUT_END_EFFECTOR, latched)
         self._diagnostics = self.node.create_publisher(
             DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
         )
-        self.end, self.late = WHOLE, 0.01  # of the path; time after the end of its rollout [s]
-        self.fault: Fault | None = None
+        self.end = WHOLE  # of the path [s]
+        self.fault: Fault | None = None  # of the rollout
+        self.stop = ""  # by which a person ends the rollout
 
-    def take(self, asked: Request) -> Answer:
-        """Answer a request."""
-        self.requests.append(asked.do)
-        self.policies.append(asked.about["policy"])
-        self.known.append(asked.about.get("stop"))
-        if self.answers[asked.do]:
-            return self.answers[asked.do].pop(0)
-        if asked.do != EXECUTE:
-            return Answer(Code.DONE, values={"policy": POLICY.id})
-        self.publish(self.end)
-        return RolloutEnd(POLICY.id, 10**9, self.fault).answer()
+    def offer_scene(self) -> None:
+        """Offer the reset of a scene."""
+        self.answers[SCENE] = []
+        Action(self.node, ResetScene, interface.RESET_SCENE, partial(self.take, SCENE))
+
+    def take(self, do: str, id: str, goal: ExecutePolicy.Goal) -> Answer | None:
+        """Answer a goal."""
+        self.requests.append(do)
+        self.policies.append(goal.policy.text)
+        self.known.append(getattr(goal, "known_stop", ""))
+        if self.answers[do]:
+            return self.answers[do].pop(0)
+        if do != EXECUTE:
+            return Answer(Code.DONE)
+        return self.run(id)
+
+    def run(self, id: str) -> None:
+        """Say that a rollout has ended, with the path of the tool."""
+        t = np.arange(0.0, self.end, 0.01)
+        path = EndEffectorPath(POLICY.id, t, np.zeros((len(t), 3)), np.tile(LEVEL, (len(t), 1)))
+        end = Ended(POLICY.id, START_NS, self.fault, stop=self.stop)
+        code = Code.STOPPED if self.stop else Code.FAULT if self.fault else Code.DONE
+        self._execution.finish(
+            id,
+            Answer(code, stop=self.stop),
+            end=end.message(),
+            path=pose_messages.path_message(path, START_NS, "wam_base"),
+        )
 
     def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self.requests.append(interface.RESET)
-        response.success, response.message = True, str(Answer(Code.DONE))
+        response.success = True
         return response
-
-    def publish(self, end: float, policy_id: str = POLICY.id, start_ns: int = 10**9) -> None:
-        """Publish a path of the tool, as a controller does."""
-        t = np.arange(0.0, end, 0.01)
-        level = np.tile([0.0, 0.0, 0.0, 1.0], (len(t), 1))
-        path = EndEffectorPath(policy_id, t, np.zeros((len(t), 3)), level)
-        message = pose_messages.path_message(path, start_ns, "wam_base")
-
-        def once() -> None:
-            timer.cancel()
-            self.paths.publish(message)
-
-        timer = self.node.create_timer(self.late, once)
 
     def diagnose(self, mode: str, level: str, text: str, kind: str = "", stop: str = "") -> None:
         """Diagnostics as a controller publishes them."""
@@ -167,39 +159,42 @@ def test_a_rollout_is_executed_from_its_start(client: Rollouts, cell: Cell) -> N
     assert executed.rollout.fault is None and (executed.bag, executed.truth) == ("", None)
 
 
-def test_the_path_of_another_rollout_is_not_taken(client: Rollouts, cell: Cell) -> None:
-    cell.publish(0.2, "trial-0001", start_ns=5 * 10**8)
-    client.until(lambda: client._tool_path, "that path", 20.0)
-    cell.late = 0.3
+def test_the_path_of_the_body_through_another_rollout_is_not_taken(
+    connect: Connect, cell: Cell
+) -> None:
+    client, ball = connect("ball"), Ball(cell, states=-1, start_ns=START_NS // 2)
+    client.until(lambda: client._body_path(), "that path", 20.0)
+    late = cell.node.create_timer(1.0, lambda: (late.cancel(), ball.path(START_NS, 0.3)))
     executed = client.execute(POLICY, WHOLE, lambda state: "")
-    assert executed.rollout.tool.t[-1] > 0.4
+    assert executed.rollout.body.t[-1] == pytest.approx(0.29)
 
 
 def test_the_ground_truth_of_an_earlier_rollout_of_the_same_trial_is_not_taken_however_late(
     client: Rollouts, cell: Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     topic = interface.body_topic("", "truth")
-    truths = cell.node.create_publisher(String, topic, interface.LATCHED)
+    truths = cell.node.create_publisher(GroundTruth, topic, interface.LATCHED)
     before, now = (
-        pose_messages.GroundTruth(end_ns, {"id": POLICY.id, "caught": caught})
+        pose_messages.TruthReading(POLICY.id, end_ns, {"caught": caught})
         for end_ns, caught in ((9 * 10**8, False), (15 * 10**8, True))
     )
-    rollout = cell.publish
+    rollout = cell.run
 
-    def publish(end: float) -> None:
-        rollout(end)  # at 1 s
+    def run(id: str) -> None:
+        rollout(id)  # at 1 s
         truths.publish(pose_messages.ground_truth_message(before))
         timer = cell.node.create_timer(0.3, lambda: (timer.cancel(), truths.publish(after)))
 
     after = pose_messages.ground_truth_message(now)
-    monkeypatch.setattr(cell, "publish", publish)
+    monkeypatch.setattr(cell, "run", run)
     assert client.execute(POLICY, WHOLE, lambda state: "").truth == now.values
 
 
 def test_a_ground_truth_that_is_lost_with_a_simulation_ends_no_session(
     connect: Connect, cell: Cell, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    cell.node.create_publisher(String, interface.body_topic("", "truth"), interface.LATCHED)
+    topic = interface.body_topic("", "truth")
+    cell.node.create_publisher(GroundTruth, topic, interface.LATCHED)
     executed = connect(rollout_timeout=0.5).execute(POLICY, WHOLE, lambda state: "")
     assert executed.truth is None and executed.rollout.tool.id == POLICY.id
     assert "trial-0002 has no ground truth" in capfd.readouterr().err
@@ -255,7 +250,7 @@ def test_a_controller_that_is_not_active_is_waited_for_without_asking_it_again_a
     client = connect(settings=params)
     inactive = Answer(Code.NOT_ACTIVE, "refused: the controller is not active")
     begun = [MOVE, EXECUTE] if service == EXECUTE else []  # deactivated in between
-    done = Answer(Code.DONE, values={"policy": POLICY.id})
+    done = Answer(Code.DONE)
     cell.answers |= {
         MOVE: [done, inactive] if begun else [inactive],
         EXECUTE: [inactive][: len(begun)],
@@ -279,7 +274,7 @@ def test_the_enabling_switch_is_waited_for(connect: Connect, cell: Cell) -> None
     assert client.awaited() is None
 
 
-STOPPED = Answer(Code.STOPPED, "stopped by a person", {"stop": "17"})
+STOPPED = Answer(Code.STOPPED, "stopped by a person", "17")
 
 
 @pytest.mark.requirement("S-128")
@@ -288,14 +283,17 @@ def test_what_a_person_ends_is_not_tried_again_and_says_whether_the_policy_ran(
     client: Rollouts, cell: Cell, do: str, ran: bool
 ) -> None:
     client.go_on()
-    end = RolloutEnd(POLICY.id, 10**9, None, stop="17").answer()
-    cell.answers[do] = [end if ran else STOPPED]
+    if ran:
+        cell.stop = "17"
+    else:
+        cell.answers[do] = [STOPPED]
     with pytest.raises(EndedByPersonError) as ended:
         client.execute(POLICY, WHOLE, lambda state: "")
     assert ended.value.ran == ran and client.awaited() is None
     asked = [MOVE, EXECUTE][: 1 + (do == EXECUTE)]
-    assert (cell.requests, cell.known) == (asked, [""] * len(asked))
+    assert (cell.requests, cell.known) == (asked, ["none"] * len(asked))
     client.go_on()
+    cell.stop = ""
     client.execute(POLICY, WHOLE, lambda state: "")
     assert cell.known[len(asked) :] == ["17", "17"]
 
@@ -331,13 +329,9 @@ def test_a_body_thrown_off_is_put_back_again_by_the_simulation_or_without_limit_
 ) -> None:
     monkeypatch.setattr(rollouts, "READY_TIMEOUT", 0.5)
     monkeypatch.setattr(link, "LOG_AFTER", 0.5)
-    put_back = "reset"
-    cell.answers[put_back] = []
-    begin = {put_back: cell.take}
-    Server(cell.node, interface.SCENE_REQUEST, interface.SCENE_ANSWER, begin)
-    level = np.array([0.0, 0.0, 0.0, 1.0])
-    start_ns, t = 10**9, np.arange(0.0, WHOLE, 0.01)
-    path = BodyPath(POLICY.id, t, np.zeros((len(t), 3)), np.tile(level, (len(t), 1)))
+    cell.offer_scene()
+    start_ns, t = START_NS, np.arange(0.0, WHOLE, 0.01)
+    path = BodyPath(POLICY.id, t, np.zeros((len(t), 3)), np.tile(LEVEL, (len(t), 1)))
     topic = interface.rollout_topic("pancake")
     paths = cell.node.create_publisher(Path, topic, interface.LATCHED)
     paths.publish(pose_messages.path_message(path, start_ns, "wam_base"))
@@ -346,22 +340,19 @@ def test_a_body_thrown_off_is_put_back_again_by_the_simulation_or_without_limit_
 
     def publish() -> None:  # on the floor until the second reset of the scene, or for 2 s
         sent.append(start_ns + len(sent))
-        height = float(cell.requests.count(put_back) > 1 or (not scene_reset and len(sent) > 100))
+        height = float(cell.requests.count(SCENE) > 1 or (not scene_reset and len(sent) > 100))
         zero, position = np.zeros(3), np.array([0.0, 0.0, height])
-        state = pose_messages.StateReading(sent[-1], "wam_base", position, level, zero, zero, 1e-6)
+        state = pose_messages.StateReading(sent[-1], "wam_base", position, LEVEL, zero, zero, 1e-6)
         states.publish(pose_messages.odometry_message(state, "pancake"))
 
     cell.node.create_timer(0.02, publish)
     patience = 20.0 if scene_reset else 0.5
     client = connect("pancake", scene_reset=scene_reset, patience=patience)
     client.execute(POLICY, WHOLE, lambda state: "" if state.position[2] > 0.5 else "on the floor")
-    begun = [MOVE, put_back]
+    begun = [MOVE, SCENE]
     assert cell.requests == ([*begun, *begun, EXECUTE] if scene_reset else [MOVE, EXECUTE])
     said = "waiting for the pancake to be ready, which a person puts back: on the floor"
     assert (said in capfd.readouterr().err) == (not scene_reset)
-
-
-LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 def awaited_by(client: Rollouts, cell: Cell) -> list[Awaited]:
@@ -380,32 +371,33 @@ def awaited_by(client: Rollouts, cell: Cell) -> list[Awaited]:
 class Ball:
     """Body that is off its place until the arm has done a movement, or for a number of states."""
 
-    def __init__(self, cell: Cell, states: float = math.inf) -> None:
+    def __init__(self, cell: Cell, states: float = math.inf, start_ns: int = START_NS) -> None:
         self.cell, self.moves, self.off = cell, 0, states
         self.replies = [Answer(Code.SWITCH, "the enabling switch is not held")]  # first one
-        self._given = Answers(cell.node, interface.CONTROLLER_ANSWER)
-        topic = interface.REPLAY
-        cell.node.create_subscription(JointTrajectory, topic, self._move, interface.REQUESTS)
-        t = np.arange(0.0, WHOLE, 0.01)
-        path = BodyPath(POLICY.id, t, np.zeros((len(t), 3)), np.tile(LEVEL, (len(t), 1)))
+        Action(cell.node, Replay, interface.REPLAY_MOVEMENT, self._move)
         topic = interface.rollout_topic("ball")
         self._paths = cell.node.create_publisher(Path, topic, interface.LATCHED)
-        self._paths.publish(pose_messages.path_message(path, 10**9, "wam_base"))
+        self.path(start_ns, WHOLE)
         topic = interface.body_topic("ball", "state")
         self._states = cell.node.create_publisher(Odometry, topic, interface.STATE_OUT)
         self._sent_ns = 10**9
         cell.node.create_timer(0.02, self._publish)
 
-    def _move(self, message: JointTrajectory) -> None:
-        if self._given.is_new(message.header.frame_id):
-            self.cell.requests.append("replay")
-            answer = self.replies.pop(0) if self.replies else Answer(Code.DONE)
-            self.moves += answer.success
-            self._given.give(message.header.frame_id, answer)
+    def path(self, start_ns: int, end: float) -> None:
+        """Publish a path until a time [s] after its start."""
+        t = np.arange(0.0, end, 0.01)
+        path = BodyPath(POLICY.id, t, np.zeros((len(t), 3)), np.tile(LEVEL, (len(t), 1)))
+        self._paths.publish(pose_messages.path_message(path, start_ns, "wam_base"))
+
+    def _move(self, id: str, goal: Replay.Goal) -> Answer:
+        self.cell.requests.append("replay")
+        answer = self.replies.pop(0) if self.replies else Answer(Code.DONE)
+        self.moves += answer.success
+        return answer
 
     def _publish(self) -> None:
         self._sent_ns += 33_000_000
-        self.off -= "reset" in self.cell.requests
+        self.off -= SCENE in self.cell.requests
         there = self.moves > 0 or self.off < 0
         zero, place = np.zeros(3), np.array([0.0, 0.0, float(there)])
         state = pose_messages.StateReading(
@@ -497,8 +489,7 @@ def test_a_person_is_waited_for_only_where_the_body_has_not_come_to_rest_by_itse
 def test_the_arm_leaves_a_body_alone_that_comes_to_rest_where_a_simulation_has_put_it(
     connect: Connect, cell: Cell
 ) -> None:
-    cell.answers["reset"] = []
-    Server(cell.node, interface.SCENE_REQUEST, interface.SCENE_ANSWER, {"reset": cell.take})
+    cell.offer_scene()
     Ball(cell, states=5)
     move = Move(np.linspace(0.0, 1.0, 6), np.zeros((6, 7)))
     executed = connect("ball", joint_names=["j1"], scene_reset=True).execute(
@@ -507,7 +498,7 @@ def test_the_arm_leaves_a_body_alone_that_comes_to_rest_where_a_simulation_has_p
         lambda state: "" if state.position[2] > 0.5 else "on the floor",
         lambda state: move,
     )
-    assert cell.requests == [MOVE, "reset", EXECUTE] and executed.reset is None
+    assert cell.requests == [MOVE, SCENE, EXECUTE] and executed.reset is None
 
 
 @pytest.mark.parametrize("step", [2_000_000, 0, 2_000_000_000])
@@ -544,12 +535,3 @@ def test_a_simulation_that_is_slow_is_waited_for_and_one_that_stands_or_is_overd
 def test_every_request_brings_the_policy_it_is_about(client: Rollouts, cell: Cell) -> None:
     client.execute(POLICY, WHOLE, lambda state: "")
     assert cell.policies == [policies.to_json(POLICY)] * 2
-
-
-def test_a_request_without_any_answer_is_sent_again_as_the_same(
-    client: Rollouts, cell: Cell, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(requests, "REPEAT_PERIOD", 0.2)
-    cell.deaf = 2
-    client.execute(POLICY, WHOLE, lambda state: "")
-    assert cell.requests == [MOVE, EXECUTE]

@@ -20,7 +20,7 @@ from wam_power_ros.client.feedback import SERVICES
 from wam_power_ros.practice.session import Session
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.answers import Answer, Code
+from wam_power_ros.ros.outcomes import Answer, Code
 
 if TYPE_CHECKING:
     from conftest import Probe

@@ -22,7 +22,7 @@ from wam_power_ros.bags.writer import BagWriter
 from wam_power_ros.cli import main
 from wam_power_ros.console.play_bag import select_topics
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.answers import read
+from wam_power_ros.ros.outcomes import read
 
 DEMONSTRATION = min((ROOT / "bags").glob("demo_*"))
 REACH = min((ROOT / "bags").glob("reach_*"))

@@ -18,14 +18,14 @@ from conftest import Probe, Processes
 from stand_ins import Hardware
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
+from wam_power_ros.ros.requests import Answers
 
 from wam_power_ros.bags import layout, reader
 from wam_power_ros.cli import main
 from wam_power_ros.console.replay import with_possible_speed
 from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.answers import Answer, Code
-from wam_power_ros.ros.requests import Answers
+from wam_power_ros.ros.outcomes import Answer, Code
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = [f"wam_j{number}" for number in range(1, 8)]

@@ -16,11 +16,11 @@ import pytest
 from bag_samples import demonstration, random_q
 from conftest import Probe, Processes
 from std_srvs.srv import SetBool, Trigger
+from wam_power_ros.ros.requests import Server
 
 from wam_power_ros.bags import series
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.answers import Answer, Code
-from wam_power_ros.ros.requests import Server
+from wam_power_ros.ros.outcomes import Answer, Code
 
 
 class Terminal:

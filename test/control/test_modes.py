@@ -16,7 +16,7 @@ from wam_power_ros.control.modes import (
     check_transition,
 )
 from wam_power_ros.faults import Fault, FaultKind
-from wam_power_ros.ros.answers import Code
+from wam_power_ros.ros.outcomes import Code
 
 FAULT = Fault(FaultKind.PLANE, "wrist is 0.012 m behind the plane")
 

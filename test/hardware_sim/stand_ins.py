@@ -8,14 +8,14 @@ from conftest import ROOT, Probe, Processes, diagnosis
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Path
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from hardware_sim.wam import JOINTS
+from wam_power_interfaces.msg import GroundTruth
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.ros import interface, joint_messages, pose_messages
-from wam_power_ros.ros.answers import Answer, Code
+from wam_power_ros.ros.outcomes import Answer, Code
 
 TICK = 2_000_000  # [ns]
 CONFIGS = ("wam_sim.yaml", "optitrack_sim.yaml")
@@ -53,7 +53,9 @@ class Hardware:
             DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
         )
         self.paths = probe.listen(Path, interface.ROLLOUT_END_EFFECTOR, interface.LATCHED)
-        self.truths = probe.listen(String, interface.body_topic(body, "truth"), interface.LATCHED)
+        self.truths = probe.listen(
+            GroundTruth, interface.body_topic(body, "truth"), interface.LATCHED
+        )
         overrides = {f"wam_sim:{name}": value for name, value in parameters.items()}
         self.process = processes.node(module, *CONFIGS, **{"wam_sim:pace": pace, **overrides})
         self._read = joint_messages.JointStateReader(NAMES)
@@ -91,11 +93,9 @@ class Hardware:
         """Activity of the controller, as the stand-in reports it once a second."""
         return diagnosis(self.diagnostics, "wam_sim").get("label", "")
 
-    def ask(self, do: str, policy: Policy | None = None, to: str = "SCENE") -> Answer:
-        """Send a request and wait for the answer that ends it."""
-        answers = self.probe.ask(do, policy, to)
-        self.probe.until(lambda: answers and answers[-1].code is not Code.BEGUN, f"the end of {do}")
-        return answers[-1]
+    def ask(self, do: str, policy: Policy | None = None) -> Answer:
+        """Send a goal and wait for its outcome."""
+        return self.probe.answer(self.probe.ask(do, policy))
 
     def free(self) -> None:
         """Begin gravity compensation, once the torque that holds the arm is known."""
@@ -110,15 +110,15 @@ class Hardware:
         request = SetBool.Request(data=False)
         assert self.probe.call(SetBool, interface.GRAVITY_COMPENSATION, request).success
 
-    def insist(self, do: str, policy: Policy | None = None, to: str = "CONTROLLER") -> Answer:
-        """Send a request until it succeeds.
+    def insist(self, do: str, policy: Policy | None = None) -> Answer:
+        """Send a goal until it succeeds.
 
         In real time a busy machine may cause a fault, which is reset as by an operator.
         """
         answers = []
 
         def agreed() -> bool:
-            answers.append(self.ask(do, policy, to))
+            answers.append(self.ask(do, policy))
             if answers[-1].success:
                 return True
             fault = answers[-1].code is Code.FAULT or self.label() == "fault"
@@ -141,7 +141,7 @@ class Hardware:
         self.truths.clear()
         self.insist("move_to_start", policy)
         self.probe.spin(pauses[0])
-        self.insist("reset", policy, "SCENE")
+        self.insist("reset", policy)
         self.probe.spin(pauses[1])
         self.insist("execute", policy)
         self.probe.until(lambda: self.paths and self.truths, "path and truth", deadline=60.0)

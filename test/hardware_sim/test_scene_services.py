@@ -11,7 +11,7 @@ from hardware_sim.scenes import HOME
 from hardware_sim.settings import REACH_GOAL
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.answers import Code
+from wam_power_ros.ros.outcomes import Code
 
 
 def test_a_reset_is_refused_without_a_free_arm_and_away_from_the_start_of_its_policy(

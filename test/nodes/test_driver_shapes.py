@@ -53,7 +53,7 @@ class Rehearsal:
         paths = self.probe.listen(PathMessage, interface.ROLLOUT_END_EFFECTOR, interface.LATCHED)
         self.processes.node("wam_power_ros.nodes.torque_controller", self.file)
         self.probe.insist("move_to_start", policy)
-        self.probe.insist("reset", policy, "SCENE")
+        self.probe.insist("reset", policy)
         self.probe.insist("execute", policy)
         message = self.probe.until(lambda: paths and paths[-1], "the path")
         return pose_messages.path(message)

@@ -16,8 +16,7 @@ from wam_power_ros.control.joint_references import Sampled
 from wam_power_ros.control.modes import Mode
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.nodes.motion_requests import MotionRequests
-from wam_power_ros.ros.answers import Answer, Code
-from wam_power_ros.ros.requests import RolloutEnd
+from wam_power_ros.ros.outcomes import Answer, Code, Ended
 
 LATER = 10**9  # [ns]
 
@@ -29,12 +28,10 @@ class Answered:
         self.core: Controller = make()
         self.policy = self.core._policy
         self.plant = Plant(HOME)
+        self.began: list[str] = []
         self.answers: list[tuple[str, Answer]] = []
-        self.requests = MotionRequests(
-            self.core.arm.joint_names,
-            lambda: self.core,
-            lambda id, answer: self.answers.append((id, answer)),
-        )
+        self.end: Ended | None = None  # of the last rollout
+        self.requests = MotionRequests(self.core.arm.joint_names, lambda: self.core, self)
         self.run()
         self.core.hold()
         self.run(200)
@@ -45,20 +42,29 @@ class Answered:
             self.plant.step(self.core.step(*self.plant.state()))
             self.requests.answer(self.core)
 
+    def begun(self, id: str) -> None:
+        """Keep the id of a request that has begun."""
+        self.began.append(id)
+
+    def ended(self, id: str, answer: Answer, end: Ended | None = None) -> None:
+        """Keep the answer to a request, and the end of a rollout."""
+        self.answers.append((id, answer))
+        self.end = end or self.end
+
     def ask(
         self,
         id: str,
         do: str = "move_to_start",
         sent_ns: int | None = None,
-        known_stop: str | None = None,
-    ) -> Code:
-        """Code of the first answer to a request."""
-        count = len(self.answers)
+        known_stop: str = "",
+    ) -> Code | None:
+        """Code of the answer to a request, None if it has begun."""
+        count, begun = len(self.answers), len(self.began)
         sent_ns = time.time_ns() + LATER if sent_ns is None else sent_ns
         self.requests.begin(id, do, self.policy, sent_ns, known_stop)
-        (answered, answer), *_ = self.answers[count:]
-        assert answered == id
-        return answer.code
+        answers = self.answers[count:]
+        assert [*self.began[begun:], *(answered for answered, _ in answers)] == [id]
+        return answers[0][1].code if answers else None
 
 
 @pytest.fixture
@@ -67,22 +73,11 @@ def arm() -> Answered:
 
 
 def test_one_request_is_under_way_at_a_time_and_each_is_answered_at_its_end(arm: Answered) -> None:
-    assert arm.ask("a") is Code.BEGUN
+    assert arm.ask("a") is None
     assert arm.ask("b") is Code.BUSY
     arm.run(2000)
-    assert [(id, answer.code) for id, answer in arm.answers[2:]] == [("a", Code.DONE)]
-    assert arm.ask("c") is Code.BEGUN
-
-
-def test_a_request_that_comes_again_is_answered_as_before_and_begins_nothing(
-    arm: Answered,
-) -> None:
-    assert arm.ask("a", "execute") is Code.BEGUN
-    assert arm.ask("a", "execute") is Code.BEGUN  # its answer was not heard
-    arm.core.stop()
-    arm.run(200)
-    assert arm.ask("a", "execute") is Code.STOPPED
-    assert arm.core.mode is Mode.HOLD
+    assert [(id, answer.code) for id, answer in arm.answers[1:]] == [("a", Code.DONE)]
+    assert arm.ask("c") is None
 
 
 @pytest.mark.requirement("S-54")
@@ -93,44 +88,45 @@ def test_nothing_begins_that_was_sent_before_a_stop_or_before_requests_expired(
     arm.core.stop()
     arm.requests.stop(arm.core)
     assert arm.ask("a", sent_ns=before) is Code.STOPPED
-    assert arm.answers[-1][1].values == {"stop": arm.requests.last_stop}
+    assert arm.answers[-1][1].stop == arm.requests.last_stop
     assert arm.core.mode is Mode.HOLD
-    assert arm.ask("b", sent_ns=time.time_ns()) is Code.BEGUN
+    assert arm.ask("b", sent_ns=time.time_ns()) is None
     arm.run(2000)
     before = time.time_ns()
     arm.requests.expire()
     assert arm.ask("c", sent_ns=before) is Code.STOPPED
-    assert arm.answers[-1][1].values == {"stop": ""}  # nobody has stopped it
+    assert arm.answers[-1][1].stop == ""  # nobody has stopped it
 
 
 def test_a_stop_ends_the_request_under_way(arm: Answered) -> None:
-    assert arm.ask("a") is Code.BEGUN
+    assert arm.ask("a") is None
     arm.core.stop()
     arm.requests.stop(arm.core)
-    stop = {"stop": arm.requests.last_stop}
-    assert arm.answers[-1] == ("a", Answer(Code.STOPPED, "stopped by a person", stop))
+    stop = arm.requests.last_stop
+    (answer,) = arm.answers
+    assert repr(answer) == repr(("a", Answer(Code.STOPPED, "stopped by a person", stop)))
     assert arm.requests._id == ""
 
 
 def test_a_request_is_busy_until_the_one_before_has_been_answered(arm: Answered) -> None:
-    assert arm.ask("a") is Code.BEGUN
+    assert arm.ask("a") is None
     arm.core.hold()  # as in a change of mode, before the next state
     assert arm.ask("b") is Code.BUSY
     assert "the previous request is under way" in arm.answers[-1][1].text
     arm.run()
-    assert [id for id, answer in arm.answers if answer.code is not Code.BEGUN] == ["b", "a"]
+    assert [id for id, answer in arm.answers] == ["b", "a"]
 
 
 def test_a_move_is_not_answered_before_the_arm_rests(arm: Answered) -> None:
-    assert arm.ask("a") is Code.BEGUN
+    assert arm.ask("a") is None
     core = SimpleNamespace(
         mode=Mode.HOLD, at_rest=False, ready=False, latched=None, policy_id="trial-0001"
     )
     arm.requests.answer(core)
-    assert len(arm.answers) == 1
+    assert not arm.answers
     core.at_rest = core.ready = True
     arm.requests.answer(core)
-    assert arm.answers[1:] == [("a", Answer(Code.DONE, values={"policy": "trial-0001"}))]
+    assert [(id, answer.code) for id, answer in arm.answers] == [("a", Code.DONE)]
 
 
 def stop(arm: Answered) -> None:
@@ -156,13 +152,16 @@ def test_the_end_of_a_rollout_says_who_ended_it(
     arm: Answered, act: Callable[[Answered], None], by_person: bool
 ) -> None:
     stop(arm)  # before it
-    assert arm.ask("a", "execute") is Code.BEGUN
+    assert arm.ask("a", "execute") is None
     act(arm)
     while (path := arm.core.take_finished()) is None:
         arm.plant.step(arm.core.step(*arm.plant.state()))
     arm.requests.rollout_ended(arm.core, path, 1)
-    end = RolloutEnd.of(arm.answers[-1][1])
-    assert end.stop == (arm.requests.last_stop if by_person else "")
+    stopped = arm.requests.last_stop if by_person else ""
+    assert arm.end is not None and arm.end.stop == arm.answers[-1][1].stop == stopped
+    assert (arm.end.policy_id, arm.end.start_ns, arm.end.fault) == (path.id, 1, arm.core.latched)
+    code = Code.STOPPED if by_person else Code.FAULT if arm.core.latched else Code.DONE
+    assert arm.answers[-1][1].code is code
 
 
 @pytest.mark.requirement("S-128")
@@ -170,22 +169,22 @@ def test_no_request_of_a_session_begins_that_does_not_know_of_the_last_stop(arm:
     arm.core.stop()
     arm.requests.stop(arm.core)
     stop = arm.requests.last_stop
-    for id, known in (("a", ""), ("b", "another")):
+    for id, known in (("a", "none"), ("b", "another")):
         assert arm.ask(id, known_stop=known) is Code.STOPPED
-        assert arm.answers[-1][1].values == {"stop": stop}
+        assert arm.answers[-1][1].stop == stop
     assert arm.core.mode is Mode.HOLD
-    assert arm.ask("c", known_stop=stop) is Code.BEGUN  # a person has let it go on
+    assert arm.ask("c", known_stop=stop) is None  # a person has let it go on
     arm.run(2000)
-    assert arm.ask("d") is Code.BEGUN  # of a person
+    assert arm.ask("d") is None  # of a person
     again = Answered()  # a controller that was started again knows of no stop
-    assert again.ask("e", known_stop=stop) is Code.BEGUN
+    assert again.ask("e", known_stop=stop) is None
 
 
 @pytest.mark.requirement("S-128")
 def test_a_released_switch_ends_a_replay_as_a_stop_does(arm: Answered) -> None:
     movement = Sampled(np.tile(HOME, (501, 1)), *np.zeros((2, 501, 7)), 1.0, 0.002)
-    arm.requests.begin("a", "replay", movement, time.time_ns() + LATER)
+    arm.requests.begin("a", "replay", movement, time.time_ns() + LATER, "")
     arm.core.fault(Fault(FaultKind.RELEASED, "the enabling switch was released"))
     arm.run()
     id, answer = arm.answers[-1]
-    assert (id, answer.code, answer.values) == ("a", Code.STOPPED, {"stop": arm.requests.last_stop})
+    assert (id, answer.code, answer.stop) == ("a", Code.STOPPED, arm.requests.last_stop)

@@ -5,24 +5,38 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from action_msgs.msg import GoalStatus
 from conftest import ROOT, Probe, Process, Processes, lift
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from played_arm import HOME, MODULE, NAMES, TICK, PlayedArm
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.policy import to_json, with_id
+from wam_power_ros.nodes.preparation_worker import POINTS_MAX
+from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface, joint_messages
-from wam_power_ros.ros.answers import Answer, Code
-from wam_power_ros.ros.requests import Request, RolloutEnd
+from wam_power_ros.ros.diagnostics import LAST_STOP
+from wam_power_ros.ros.outcomes import Code, Ended
+
+ABORTED, CANCELED = GoalStatus.STATUS_ABORTED, GoalStatus.STATUS_CANCELED
+SUCCEEDED = GoalStatus.STATUS_SUCCEEDED
+JUMP = np.outer([0.0, 0.0, 0.0, 1.0, 1.0, 1.0], np.full(7, 0.3))  # [rad] in 20 ms
+COBOT = Arm(
+    share("urdf/cobot7.urdf").read_text(),
+    [f"cobot_joint{i}" for i in range(1, 8)],
+    "cobot_pan",
+    guarded=(),
+).identity()
 
 
 @pytest.mark.requirement("S-03")
@@ -93,20 +107,16 @@ def test_a_bad_policy_is_refused_whole_and_the_good_one_stays(
     arm = PlayedArm(probe, processes)
     arm.activate()
 
-    def asked(do: str, text: str) -> Answer:
-        answers = probe.ask(do, text)
-        return probe.until(lambda: arm.send() or answers, "an answer")[0]
-
-    moved = probe.ask("move_to_start", to_json(lift("good")))
-    probe.until(lambda: arm.send() or len(moved) == 2, "the end of the move")
-    assert [answer.code for answer in moved] == [Code.BEGUN, Code.DONE]
+    assert probe.answer(probe.ask("move_to_start", lift("good")), arm.send).code is Code.DONE
     bad = to_json(with_id(lift("good"), "bad")).replace("300.0", "NaN", 1)
     stiff = to_json(with_id(lift("good"), "stiff")).replace("300.0", "9e9")
     for count, text in enumerate((bad, "{", stiff), start=1):  # each is taken before the next
-        assert asked("execute", text).code is Code.REFUSED
+        assert probe.answer(probe.ask("execute", text), arm.send).code is Code.REFUSED
         report = arm.diagnosis(lambda d, n=str(count): d.get("refused: request") == n, "a refusal")
     assert report["policy"] == "good"
-    assert asked("execute", to_json(lift("good"))) == Answer(Code.BEGUN, values={"policy": "good"})
+    execute = probe.ask("execute", lift("good"))
+    probe.until(lambda: arm.send() or execute.begun, "the rollout")
+    assert execute.answer is None
 
 
 def test_a_state_that_is_repeated_in_lockstep_is_recent_at_a_late_activation(
@@ -137,9 +147,8 @@ def test_the_life_cycle_decides_whether_torques_are_sent(
         request = ChangeState.Request(transition=Transition(id=transition))
         return probe.call(ChangeState, "/torque_controller/change_state", request).success
 
-    answers = probe.ask("execute", lift("trial-0001"))
-    probe.until(lambda: answers, "an answer")
-    assert answers[0].code is Code.NOT_ACTIVE
+    execute = probe.ask("execute", lift("trial-0001"))
+    assert probe.answer(execute).code is Code.NOT_ACTIVE and execute.status == ABORTED
     logged = lambda: processes.output(arm.process)  # noqa: E731
     waiting = "waiting for ros2 lifecycle set /torque_controller"
     probe.until(lambda: f"{waiting} configure" in logged(), "what it waits for")
@@ -212,13 +221,10 @@ def test_teaching_and_stopping_are_a_service_call_away(probe: Probe, processes: 
     assert probe.call(SetBool, interface.GRAVITY_COMPENSATION, on).success
     arm.send()
     assert arm.answer().label == "gravity_compensation"
-    answers = probe.ask("execute", lift("trial-0001"))
-    assert not probe.until(lambda: answers, "an answer")[0].success
+    assert probe.answer(probe.ask("execute", lift("trial-0001")), arm.send).code is Code.BUSY
     assert probe.call(Trigger, interface.STOP).success
     arm.send()
     assert arm.answer().label == "hold"
-    answers = probe.ask("wave", lift("trial-0001"))
-    assert "not wave" in probe.until(lambda: answers, "an answer")[0].text
 
 
 def test_each_request_is_answered_by_its_id_and_one_at_a_time(
@@ -229,39 +235,141 @@ def test_each_request_is_answered_by_its_id_and_one_at_a_time(
     first = probe.ask("move_to_start", lift("first"))
     arm.diagnosis(lambda values: values["mode"] == "move_to_start", "the move")
     second = probe.ask("move_to_start", lift("second"))
-    assert probe.until(lambda: second, "an answer")[0].code is Code.BUSY
-    probe.until(lambda: arm.send() or first[1:], "the end of the move")
-    assert [answer.code for answer in first] == [Code.BEGUN, Code.DONE]
-    assert first[1].values == {"policy": "first"} and len(second) == 1
+    assert probe.answer(second).code is Code.BUSY and second.status == ABORTED
+    assert probe.answer(first, arm.send).code is Code.DONE and first.status == SUCCEEDED
+    assert (first.stages, second.stages) == (["moving"], [])
 
 
-def test_a_request_that_comes_again_is_answered_again_and_not_done_again(
+def points(count: int) -> JointTrajectory:
+    """A movement of so many points that rests at one posture."""
+    point = JointTrajectoryPoint(positions=[0.0] * 7)
+    return JointTrajectory(joint_names=NAMES, points=[point] * count)
+
+
+STILL = joint_messages.JointMovement(np.linspace(0.0, 0.1, 6), np.tile(HOME, (6, 1)))
+WRONG = {  # of each kind: what is asked for, with what, code, and what is named
+    "a policy that is none": ("execute", {"policy": "{"}, Code.REFUSED, "policy text"),
+    "another id than its policy": (
+        "execute",
+        {"policy": lift("trial-0001"), "id": "trial-0002"},
+        Code.REFUSED,
+        "trial-0002",
+    ),
+    "a policy of another arm": (
+        "move_to_start",
+        {"policy": replace(lift("theirs"), arm=COBOT)},
+        Code.REFUSED,
+        "belongs to another arm: cobot7",
+    ),
+    "a start elsewhere": (
+        "execute",
+        {"policy": replace(lift("away"), q_start=HOME + 0.3)},
+        Code.NOT_AT_START,
+        "away",
+    ),
+    "a joint too few": (
+        "replay",
+        {"movement": joint_messages.movement_message(NAMES[:6], STILL._replace(q=STILL.q[:, :6]))},
+        Code.REFUSED,
+        "wam_j7",
+    ),
+    "another joint": (
+        "replay",
+        {"movement": joint_messages.movement_message([*NAMES[:6], "finger"], STILL)},
+        Code.REFUSED,
+        "wam_j7",
+    ),
+    "too many points": ("replay", {"movement": points(POINTS_MAX + 1)}, Code.REFUSED, "at most"),
+    "no point": ("replay", {"movement": points(0)}, Code.REFUSED, "no point"),
+    "a jump": (
+        "replay",
+        {"movement": joint_messages.movement_message(NAMES, STILL._replace(q=STILL.q + JUMP))},
+        Code.TOO_FAST,
+        "joint-speed limit",
+    ),
+}
+
+
+@pytest.mark.requirement("S-15", "S-16")
+def test_each_wrong_goal_ends_aborted_with_its_code_and_the_arm_holds(
     probe: Probe, processes: Processes
 ) -> None:
     arm = PlayedArm(probe, processes)
     arm.activate()
-    request = Request("execute", {"policy": to_json(lift("once"))})
+    before = len(arm.read())
+    for wrong, (do, goal, code, named) in WRONG.items():
+        sent = probe.ask(do, **goal)
+        answer = probe.answer(sent, arm.send)
+        assert (answer.code, sent.status, sent.stages) == (code, ABORTED, []), (wrong, answer)
+        assert named in answer.text and not answer.stop, (wrong, answer)
+        assert (0.0 < answer.speed < 1.0) == (code is Code.TOO_FAST), (wrong, answer)
+        if do == "execute":
+            assert Ended.of(sent.result.end).start_ns == 0 and not sent.result.path.poses
+    assert {torque.label for torque in arm.read()[before:]} == {"hold"}
 
-    def send() -> list[Answer]:
-        return probe.send(String, "CONTROLLER_REQUEST", request.message(), request.id)
 
-    answers = send()
-    probe.until(lambda: arm.send() or answers, "the begin")
-    assert probe.call(Trigger, interface.STOP).success
-    probe.until(lambda: arm.send() or answers[1:], "the end of the rollout")
-    end = RolloutEnd.of(answers[1])
-    assert (end.id, end.fault) == ("once", None)
+def settle(arm: PlayedArm) -> None:
+    """Let the arm come to rest."""
     for _ in range(100):
         arm.send()
         arm.answer()
-    before = len(arm.read())
-    send()
-    probe.until(lambda: arm.send() or answers[2:], "an answer to the repetition")
-    assert answers[2] == answers[1]
-    for _ in range(20):
-        arm.send()
-        arm.answer()
-    assert {torque.label for torque in arm.read()[before:]} == {"hold"}
+
+
+@pytest.mark.requirement("S-128")
+def test_a_goal_that_a_person_stops_names_the_stop_and_one_that_knows_of_none_does_not_begin(
+    probe: Probe, processes: Processes
+) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+    move = probe.ask("move_to_start", lift("trial-0001"), known_stop="none")
+    probe.until(lambda: arm.send() or move.begun, "the move")
+    assert probe.call(Trigger, interface.STOP).success
+    stopped = probe.answer(move, arm.send)
+    assert (stopped.code, move.status) == (Code.STOPPED, ABORTED)
+    assert stopped.stop and arm.diagnosis(lambda d: d[LAST_STOP], "it")[LAST_STOP] == stopped.stop
+    settle(arm)
+    movement = joint_messages.movement_message(NAMES, STILL)
+    for known in ("none", "another"):
+        for do, goal in (
+            ("execute", {"policy": lift("trial-0001")}),
+            ("move_to_start", {"policy": lift("trial-0001")}),
+            ("replay", {"movement": movement}),
+        ):
+            sent = probe.ask(do, known_stop=known, **goal)
+            late = probe.answer(sent, arm.send)
+            assert (late.code, late.stop, sent.status) == (Code.STOPPED, stopped.stop, ABORTED)
+            assert not sent.stages
+    go_on = probe.ask("move_to_start", lift("trial-0001"), known_stop=stopped.stop)
+    assert probe.answer(go_on, arm.send).code is Code.DONE
+
+
+@pytest.mark.parametrize("do", ["move_to_start", "execute", "replay", "follow"])
+def test_a_cancel_stops_the_arm_and_ends_the_goal_and_a_late_one_does_nothing(
+    do: str, probe: Probe, processes: Processes
+) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+    t = np.linspace(0.0, 20.0, 201)
+    sway = joint_messages.JointMovement(t, HOME + 0.1 * np.sin(t)[:, None])
+    movement = joint_messages.movement_message(NAMES, sway)
+    goal = {
+        "replay": {"movement": movement},
+        "follow": {"trajectory": movement},
+    }.get(do, {"policy": lift("trial-0001")})
+    sent = probe.ask(do, **goal)
+    label = {"follow": "replay"}.get(do, do)
+    label = "rollout trial-0001" if do == "execute" else label
+    probe.until(lambda: arm.send() or label in {t.label for t in arm.read()}, "the movement")
+    assert probe.cancel(sent)
+    probe.until(lambda: arm.send() or sent.result, "its end")
+    assert sent.status == CANCELED
+    if do != "follow":
+        assert sent.answer.code is Code.STOPPED and sent.answer.stop
+    settle(arm)
+    assert arm.read()[-1].label == "hold"
+    assert not probe.cancel(sent)
+    again = probe.ask("move_to_start", lift("trial-0001"))
+    assert probe.answer(again, arm.send).code is Code.DONE
 
 
 def test_a_driver_may_name_its_joints_otherwise_than_the_model(
@@ -294,24 +402,47 @@ def test_a_recorded_movement_is_replayed_and_a_bad_one_refused(
 ) -> None:
     arm = PlayedArm(probe, processes)
     arm.activate()
-    t = np.linspace(0.0, 0.1, 6)
-    still = joint_messages.JointMovement(t, np.tile(HOME, (6, 1)))
-    few = joint_messages.movement_message(NAMES[:6], still._replace(q=still.q[:, :6]))
+    few = joint_messages.movement_message(NAMES[:6], STILL._replace(q=STILL.q[:, :6]))
     refused = probe.replay(few)
+    assert probe.answer(refused).code is Code.REFUSED
     arm.diagnosis(lambda d: d.get("refused: replay trajectory") == "1", "the refusal is reported")
-    assert refused[0].code is Code.REFUSED
-    replay = probe.replay(joint_messages.movement_message(NAMES, still))
+    replay = probe.replay(joint_messages.movement_message(NAMES, STILL))
     labels = set()
 
-    def done() -> bool:
+    def played() -> None:
         arm.send()
         labels.add(arm.answer().label)
-        return len(replay) > 1
 
-    probe.until(done, "the replay has ended")
-    assert replay[1].success
-    assert "rms" in replay[1].text
+    answer = probe.answer(replay, played)
+    assert answer.success
+    assert "rms" in answer.text
     assert "replay" in labels
+
+
+@pytest.mark.parametrize("frame_id", ["", "world"])
+def test_a_movement_on_the_topic_is_played_whatever_its_frame_and_a_bad_one_logged(
+    frame_id: str, probe: Probe, processes: Processes
+) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+    movements = probe.publisher(JointTrajectory, interface.REPLAY, interface.REPLAYS)
+    movements.publish(joint_messages.movement_message(NAMES[:6], STILL._replace(q=STILL.q[:, :6])))
+    arm.diagnosis(lambda d: d.get("refused: replay trajectory") == "1", "the refusal is reported")
+    logged = lambda: "movement refused: joints ['wam_j7']" in processes.output(arm.process)  # noqa: E731
+    probe.until(logged, "its log")
+    waypoint = joint_messages.movement_message(NAMES, STILL._replace(t=STILL.t[:1], q=STILL.q[:1]))
+    for movement in (joint_messages.movement_message(NAMES, STILL), waypoint):
+        movement.header.frame_id = frame_id
+        before = len(arm.read())
+        movements.publish(movement)
+
+        def played() -> bool:
+            arm.send()
+            arm.answer()
+            return "replay" in {torque.label for torque in arm.read()[before:]}  # noqa: B023
+
+        probe.until(played, "the replay")
+        probe.until(lambda: arm.send() or arm.answer().label == "hold", "its end")
 
 
 @pytest.mark.requirement("S-18")

@@ -17,15 +17,15 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from played_arm import HOME, NAMES, SIMULATED, PlayedArm
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool, Float64MultiArray, String
+from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
+from wam_power_interfaces.msg import Policy as PolicyMessage
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.faults import FaultKind
 from wam_power_ros.learning.policy import to_json
-from wam_power_ros.ros import interface
-from wam_power_ros.ros.answers import Answer, Code, read
-from wam_power_ros.ros.requests import RolloutEnd
+from wam_power_ros.ros import interface, pose_messages
+from wam_power_ros.ros.outcomes import Code, Ended
 
 DRIVER = """
 from rclpy.node import Node
@@ -434,18 +434,19 @@ def test_no_service_says_done_in_a_fault_but_a_stop_that_names_it(
     arm.diagnosis(lambda d: arm.send() or d["mode"] == "fault", "a fault")
     probe.node.destroy_publisher(other)
 
-    def ask(kind: type, name: str, request: object = None) -> Answer:
+    def ask(kind: type, name: str, request: object = None) -> tuple[bool, str]:
         arm.send()
         response = probe.call(kind, name, request)
-        return read(response.success, response.message)
+        return response.success, response.message
 
     for on in (True, False):
         request = SetBool.Request(data=on)
-        assert ask(SetBool, interface.GRAVITY_COMPENSATION, request).code is Code.FAULT
+        done, text = ask(SetBool, interface.GRAVITY_COMPENSATION, request)
+        assert not done and "fault (" in text
     execute = probe.ask("execute", lift("trial-0001"))
-    assert probe.until(lambda: arm.send() or execute, "an answer")[0].code is Code.FAULT
-    stopped = ask(Trigger, interface.STOP)
-    assert stopped.success and "nothing to stop: fault (" in stopped.text
+    assert probe.answer(execute, arm.send).code is Code.FAULT
+    done, text = ask(Trigger, interface.STOP)
+    assert done and "nothing to stop: fault (" in text
 
 
 @pytest.mark.requirement("S-103")
@@ -455,20 +456,25 @@ def test_each_request_executes_the_policy_that_it_brings_whatever_its_id(
     arm = PlayedArm(probe, processes)
     arm.activate()
     ours, theirs = lift("trial-0001"), replace(lift("trial-0001"), damping=31.0)
-    accepted = probe.listen(String, interface.POLICY, interface.LATCHED)
+    accepted = probe.listen(PolicyMessage, interface.POLICY, interface.LATCHED)
     for policy in (ours, theirs):
         move = probe.ask("move_to_start", policy)
-        probe.until(lambda: arm.send() or move[1:], "the arm is at the start")  # noqa: B023
+        assert probe.answer(move, arm.send).success
         execute = probe.ask("execute", policy)
-        probe.until(lambda: arm.send() or execute, "the rollout")  # noqa: B023
-        assert execute[0].code is Code.BEGUN
-        probe.until(lambda: accepted and accepted[-1].data == to_json(policy), "what is executed")  # noqa: B023
+        probe.until(lambda: arm.send() or execute.begun, "the rollout")  # noqa: B023
+        assert execute.answer is None
+        probe.until(lambda: accepted and accepted[-1].text == to_json(policy), "what is executed")  # noqa: B023
+        assert accepted[-1].id == "trial-0001"
         for _ in range(20):
             arm.send()
             arm.answer()
         probe.call(Trigger, interface.STOP)
-        end = RolloutEnd.of(probe.until(lambda: arm.send() or execute[1:], "the end")[0])  # noqa: B023
-        assert (end.id, end.fault) == ("trial-0001", None)
+        answer = probe.answer(execute, arm.send)
+        end = Ended.of(execute.result.end)
+        assert (answer.code, end.policy_id, end.fault) == (Code.STOPPED, "trial-0001", None)
+        assert answer.stop == end.stop != ""
+        path = pose_messages.path(execute.result.path)
+        assert path.start_ns == end.start_ns and len(path.t) > 1
         for _ in range(100):
             arm.send()
             arm.answer()
@@ -495,4 +501,4 @@ def test_an_unexplained_torque_is_said_in_the_diagnostics(
     assert "wam_j2: " in report["unexplained torque"]
     assert arm.read()[-1].label == "hold"
     answer = probe.call(SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=True))
-    assert not answer.success and "[refused]" in answer.message and "wam_j2: " in answer.message
+    assert not answer.success and "wam_j2: " in answer.message

@@ -7,11 +7,12 @@ import math
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import KeyValue
 from geometry_msgs.msg import PoseStamped
 from hypothesis import given
 from hypothesis import strategies as st
-from std_msgs.msg import String
 
+from wam_power_interfaces.msg import GroundTruth
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
 from wam_power_ros.ros import pose_messages
 
@@ -107,22 +108,13 @@ def test_a_path_whose_time_stands_still_is_refused() -> None:
 
 
 @given(st.integers(1, 10**18))
-def test_the_ground_truth_of_a_rollout_keeps_its_end_and_values(end_ns: int) -> None:
-    there = pose_messages.GroundTruth(end_ns, {"id": "trial-0007", "caught": False, "apex": 0.4})
+def test_the_ground_truth_of_a_rollout_keeps_its_policy_end_and_values(end_ns: int) -> None:
+    values = {"caught": False, "apex": 0.4, "rest": None, "side": "left"}
+    there = pose_messages.TruthReading("trial-0007", end_ns, values)
     assert pose_messages.ground_truth(pose_messages.ground_truth_message(there)) == there
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        "[]",
-        "7",
-        '{"id": "a"}',
-        '{"id": "a", "end": {"sec": 1}}',
-        '{"id": "a", "end": {"sec": Infinity, "nanosec": 0}}',
-    ],
-)
+@pytest.mark.parametrize("text", ["", "[", "yes", "Infinity"])
 def test_what_is_no_ground_truth_is_refused(text: str) -> None:
-    with pytest.raises(ValueError):
-        pose_messages.ground_truth(String(data=text))
+    with pytest.raises(ValueError, match="a value of the ground truth"):
+        pose_messages.ground_truth(GroundTruth(values=[KeyValue(key="caught", value=text)]))

@@ -13,6 +13,10 @@ import pytest
 import rclpy
 from conftest import ROOT, Processes
 from layouts import uses
+from rclpy.action import (
+    get_action_client_names_and_types_by_node,
+    get_action_server_names_and_types_by_node,
+)
 from rclpy.node import Node
 from rights import RIGHTS
 
@@ -48,6 +52,11 @@ NODES = {
 }
 
 
+def plain(names: list[tuple[str, list[str]]]) -> dict[str, list[str]]:
+    """Names and types without those of which an action consists."""
+    return {name: types for name, types in names if "/_action/" not in name}
+
+
 def own(name: str, service: str) -> bool:
     """Whether a name is one that ROS gives every node, or every managed node."""
     return service.startswith(f"/{name}/") and service not in NAMES
@@ -76,13 +85,11 @@ def test_the_recorder_only_listens_and_the_learner_only_proposes() -> None:
     recorder, learner = RIGHTS["demonstration_recorder"], RIGHTS["learner"]
     assert recorder["topic", "publish"] - EVERYONES == {interface.DIAGNOSTICS}
     assert ("service", "request") not in recorder
-    proposed = (interface.CONTROLLER_REQUEST, interface.REPLAY, interface.SCENE_REQUEST)
-    proposes = {f"/{topic}" for topic in proposed}
-    assert learner["topic", "publish"] - proposes - EVERYONES == {
+    assert learner["topic", "publish"] - EVERYONES == {
         interface.DIAGNOSTICS,
-        f"/{interface.LEARNER_ANSWER}",
         f"/{interface.LEARNER_MARKERS}",
     }
+    assert ("action", "execute") not in learner
     assert {name.split("/")[1] for name in learner["service", "reply"]} == {"learner"}
 
 
@@ -101,16 +108,20 @@ def test_a_node_does_what_the_policy_allows_and_the_policy_allows_what_it_does(
         name = node.get_name()
         right = RIGHTS[name]
         whose = (name, node.get_namespace())
-        published = dict(node.get_publisher_names_and_types_by_node(*whose))
+        offered = dict(get_action_server_names_and_types_by_node(node, *whose))
+        used = dict(get_action_client_names_and_types_by_node(node, *whose))
+        published = plain(node.get_publisher_names_and_types_by_node(*whose))
         shown = [use for use in uses() if use.topic in published]
         assert [use for use in shown if not use.fits(published[use.topic][0])] == []
-        heard = {topic for topic, _ in node.get_subscriber_names_and_types_by_node(*whose)}
-        served = {topic for topic, _ in node.get_service_names_and_types_by_node(*whose)}
-        called = {topic for topic, _ in node.get_client_names_and_types_by_node(*whose)}
+        heard = plain(node.get_subscriber_names_and_types_by_node(*whose)).keys()
+        served = plain(node.get_service_names_and_types_by_node(*whose)).keys()
+        called = plain(node.get_client_names_and_types_by_node(*whose)).keys()
         assert published.keys() - EVERYONES == right["topic", "publish"] - EVERYONES
         assert heard - EVERYONES <= right["topic", "subscribe"]
         assert called <= right.get(("service", "request"), set())
         assert served == right["service", "reply"]
+        assert offered.keys() == right.get(("action", "execute"), set())
+        assert used.keys() <= right.get(("action", "call"), set())
         node.destroy_node()
     finally:
         rclpy.shutdown()

@@ -12,7 +12,7 @@ from std_srvs.srv import SetBool, Trigger
 from test_examples import DRIVER, EXAMPLES, OVER_DDS, output
 
 from wam_power_ros.ros import interface, pose_messages
-from wam_power_ros.ros.answers import Code
+from wam_power_ros.ros.outcomes import Code
 
 
 def test_the_example_teaches_learns_and_replays_over_dds(tmp_path: Path) -> None:

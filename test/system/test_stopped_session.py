@@ -14,6 +14,7 @@ from std_srvs.srv import SetBool, Trigger
 from test_person_over_dds import TAUGHT, fitted
 from test_session_over_dds import SEED, all_but_the_learner, learner, learnt
 from toss_task import practice_of
+from wam_power_ros.ros.requests import read_answer, request
 
 from hardware_sim.scenes import scene_type
 from hardware_sim.settings import WorldSettings
@@ -22,9 +23,8 @@ from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.practice.session import Session, read
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.answers import Code
 from wam_power_ros.ros.diagnostics import LEARNER_STATE
-from wam_power_ros.ros.requests import read_answer, request
+from wam_power_ros.ros.outcomes import Code
 
 SETTINGS = preset("flip", budget=4, retests=3)
 FREE = SetBool.Request(data=True)

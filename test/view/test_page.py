@@ -20,15 +20,15 @@ from browser import chromium, opened, scene
 from conftest import Probe, lift
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import Trigger
 from toss_task import demonstrated_policy, practice_of, toss
 
+from wam_power_interfaces.msg import Policy as PolicyMessage
+from wam_power_interfaces.srv import Pause
 from wam_power_ros.learning.policy import to_json
 from wam_power_ros.practice.session import Session
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.diagnostics import diagnostics_message
 from wam_power_ros.ros.domain import private_domain
 
@@ -81,25 +81,24 @@ class Running:
         self.q = lift("lift").q_start
         for name in (interface.LEARNER_REWARD, interface.LEARNER_PUNISH, interface.STOP):
             self._serve(Trigger, name)
-        self._serve(SetBool, interface.LEARNER_PAUSE)
+        self._serve(Pause, interface.LEARNER_PAUSE)
         node = self.probe.node
         self._states = node.create_publisher(
             JointState, interface.JOINT_STATES, interface.STATE_OUT
         )
-        self._policy = node.create_publisher(String, interface.POLICY, interface.LATCHED)
+        self._policy = node.create_publisher(PolicyMessage, interface.POLICY, interface.LATCHED)
         self._diagnoses = node.create_publisher(
             DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
         )
-        self._policy.publish(String(data=to_json(lift("lift"))))
+        self._policy.publish(PolicyMessage(id="lift", text=to_json(lift("lift"))))
         self._lock = (folder / ".lock").open("a")
         fcntl.flock(self._lock, fcntl.LOCK_EX)
 
     def _serve(self, kind: type, name: str) -> None:
         def answer(request: Any, response: Any) -> Any:  # noqa: ANN401
-            self.asked.append((name, getattr(request, "data", None)))
+            self.asked.append((name, getattr(request, "pause", None)))
             response.success = name != interface.LEARNER_PUNISH
-            code = Code.DONE if response.success else Code.REFUSED
-            response.message = str(Answer(code, f"answer to {name}"))
+            response.message = f"answer to {name}"
             return response
 
         self.probe.node.create_service(kind, name, answer)

@@ -8,8 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bag_samples import LATCHED
+from conftest import lift
+from rclpy.serialization import serialize_message
+from std_msgs.msg import String
 
+from wam_power_interfaces.msg import Policy as PolicyMessage
 from wam_power_ros.bags import reader
+from wam_power_ros.bags.bag import Bag
+from wam_power_ros.bags.writer import BagWriter
+from wam_power_ros.learning.policy import to_json
 from wam_power_ros.view import recorded
 from wam_power_ros.view.recorded import Movement
 from wam_power_ros.view.skeleton import Skeleton
@@ -27,6 +35,26 @@ def test_a_demonstration_has_its_arm_its_joints_and_the_body_in_the_pan() -> Non
     tool = Skeleton(movement.urdf, movement.joint_names).tool_path(movement.q[:1])[0]
     assert np.linalg.norm(movement.body_at(0.1)[0] - tool) < 0.1
     np.testing.assert_allclose(np.linalg.norm(movement.body_quat_wxyz, axis=1), 1.0)
+
+
+def test_the_policy_of_a_rollout_is_read_and_a_text_of_another_kind_is_not(tmp_path: Path) -> None:
+    shipped, policy = Bag(REACH), lift("trial-0007")
+    given = {
+        "policy": (recorded.POLICY_TYPE, serialize_message(PolicyMessage(text=to_json(policy)))),
+        "theirs": ("std_msgs/msg/String", serialize_message(String(data=to_json(policy)))),
+    }
+    for name, (msgtype, cdr) in given.items():
+        writer = BagWriter(tmp_path / name)
+        for topic, described in shipped.topics.items():
+            writer.add(topic, described.msgtype, described.offered)
+        writer.add("/left/policy", msgtype, LATCHED)
+        for message in shipped.messages(shipped.topics):
+            writer.write(*message)
+        writer.write("/left/policy", message[1], cdr)
+        writer.close({})
+    read = recorded.read(tmp_path / "policy").policy
+    assert read is not None and to_json(read) == to_json(policy)
+    assert recorded.read(tmp_path / "theirs").policy is None
 
 
 def test_a_task_without_a_body_has_none() -> None:

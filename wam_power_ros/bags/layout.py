@@ -18,11 +18,20 @@ from rosbags.interfaces import (
     QosTime,
 )
 from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from wam_power_ros import plain_json, plain_yaml
 
+# Messages of wam_power_interfaces that are recorded; bags are also read where it is not installed.
+OWN = {
+    "Policy": "string id\nstring text",
+    "RolloutEnd": "std_msgs/Header header\nstring policy_id\nstring fault\nstring text\n"
+    "string region\nstring stop",
+    "GroundTruth": "std_msgs/Header header\nstring policy_id\ndiagnostic_msgs/KeyValue[] values",
+}
 TYPES = get_typestore(Stores.ROS2_JAZZY)
+for _name, _text in OWN.items():
+    TYPES.register(get_types_from_msg(_text, f"wam_power_interfaces/msg/{_name}"))
 JOINT_STATE = "sensor_msgs/msg/JointState"
 STRING = "std_msgs/msg/String"
 STATES = "/joint_states"
@@ -110,10 +119,10 @@ def decoded(cdr: bytes, msgtype: str) -> object:
     decoders are called without that check; it writes what a publisher of ROS sends, without excess.
 
     Raises:
-        ValueError: The bytes are not a message of this type of the common interfaces.
+        ValueError: The bytes are not a message of this type, or the type is unknown.
     """
     if msgtype not in TYPES.fielddefs:
-        raise ValueError(f"{msgtype} is not a type of the common interfaces")
+        raise ValueError(f"{msgtype} is not a type of the common interfaces or of this package")
     definition = TYPES.get_msgdef(msgtype)
     encoding = bytes(cdr[:2])
     if len(cdr) < 4 or encoding not in ENCODINGS:

@@ -125,20 +125,21 @@ def recorded_rollout(
     from wam_power_ros.bags import layout
     from wam_power_ros.learning import policy as policies
     from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
-    from wam_power_ros.ros import interface, pose_messages, requests
+    from wam_power_ros.ros import interface, pose_messages
+    from wam_power_ros.ros.outcomes import Ended
     from wam_power_ros.tasks.task import cut_short
 
     found: dict[str, Any] = {}
     topics = bag.topics
     body_topic = interface.rollout_topic(task.body) if task.body else ""
-    tool_topics = (interface.ROLLOUT_END_EFFECTOR, interface.CONTROLLER_ANSWER)
+    tool_topics = (interface.ROLLOUT_END_EFFECTOR, interface.ROLLOUT_END)
     names = (interface.POLICY, *tool_topics, body_topic)
     wanted = {topic: name for name in names if name and (topic := _topic(topics, name))}
     for topic, _, data in bag.messages(wanted):
         found[wanted[topic]] = layout.decoded(data, topics[topic].msgtype)
     if interface.POLICY not in found or interface.ROLLOUT_END_EFFECTOR not in found:
         return _as_rollout(bag, task, joint_names, arm)
-    policy = policies.from_json(found[interface.POLICY].data)
+    policy = policies.from_json(found[interface.POLICY].text)
     path = pose_messages.path(found[interface.ROLLOUT_END_EFFECTOR])
     tool = EndEffectorPath(policy.id, *path[1:])
     body = None
@@ -150,12 +151,12 @@ def recorded_rollout(
             raise ValueError(f"the path of the {task.body} is of another rollout than the tool's")
         body = BodyPath(policy.id, *body_path)
     rollout = Rollout(tool, body)
-    if interface.CONTROLLER_ANSWER in found:
-        end = requests.RolloutEnd.of(requests.read_answer(found[interface.CONTROLLER_ANSWER])[1])
-        if (end.id, end.start_ns) != (policy.id, path.start_ns):
+    if interface.ROLLOUT_END in found:
+        end = Ended.of(found[interface.ROLLOUT_END])
+        if (end.policy_id, end.start_ns) != (policy.id, path.start_ns):
             raise ValueError(f"the paths do not belong to the policy {policy.id}")
         if cut_short(policy, rollout, task.settle_time):
-            rollout = replace(rollout, fault=end.fault, stopped_in=end.stopped_in)
+            rollout = replace(rollout, fault=end.fault, stopped_in=end.region)
     return policy, rollout
 
 

@@ -7,18 +7,18 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from wam_power_interfaces.srv import AddDemonstration, Pause
 from wam_power_ros.client.link import RETRY_PERIOD, TIMEOUT, Link
-from wam_power_ros.client.requests import Requests
 from wam_power_ros.client.robot import Robot
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.answers import Answer, ServiceError
+from wam_power_ros.ros.outcomes import Answer, ServiceError
 
 SERVICES = {  # kind of feedback, or stop -> service and its data
     "reward": (interface.LEARNER_REWARD, None),
     "punish": (interface.LEARNER_PUNISH, None),
     "stop": (interface.STOP, None),
-    "pause": (interface.LEARNER_PAUSE, True),
-    "continue": (interface.LEARNER_PAUSE, False),
+    "pause": (interface.LEARNER_PAUSE, Pause.Request(pause=True)),
+    "continue": (interface.LEARNER_PAUSE, Pause.Request(pause=False)),
 }
 
 
@@ -31,7 +31,6 @@ class Feedback:
 
     def __init__(self, link: Link) -> None:
         self._link = link
-        self._requests = Requests(link, interface.LEARNER_REQUEST, interface.LEARNER_ANSWER)
 
     def give(self, kind: str, bag: Path | None = None) -> Answer:
         """Give feedback; the answer may be a refusal.
@@ -44,20 +43,14 @@ class Feedback:
             ServiceError: The learner does not appear or does not answer.
         """
         if kind == "demonstration":
-            return self._add(bag)
-        name, data = SERVICES[kind]
+            request = AddDemonstration.Request(bag=str(bag.resolve()))
+            name, data = interface.ADD_DEMONSTRATION, request
+        else:
+            name, data = SERVICES[kind]
         answer = self._link.call(name, data)
         if answer is None:
             raise ServiceError(f"{name} did not answer in {TIMEOUT:.0f} s")
         return answer
-
-    def _add(self, bag: Path) -> Answer:
-        try:
-            return self._requests.ask("add_demonstration", bag=str(bag.resolve()))
-        except ServiceError as error:
-            if error.answer is None:
-                raise
-            return error.answer
 
     def teach(
         self, robot: Robot, lead: Callable[[], object] | None, notify: Callable[[str], object]
@@ -81,7 +74,7 @@ class Feedback:
         deadline = time.monotonic() + TIMEOUT
         answer = self.give("pause")
         notify(answer.text)
-        while answer.values.get("trial") != "over":
+        while answer.under_way:
             if time.monotonic() > deadline:
                 raise ServiceError(f"no trial ended in {TIMEOUT:.0f} s; the learner is paused")
             self._link.sleep(RETRY_PERIOD)

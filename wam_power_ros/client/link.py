@@ -21,16 +21,17 @@ from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import GetParameters
 from rclpy.client import Client
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
-from wam_power_ros.ros import answers, interface
-from wam_power_ros.ros.answers import Answer, ServiceError
+from wam_power_interfaces.srv import AddDemonstration, Pause
+from wam_power_ros.ros import interface
 from wam_power_ros.ros.node_runner import executor_for
+from wam_power_ros.ros.outcomes import Answer, Code, ServiceError
 
 TIMEOUT = 60.0  # [s of wall time] for a service to appear, to answer and to succeed
 # A client that has discovered a service may not be discovered by it yet: the middleware drops an
@@ -42,7 +43,8 @@ RETRY_PERIOD = 0.2  # [s of wall time] between a refusal and the next request
 DISPATCH_PERIOD = 0.1  # [s of wall time] in which the thread notices that it shall end
 CHECK_PERIOD = 0.05  # [s of wall time] between two checks of what is waited for
 NEWEST = QoSProfile(depth=1, reliability=interface.STATE_IN.reliability)
-Data = bool | Transition | None  # of a request: of a SetBool, a ChangeState, or a Trigger
+# Of a request: of a SetBool, a ChangeState, a Trigger; or a whole request of another type.
+Data = bool | Transition | Pause.Request | AddDemonstration.Request | None
 
 
 class Link:
@@ -71,9 +73,11 @@ class Link:
         self._changed = threading.Condition()  # notified of every message and answer
         self._ended = False
         self._error: Exception | None = None  # of a callback; it ends the thread
+        self._executor: Executor
         self._thread = threading.Thread(target=self._dispatch, name="callbacks", daemon=True)
 
     def __enter__(self) -> Link:
+        self._executor = executor_for(self.node)
         self._thread.start()
         return self
 
@@ -83,14 +87,23 @@ class Link:
 
     def _dispatch(self) -> None:
         try:
-            executor = executor_for(self.node)
             try:
                 while not self._ended:
-                    executor.spin_once(timeout_sec=DISPATCH_PERIOD)
+                    self._executor.spin_once(timeout_sec=DISPATCH_PERIOD)
             finally:
-                executor.shutdown()
+                self._executor.shutdown()
         except Exception as error:  # raised by the waits of other threads
             self._error = error
+
+    def schedule(self, work: Callable[[], object]) -> Future:
+        """Let short work be done by the thread that dispatches the callbacks.
+
+        A client of an action keeps a request only after it has sent it: in another thread the
+        response may come first, and would be ignored.
+        """
+        task = self._executor.create_task(work)
+        task.add_done_callback(self.notify)
+        return task
 
     def until(
         self,
@@ -130,7 +143,8 @@ class Link:
                 self._changed.wait(min(CHECK_PERIOD, timeout - waited))
         return True
 
-    def _notify(self, _: object = None) -> None:
+    def notify(self, _: object = None) -> None:
+        """Let every wait look again at what it waits for."""
         with self._changed:
             self._changed.notify_all()
 
@@ -147,7 +161,7 @@ class Link:
 
         def received(message: Any) -> None:  # noqa: ANN401 - of any type
             self.read(then, message)
-            self._notify()
+            self.notify()
 
         self.node.create_subscription(kind, topic, received, qos)
 
@@ -246,7 +260,7 @@ class Link:
             raise ServiceError(f"{full} did not appear in {timeout:.0f} s")
         _, request = _request(data)
         future = self._clients[name].call_async(request)
-        future.add_done_callback(self._notify)
+        future.add_done_callback(self.notify)
         return future
 
     def answer(self, name: str, future: Future) -> Answer | None:
@@ -255,8 +269,9 @@ class Link:
             self._clients[name].remove_pending_request(future)
             return None
         response = future.result()
-        message = getattr(response, "message", "")  # of a transition: none
-        return answers.read(response.success, message)
+        code = Code.DONE if response.success else Code.UNKNOWN
+        text = getattr(response, "message", "")  # of a transition: none
+        return Answer(code, text, under_way=getattr(response, "under_way", False))
 
     def call(
         self,
@@ -315,7 +330,7 @@ class Link:
             return []
         self.sleep(DISCOVERY)
         future = client.call_async(GetParameters.Request(names=names))
-        future.add_done_callback(self._notify)
+        future.add_done_callback(self.notify)
         self.until(future.done, timeout=timeout)
         return list(future.result().values) if future.done() else []
 
@@ -332,4 +347,7 @@ def _request(data: Data) -> tuple[type, object]:
         return Trigger, Trigger.Request()
     if isinstance(data, Transition):
         return ChangeState, ChangeState.Request(transition=data)
+    for kind in (Pause, AddDemonstration):
+        if isinstance(data, kind.Request):
+            return kind, data
     return SetBool, SetBool.Request(data=data)

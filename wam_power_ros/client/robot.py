@@ -13,18 +13,17 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from uuid import uuid4
 
 import numpy as np
 import rclpy
 from rclpy.context import Context
 from sensor_msgs.msg import JointState
-from trajectory_msgs.msg import JointTrajectory
 
+from wam_power_interfaces.action import Demonstrate, Replay, ResetScene
 from wam_power_ros.bags import reader
+from wam_power_ros.client.actions import ACCEPT_TIMEOUT, Action
 from wam_power_ros.client.link import TIMEOUT, Link
 from wam_power_ros.client.reports import ControllerReports
-from wam_power_ros.client.requests import FIRST_TIMEOUT, Requests, succeeded
 from wam_power_ros.client.rollouts import Executed, Ready, Rollouts, RolloutSettings
 from wam_power_ros.control import replay_trajectory
 from wam_power_ros.control.arm import Arm
@@ -33,9 +32,9 @@ from wam_power_ros.learning.policy import Policy
 from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import robot_description
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.answers import Answer, ServiceError
 from wam_power_ros.ros.joint_messages import JointMovement, JointStateReader, movement_message
 from wam_power_ros.ros.node_runner import participant
+from wam_power_ros.ros.outcomes import Answer, ServiceError
 
 RECORDER = "demonstration_recorder"  # node
 MOVE_TIMEOUT = 3600.0  # [s of wall time]
@@ -185,18 +184,16 @@ class Robot:
         Raises:
             Stopped: After an interrupt.
         """
-        message, asked = movement_message(self.joint_names, JointMovement(t, q)), None
-        message.header.frame_id = id = uuid4().hex
+        movement, goal = movement_message(self.joint_names, JointMovement(t, q)), None
         try:
             self.stop()  # succeeds once the controller is active
-            asked = self._replays.send(message, id, "replay")
-            self.link.until(lambda: asked.answer, "the end of the movement", MOVE_TIMEOUT)
+            goal = self._replays.send(movement=movement)
+            return str(goal.done(MOVE_TIMEOUT).outcome.text)
         except KeyboardInterrupt:
-            self._stop_requests(self._replays)
-            if asked is not None:
-                self.link.until(lambda: asked.answer, "the end of the movement")
-            raise Stopped(asked and asked.answer) from None
-        return succeeded(asked).text
+            self._stop(self._replays)
+            if goal is not None:
+                self.link.until(lambda: goal.ended, "the end of the movement")
+            raise Stopped(goal and goal.answer) from None
 
     def rollout(self, policy: Policy, ready: Ready = lambda state: "") -> Executed:
         """Move to the start of a policy, execute it once and hold.
@@ -216,14 +213,15 @@ class Robot:
         try:
             return self._rollouts.execute(policy, policy.basis.duration + self._settle_time, ready)
         except KeyboardInterrupt:
-            self._stop_requests(self._rollouts.controller)
+            self._stop(*self._rollouts.motions)
             raise Stopped(None) from None
 
-    def _stop_requests(self, requests: Requests) -> None:
-        """Stop, and again once a request under way has been answered: it may begin in between."""
+    def _stop(self, *motions: Action) -> None:
+        """Stop, and again once a goal on its way has been accepted: it may begin in between."""
         self.stop()
-        if not requests.settled:
-            self.link.until(lambda: requests.settled, "the answer to a request", FIRST_TIMEOUT)
+        settled = lambda: all(action.settled for action in motions)  # noqa: E731
+        if not settled():
+            self.link.until(settled, "a goal to be accepted", ACCEPT_TIMEOUT)
             self.stop()
 
     def stop(self) -> None:
@@ -235,14 +233,14 @@ class Robot:
         self.link.insist(interface.RESET)
 
     @cached_property
-    def _replays(self) -> Requests:
-        topic, answers = interface.REPLAY, interface.CONTROLLER_ANSWER
-        return Requests(self.link, topic, answers, JointTrajectory)
+    def _replays(self) -> Action:
+        return Action(self.link, Replay, interface.REPLAY_MOVEMENT)
 
     @cached_property
-    def scene(self) -> Requests:
-        """Requests to a simulated scene."""
-        return Requests(self.link, interface.SCENE_REQUEST, interface.SCENE_ANSWER)
+    def scene(self) -> tuple[Action, Action]:
+        """Actions of a simulated scene: reset and demonstrate."""
+        reset = Action(self.link, ResetScene, interface.RESET_SCENE)
+        return reset, Action(self.link, Demonstrate, interface.DEMONSTRATE)
 
     @cached_property
     def _rollouts(self) -> Rollouts:
@@ -298,11 +296,11 @@ class Robot:
 
     def put_back(self) -> None:
         """Put arm and body of a simulation to the start of the next demonstration."""
-        self.scene.ask("reset")
+        self.scene[0].send().done()
 
     def demonstrate(self) -> None:
         """Let the simulated demonstrator guide the arm."""
-        self.scene.ask("demonstrate", MOVE_TIMEOUT)
+        self.scene[1].send().done(MOVE_TIMEOUT)
 
 
 @contextmanager

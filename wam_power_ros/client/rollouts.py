@@ -14,25 +14,25 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path as FilePath
 from typing import Any, Literal, NamedTuple
-from uuid import uuid4
 
 from nav_msgs.msg import Odometry, Path
-from std_msgs.msg import String
-from trajectory_msgs.msg import JointTrajectory
 
+from wam_power_interfaces.action import ExecutePolicy, MoveToStart, Replay, ResetScene
+from wam_power_interfaces.msg import GroundTruth
+from wam_power_interfaces.msg import Policy as PolicyMessage
+from wam_power_ros.client.actions import Action, Goal
 from wam_power_ros.client.link import RETRY_PERIOD, Link
 from wam_power_ros.client.reports import ControllerReports
-from wam_power_ros.client.requests import Asked, Requests
 from wam_power_ros.control.modes import Mode
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
 from wam_power_ros.ros import interface, pose_messages
-from wam_power_ros.ros.answers import Answer, Code, ServiceError
 from wam_power_ros.ros.joint_messages import JointMovement, movement_message
+from wam_power_ros.ros.outcomes import NO_ANSWER, Answer, Code, Ended, ServiceError
 from wam_power_ros.ros.pose_messages import PathReading
-from wam_power_ros.ros.requests import RolloutEnd
-from wam_power_ros.tasks.reset import Action, BodyState, Move, Resetting
+from wam_power_ros.tasks.reset import Action as ResetAction
+from wam_power_ros.tasks.reset import BodyState, Move, Resetting
 from wam_power_ros.tasks.task import MISSING_MAX
 
 STARTS_MAX = 5  # attempts to begin one rollout
@@ -43,10 +43,9 @@ BUSY_PERIOD = 0.02  # [s of wall time] to the next request to an arm that comes 
 SWITCH_LOG_PERIOD = 5.0  # between two lines about the enabling switch [s]
 SILENCE = 2.0  # without a state of the body, after which it counts as not seen [s of wall time]
 NOT_BEGUN_CODES = (Code.UNKNOWN, Code.FAULT, Code.NOT_ACTIVE, Code.NOT_AT_START, Code.STOPPED)
-NO_ANSWER = Answer(Code.UNKNOWN, "no answer")
 INACTIVE_MODES = ("", "unconfigured", Mode.INACTIVE.value)  # the first before any is known
 Ready = Callable[[BodyState | None], str]  # what is missing before a rollout, empty if nothing
-PutBack = Callable[[BodyState | None], Action]  # what is to be done then
+PutBack = Callable[[BodyState | None], ResetAction]  # what is to be done then
 
 
 class Awaited(NamedTuple):
@@ -75,9 +74,9 @@ class EndedByPersonError(ServiceError):
         bag: Name of the recording of the rollout, "" without one.
     """
 
-    def __init__(self, answer: Answer) -> None:
+    def __init__(self, answer: Answer, ran: bool = False) -> None:
         super().__init__(answer.text, answer)
-        self.ran, self.bag = answer.success, ""
+        self.ran, self.bag = ran, ""
 
 
 class NotBegunError(RolloutError):
@@ -122,10 +121,10 @@ class Executed:
 
 
 class Rollouts:
-    """Executes policies by requests to controller, recorder and stand-in.
+    """Executes policies by actions of controller and stand-in, and services of the recorder.
 
     Attributes:
-        controller: Requests to the controller.
+        motions: Actions of the controller.
         awaited: Returns what is waited for without limit, None if nothing; for every thread.
 
     Args:
@@ -146,22 +145,20 @@ class Rollouts:
         self._seen = time.monotonic()  # when the last state of the body came
         self._joint_names = joint_names
         self.awaited: Callable[[], Awaited | None] = _nothing
-        self.controller = Requests(link, interface.CONTROLLER_REQUEST, interface.CONTROLLER_ANSWER)
-        self._scene = Requests(link, interface.SCENE_REQUEST, interface.SCENE_ANSWER)
+        self._execution = Action(link, ExecutePolicy, interface.EXECUTE_POLICY)
+        self._to_start = Action(link, MoveToStart, interface.MOVE_TO_START)
+        self._replays = Action(link, Replay, interface.REPLAY_MOVEMENT)
+        self.motions = self._execution, self._to_start, self._replays
+        self._scene = Action(link, ResetScene, interface.RESET_SCENE)
         self._truth_topic = interface.body_topic(body, "truth")
         last, path = link.last, pose_messages.path
-        self._tool_path = last(Path, interface.ROLLOUT_END_EFFECTOR, path)
-        self._truth = last(String, self._truth_topic, pose_messages.ground_truth)
+        self._truth = last(GroundTruth, self._truth_topic, pose_messages.ground_truth)
         if body:
             self._body_path = last(Path, interface.rollout_topic(body), path)
             states = interface.body_topic(body, "state")
             link.listen(Odometry, states, self._on_state, interface.STATE_OUT)
         link.prepare(interface.RESET)
         link.prepare(interface.RECORD, data=True)
-        self._replays = None
-        if joint_names:
-            replay = interface.REPLAY, interface.CONTROLLER_ANSWER
-            self._replays = Requests(link, *replay, JointTrajectory)
 
     def _on_state(self, message: Odometry) -> None:
         state, self._seen = pose_messages.odometry(message), time.monotonic()
@@ -248,25 +245,28 @@ class Rollouts:
 
     # Requests
 
-    def _ask(self, requests: Requests, do: str, policy: Policy, timeout: float) -> Answer:
-        """Answer that ends a request about a policy; of code UNKNOWN if none came at all.
+    def _ask(self, action: Action, policy: Policy, timeout: float) -> tuple[Answer, Any]:
+        """Outcome and result of a goal about a policy, see `_end_of`."""
+        goal: dict[str, object] = {} if action is self._scene else {"known_stop": self._known()}
+        goal["policy"] = PolicyMessage(id=policy.id, text=policies.to_json(policy))
+        return self._end_of(action.send(**goal), policy.id, timeout)
+
+    def _known(self) -> str:
+        """Last stop after which a person has let the session go on, as a goal names it."""
+        return "" if self._known_stop is None else self._known_stop or "none"
+
+    def _end_of(self, goal: Goal, what: str, timeout: float) -> tuple[Answer, Any]:
+        """Outcome and result of a goal; of code UNKNOWN and None if it was lost.
 
         Raises:
             EndedByPersonError: A person has ended what was requested, or did not let it begin.
         """
-        known = {} if self._known_stop is None else {"stop": self._known_stop}
-        known = known if requests is self.controller else {}
-        asked = requests.begin(do, policy=policies.to_json(policy), **known)
-        return self._end_of(asked, f"{asked.what} of {policy.id}", timeout)
-
-    def _end_of(self, asked: Asked, what: str, timeout: float) -> Answer:
-        if asked.answers:
-            self.until(lambda: asked.answer, f"the end of {what}", timeout)
-        answer = asked.answer or NO_ANSWER
-        if stop := answer.values.get("stop"):
-            self._reports.last_stop = stop
-            raise EndedByPersonError(answer)
-        return answer
+        self.until(lambda: goal.ended, f"the end of {goal.what} of {what}", timeout)
+        answer = goal.answer or NO_ANSWER
+        if answer.stop:
+            self._reports.last_stop = answer.stop
+            raise EndedByPersonError(answer, ran=_start_ns(goal.result) > 0)
+        return answer, goal.result
 
     def _call(self, name: str, data: bool | None = None) -> Answer:
         """Answer of a service; of code UNKNOWN if none came."""
@@ -289,7 +289,7 @@ class Rollouts:
 
     # One rollout
 
-    def _execute(self, policy: Policy) -> RolloutEnd:
+    def _execute(self, policy: Policy) -> ExecutePolicy.Result:
         """Execute the policy, to the end.
 
         Waits without limit for a person to hold the enabling switch.
@@ -299,13 +299,14 @@ class Rollouts:
         """
         end = time.monotonic() + self._settings.service_timeout
         while True:
-            answer = self._ask(self.controller, "execute", policy, self._settings.rollout_timeout)
+            timeout = self._settings.rollout_timeout
+            answer, result = self._ask(self._execution, policy, timeout)
             if self._await_switch(answer, f"for {policy.id}"):
                 continue
-            if answer.success:
-                return RolloutEnd.of(answer)
+            if _start_ns(result):
+                return result
             if answer.code in NOT_BEGUN_CODES:
-                raise NotBegunError(answer.text)
+                raise NotBegunError(answer.said)
             if time.monotonic() > end:
                 raise RolloutError(f"{policy.id} could not be executed: {answer.said}")
             self._link.sleep(RETRY_PERIOD)
@@ -350,7 +351,7 @@ class Rollouts:
         by_person = self._reach_start(policy)
         if not self._body:
             return None
-        if self._replays is None:
+        if not self._joint_names:
             resetting.reset = lambda state: "person"
         self._resetting = resetting
         while True:
@@ -388,15 +389,14 @@ class Rollouts:
         """Execute a movement that puts the body back; a refusal is logged, and a person asked."""
         message = movement_message(self._joint_names, JointMovement(move.t, move.q))
         while True:
-            message.header.frame_id = id = uuid4().hex
-            if self._known_stop is not None:
-                message.header.frame_id += f" {self._known_stop}"
-            asked = self._replays.send(message, id, "replay")
-            answer = self._end_of(asked, "a movement", self._settings.patience)
+            goal = self._replays.send(movement=message, known_stop=self._known())
+            answer, _ = self._end_of(
+                goal, f"a movement of the {self._body}", self._settings.patience
+            )
             if not self._await_switch(answer, f"to put the {self._body} back"):
                 break
         if not answer.success:
-            self._log.warning(f"the {self._body} is not put back: {answer}")
+            self._log.warning(f"the {self._body} is not put back: {answer.said}")
             self._link.sleep(RETRY_PERIOD)
 
     def _reset_scene(self, policy: Policy, ready: Ready) -> None:
@@ -404,9 +404,9 @@ class Rollouts:
         end = time.monotonic() + self._settings.patience
         while True:
             self._reach_start(policy)
-            answer = self._ask(self._scene, "reset", policy, self._settings.service_timeout)
+            answer, _ = self._ask(self._scene, policy, self._settings.service_timeout)
             if not answer.success:
-                raise NotBegunError(f"the scene is not reset: {answer.text}")
+                raise NotBegunError(f"the scene is not reset: {answer.said}")
             if not self._body:
                 return
             self._resetting = again = Resetting(ready, lambda state: "wait")
@@ -433,7 +433,7 @@ class Rollouts:
         by_person = False
         end = time.monotonic() + self._settings.patience
         while True:
-            answer = self._ask(self.controller, "move_to_start", policy, self._settings.patience)
+            answer, _ = self._ask(self._to_start, policy, self._settings.patience)
             if answer.success:
                 self._reports.fault = None
                 return by_person
@@ -472,11 +472,12 @@ class Rollouts:
             lambda: self._reports.mode not in INACTIVE_MODES, lambda: Awaited("activate", what)
         )
 
-    def _collect(self, policy: Policy, duration: float, end: RolloutEnd) -> Executed:
+    def _collect(self, policy: Policy, duration: float, result: ExecutePolicy.Result) -> Executed:
         """Wait for the messages of the rollout that has ended.
 
         The latched topics may have those of an earlier one; paths have the stamp of its start.
         """
+        end = Ended.of(result.end)
 
         def awaited(last: Callable[[], Any], fits: Callable[[Any], bool], what: str) -> Any:  # noqa: ANN401
             found: list[Any] = []
@@ -491,7 +492,7 @@ class Rollouts:
         def same(path: PathReading) -> bool:
             return path.start_ns == end.start_ns
 
-        tool = EndEffectorPath(policy.id, *awaited(self._tool_path, same, "path of the tool")[1:])
+        tool = EndEffectorPath(policy.id, *pose_messages.path(result.path)[1:])
         body = truth = None
         if self._body:
             path = awaited(self._body_path, same, f"path of the {self._body}")
@@ -501,13 +502,18 @@ class Rollouts:
             try:
                 truth = awaited(
                     self._truth,
-                    lambda it: it.values.get("id") == policy.id and it.end_ns >= end.start_ns,
+                    lambda it: it.policy_id == policy.id and it.end_ns >= end.start_ns,
                     "ground truth",
                 ).values
             except RolloutError as error:  # of a simulation that was restarted meanwhile
                 self._log.warning(f"{policy.id} has no ground truth: {error}")
         fault = end.fault if tool.t[-1] < duration - MISSING_MAX else None
-        return Executed(Rollout(tool, body, fault, end.stopped_in), bag, truth)
+        return Executed(Rollout(tool, body, fault, end.region), bag, truth)
+
+
+def _start_ns(result: Any) -> int:  # noqa: ANN401 - of any action
+    """Stamp of the start of a rollout that has run [ns]; 0 for another result."""
+    return Ended.of(result.end).start_ns if isinstance(result, ExecutePolicy.Result) else 0
 
 
 def _nothing() -> None:

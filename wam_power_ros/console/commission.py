@@ -19,8 +19,8 @@ from wam_power_ros.client.robot import Robot, Stopped
 from wam_power_ros.console.prompt import ask, show
 from wam_power_ros.entry import INTERRUPTED
 from wam_power_ros.params.node_params import Params
-from wam_power_ros.ros.answers import ServiceError
 from wam_power_ros.ros.node_runner import run_script
+from wam_power_ros.ros.outcomes import ServiceError
 
 LOG_PERIOD = 30.0  # [s] between two lines about the movement under way
 SETTLE_TIME = 1.0  # [s] recorded after a stop, while the arm comes to rest

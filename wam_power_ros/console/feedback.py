@@ -17,8 +17,8 @@ from rclpy.node import Node
 from wam_power_ros.client.feedback import Feedback
 from wam_power_ros.client.link import LOG_AFTER, Link
 from wam_power_ros.console.prompt import show
-from wam_power_ros.ros.answers import Answer, Code, ServiceError
 from wam_power_ros.ros.node_runner import participant, run_script
+from wam_power_ros.ros.outcomes import Answer, Code, ServiceError
 
 APPEAR_TIMEOUT = 10.0  # [s of wall time] until a service of the learner is available
 

@@ -27,8 +27,8 @@ from wam_power_ros.console.prompt import ask, show
 from wam_power_ros.control import replay_trajectory
 from wam_power_ros.entry import INTERRUPTED
 from wam_power_ros.params.node_params import Params
-from wam_power_ros.ros.answers import Answer, Code, ServiceError
 from wam_power_ros.ros.node_runner import run_script
+from wam_power_ros.ros.outcomes import Answer, Code, ServiceError
 
 NO_MOTION_CODES = (
     Code.REFUSED,
@@ -121,7 +121,7 @@ def with_possible_speed(answer: Answer, speed: float) -> str:
     """
     if answer.code is not Code.TOO_FAST:
         return answer.text
-    possible = float(answer.values["speed"]) * speed
+    possible = answer.speed * speed
     if possible < replay_trajectory.SPEED_MIN:
         return f"{answer.text}; no --speed is slow enough"
     return f"{answer.text}; possible at --speed {possible:.2f}"

@@ -25,8 +25,8 @@ from wam_power_ros.client.link import LOG_AFTER, Link
 from wam_power_ros.console.replay import ReplayParams, replay
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.params.resources import robot_description
-from wam_power_ros.ros.answers import ServiceError
 from wam_power_ros.ros.node_runner import run_script
+from wam_power_ros.ros.outcomes import ServiceError
 
 CONTROLLER = "torque_controller"  # node
 APPEAR_TIMEOUT = 15.0  # [s of wall time] for its services to be discovered

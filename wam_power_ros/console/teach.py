@@ -23,8 +23,8 @@ from wam_power_ros.client.link import LOG_AFTER, Link
 from wam_power_ros.client.robot import Robot
 from wam_power_ros.console.prompt import ask, choose, cue, show
 from wam_power_ros.params.node_params import Params
-from wam_power_ros.ros.answers import ServiceError
 from wam_power_ros.ros.node_runner import run_script
+from wam_power_ros.ros.outcomes import ServiceError
 
 KEEP, AGAIN, DISCARD, DONE = "keep", "again", "discard", "done"
 KEYS = {"a": AGAIN, "d": DISCARD, "q": DONE}

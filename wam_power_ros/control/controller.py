@@ -433,7 +433,7 @@ class Controller:
         if error[worst] > tolerance:
             joint = f"{self.arm.joint_names[worst]} is {error[worst]:.3f} rad from the start"
             text = f"rollout refused: {joint} of policy {policy.id}, tolerance {tolerance:g}"
-            raise ControllerError(Refusal.NOT_AT_START, text, {"policy": policy.id})
+            raise ControllerError(Refusal.NOT_AT_START, text)
         return policy
 
     # Control cycle

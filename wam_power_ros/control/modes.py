@@ -2,7 +2,7 @@
 """Modes of the torque controller, their transitions, and refusals of requests."""
 
 import enum
-from collections.abc import Mapping
+import math
 
 from wam_power_ros.faults import Fault
 
@@ -39,15 +39,15 @@ WORKSPACE_MODES = (Mode.ROLLOUT, Mode.REPLAY)  # the tool must stay in the works
 class Refusal(str, enum.Enum):
     """Reason code of a refused request: programs decide by it, the text is for people.
 
-    The values are those of `ros.answers.Code`.
+    The values are those of `ros.outcomes.Code`.
     """
 
     FAULT = "fault"  # a fault is latched: reset first
     BUSY = "busy"  # not possible in this mode, or the arm moves
     NOTHING = "nothing"  # there is no policy, no joint state, or no fault to reset
-    NOT_AT_START = "not_at_start"  # value `policy`: the arm is not at the start of this policy
+    NOT_AT_START = "not_at_start"  # the arm is not at the start of the policy
     SWITCH = "switch"  # the enabling switch is not held
-    TOO_FAST = "too_fast"  # value `speed`: largest speed at which the replay is possible
+    TOO_FAST = "too_fast"  # for the limits of the arm; attribute `speed`
     REFUSED = "refused"  # any other reason, which a person must resolve
 
 
@@ -56,14 +56,12 @@ class ControllerError(RuntimeError):
 
     Attributes:
         refusal: Reason code.
-        values: Additional values by name, see `Refusal`.
+        speed: Largest speed, relative to the one asked for, at which it is possible if too fast.
     """
 
-    def __init__(
-        self, refusal: Refusal, text: str, values: Mapping[str, str] | None = None
-    ) -> None:
+    def __init__(self, refusal: Refusal, text: str, speed: float = math.nan) -> None:
         super().__init__(text)
-        self.refusal, self.values = refusal, values or {}
+        self.refusal, self.speed = refusal, speed
 
 
 def check_transition(mode: Mode, target: Mode, fault: Fault | None, reset: bool = False) -> None:

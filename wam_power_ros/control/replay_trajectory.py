@@ -18,6 +18,7 @@ from wam_power_ros.learning.demonstration import smooth_joints
 EASE_TIME = 0.3  # [s] in which a replay accelerates to its speed, and decelerates at the end
 SPEED_MIN, SPEED_MAX = 0.01, 5.0  # bounds of the speed relative to the recording
 KNOT_PERIOD = 0.01  # [s] between two postures of a movement
+KNOTS_MIN = 4  # of a cubic spline
 
 
 def movement(
@@ -54,6 +55,29 @@ def movement(
     return times, scipy.interpolate.CubicSpline(t, smooth)(np.clip(played * speed, 0.0, t[-1]))
 
 
+def through(t: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Movement through waypoints from rest to rest, such as those of MoveIt.
+
+    Args:
+        t: Times of the waypoints, strictly increasing [s]. Shape (N,), N >= 1.
+        q: Joint angles there [rad]. Shape (N, n).
+
+    Returns:
+        Times from 0 [s], shape (M,), and joint angles [rad], shape (M, n), M >= 4. A single
+        waypoint is a posture to rest at.
+
+    Raises:
+        ValueError: The times do not increase.
+    """
+    if len(t) == 1:
+        times = np.linspace(0.0, KNOT_PERIOD, KNOTS_MIN)
+        return times, np.tile(q, (KNOTS_MIN, 1))
+    spline = scipy.interpolate.CubicSpline(t - t[0], q, bc_type="clamped")
+    duration = float(t[-1] - t[0])
+    times = np.linspace(0.0, duration, max(math.ceil(duration / KNOT_PERIOD) + 1, KNOTS_MIN))
+    return times, spline(times)
+
+
 def sampled(t: npt.ArrayLike, q: npt.ArrayLike, period: float, limits: Limits) -> Sampled:
     """Sample a joint movement at the control period, and check it against the limits of the arm.
 
@@ -81,5 +105,5 @@ def sampled(t: npt.ArrayLike, q: npt.ArrayLike, period: float, limits: Limits) -
     share = float(np.max(np.abs(movement.qd) / limits.qd_max))
     if share > 1.0:
         text = f"replay refused: the movement reaches {share:.2f} times a joint-speed limit"
-        raise ControllerError(Refusal.TOO_FAST, text, {"speed": f"{1.0 / share:.3f}"})
+        raise ControllerError(Refusal.TOO_FAST, text, round(1.0 / share, 3))
     return movement

@@ -26,21 +26,21 @@ from diagnostic_msgs.msg import DiagnosticArray
 from pydantic import Field
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
+from wam_power_interfaces.msg import Policy
 from wam_power_ros import __version__, arm_identity
 from wam_power_ros.bags import layout
 from wam_power_ros.bags.background_writer import Recording
 from wam_power_ros.bags.writer import header_stamp
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.durable_files import explained
-from wam_power_ros.learning import policy
+from wam_power_ros.learning.policy import DURATION_MAX, check_id
 from wam_power_ros.params.node_params import Names, Params
 from wam_power_ros.params.resources import robot_description
 from wam_power_ros.ros import interface, node_runner, scheduling
-from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.diagnostics import component, diagnostics_message
+from wam_power_ros.ros.outcomes import Answer, Code, fill
 from wam_power_ros.ros.raw_subscriptions import RawTopics
 
 MEGABYTE = 1_000_000
@@ -120,7 +120,7 @@ class DemonstrationRecorder(Node):
         if self._sim_time:
             topics[interface.CLOCK] = ()
         self._topics = RawTopics(self, topics, self._on_message)
-        self.create_subscription(String, interface.POLICY, self._on_policy, interface.LATCHED)
+        self.create_subscription(Policy, interface.POLICY, self._on_policy, interface.LATCHED)
         self._diagnostics = self.create_publisher(
             DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
         )
@@ -159,9 +159,10 @@ class DemonstrationRecorder(Node):
         if self._recording is not None:
             self._write(topic, cdr)
 
-    def _on_policy(self, message: String) -> None:
+    def _on_policy(self, message: Policy) -> None:
         try:
-            self._policy_id = policy.from_json(message.data).id
+            check_id(message.id)  # will be the name of a file
+            self._policy_id = message.id
         except ValueError as error:
             self.get_logger().warning(f"policy refused: {error}", throttle_duration_sec=1.0)
 
@@ -173,8 +174,7 @@ class DemonstrationRecorder(Node):
             answer = Answer(Code.REFUSED, text)
         if not answer.success:
             self.get_logger().warning(f"request refused: {answer.text}")
-        response.success, response.message = answer.success, str(answer)
-        return response
+        return fill(response, answer)
 
     def _start(self) -> Answer:
         """Begin a bag; the text of the answer is its path."""
@@ -244,7 +244,7 @@ class DemonstrationRecorder(Node):
     def _write(self, topic: str, cdr: bytes) -> None:
         if topic not in self._recording:
             if topic == self._state_topic and self._taught:
-                self._too_long_ns = self._now() + policy.DURATION_MAX * 1e9
+                self._too_long_ns = self._now() + DURATION_MAX * 1e9
             self._recording.add(topic, self._topics.msgtype(topic), self._topics.offered(topic))
         self._recording.write(topic, cdr)
 
@@ -276,7 +276,7 @@ class DemonstrationRecorder(Node):
         if recording is None:
             return
         if self._now() > self._too_long_ns:
-            longest, self._too_long_ns = f"{policy.DURATION_MAX:g} s", math.inf
+            longest, self._too_long_ns = f"{DURATION_MAX:g} s", math.inf
             self.get_logger().warning(
                 f"{recording.path} is longer than {longest}: a movement of more than {longest} "
                 "cannot be learnt"

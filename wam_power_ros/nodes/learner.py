@@ -27,9 +27,10 @@ from pydantic import Field, model_validator
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import Trigger
 from typing_extensions import Self
 
+from wam_power_interfaces import srv
 from wam_power_ros import installed, plain_json
 from wam_power_ros.arm_identity import refusal, remark
 from wam_power_ros.client.link import Link
@@ -52,7 +53,6 @@ from wam_power_ros.practice.session import Session, read, read_policy
 from wam_power_ros.practice.session_log import KIND_NAMES, Event, Line, Pause, Record, Trial
 from wam_power_ros.practice.settings import SessionSettings, preset
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.answers import Answer, Code, ServiceError
 from wam_power_ros.ros.diagnostics import LEARNER_STATE, component, diagnostics_message
 from wam_power_ros.ros.node_runner import (
     end,
@@ -60,7 +60,7 @@ from wam_power_ros.ros.node_runner import (
     parameter_file_hint,
     started,
 )
-from wam_power_ros.ros.requests import Request, Server
+from wam_power_ros.ros.outcomes import Answer, Code, ServiceError, fill
 from wam_power_ros.tasks.task import Pose, Task
 
 
@@ -133,11 +133,10 @@ class Learner(Node):
         for kind, name, answer in (
             (Trigger, interface.LEARNER_REWARD, self._rated(rating)),
             (Trigger, interface.LEARNER_PUNISH, self._rated(-rating)),
-            (SetBool, interface.LEARNER_PAUSE, self._on_pause),
+            (srv.Pause, interface.LEARNER_PAUSE, self._on_pause),
+            (srv.AddDemonstration, interface.ADD_DEMONSTRATION, self._on_demonstration),
         ):
             self.create_service(kind, name, answer)
-        begin = {"add_demonstration": self._add_demonstration}
-        Server(self, interface.LEARNER_REQUEST, interface.LEARNER_ANSWER, begin)
         self._kind = self._task_type()
         self._demonstrations = Demonstrations(self._kind, self._arm, params.joint_names, log)
         self._link = Link(self, params.service_timeout)
@@ -173,22 +172,24 @@ class Learner(Node):
 
     # Requests of a person
 
-    def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+    def _on_pause(
+        self, request: srv.Pause.Request, response: srv.Pause.Response
+    ) -> srv.Pause.Response:
         with self._lock:
             practice, under_way = self._practice, self._under_way
-            if practice is not None and request.data != bool(practice.paused):
-                note = f"paused by a person; {GO_ON}" if request.data else "a person lets it go on"
-                self._session.append(practice.pause(request.data, note, {"at": time.time()}))
-            if not request.data:
+            if practice is not None and request.pause != bool(practice.paused):
+                note = f"paused by a person; {GO_ON}" if request.pause else "a person lets it go on"
+                self._session.append(practice.pause(request.pause, note, {"at": time.time()}))
+            if not request.pause:
                 self._rollouts.go_on()
         text = "continues"
-        if request.data:
+        if request.pause:
             text = "pauses after the trial under way" if under_way else "paused"
-        answer = Answer(Code.DONE, text, {"trial": "under_way" if under_way else "over"})
+        answer = Answer(Code.DONE, text)
         if practice is None:
             answer = Answer(Code.REFUSED, "no session is under way")
-        response.success, response.message = answer.success, str(answer)
-        return response
+        response.under_way = under_way
+        return fill(response, answer)
 
     def _rated(
         self, amount: float
@@ -196,38 +197,34 @@ class Learner(Node):
         """Service callback that rates the last finished rollout, or answers why it cannot."""
 
         def serve(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-            try:
-                answer = self._append(
-                    lambda practice: practice.rate(amount, clock={"at": time.time()})
-                )
-            except ValueError as error:
-                answer = Answer(Code.REFUSED, str(error))
-                self.get_logger().warning(f"request refused: {error}")
-            response.success, response.message = answer.success, str(answer)
-            return response
+            return self._append(
+                response, lambda practice: practice.rate(amount, clock={"at": time.time()})
+            )
 
         return serve
 
-    def _append(self, make: Callable[[Practice], Event]) -> Answer:
-        """Append an event to the log of the session.
-
-        Raises:
-            ValueError: There is none, or the event is not possible.
-        """
-        with self._lock:
-            if self._practice is None:
-                raise ValueError("no session is under way")
-            event = make(self._practice)
-            self._session.append(event)
+    def _append(self, response: Any, make: Callable[[Practice], Event]) -> Any:  # noqa: ANN401
+        """Append an event to the log of the session, or answer why it is not possible."""
+        try:
+            with self._lock:
+                if self._practice is None:
+                    raise ValueError("no session is under way")
+                event = make(self._practice)
+                self._session.append(event)
+        except ValueError as error:
+            self.get_logger().warning(f"request refused: {error}")
+            return fill(response, Answer(Code.REFUSED, str(error)))
         self.get_logger().info(event.note)
-        return Answer(Code.DONE, event.note)
+        return fill(response, Answer(Code.DONE, event.note))
 
-    def _add_demonstration(self, asked: Request) -> Answer:
-        bag = asked.about.get("bag", "")
-        if not bag:
-            raise ValueError("the request names no bag")
+    def _on_demonstration(
+        self, request: srv.AddDemonstration.Request, response: srv.AddDemonstration.Response
+    ) -> srv.AddDemonstration.Response:
+        bag = request.bag
 
         def make(practice: Practice) -> Event:
+            if not bag:
+                raise ValueError("the request names no bag")
             taken = [candidate.id for candidate in practice.candidates]
             number = len(taken) + 1
             while f"demonstration-{number}" in taken:
@@ -236,7 +233,7 @@ class Learner(Node):
             policy = self._demonstrations.fit([read], bag, f"demonstration-{number}")
             return practice.add_demonstration(policy, bag, clock={"at": time.time()})
 
-        return self._append(make)
+        return self._append(response, make)
 
     # A session
 

@@ -5,24 +5,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-
-from std_srvs.srv import Trigger
+from typing import Protocol
 
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.joint_references import Sampled
 from wam_power_ros.control.modes import ControllerError, Mode
 from wam_power_ros.learning.dmp import TabulatedPolicy
 from wam_power_ros.learning.rollout import EndEffectorPath
-from wam_power_ros.ros.answers import NOT_ACTIVE, Answer, Code
-from wam_power_ros.ros.requests import RolloutEnd
+from wam_power_ros.ros.outcomes import NOT_ACTIVE, Answer, Code, Ended
 
-KEPT = 16  # last answers, for a request that comes again after the preparation process has ended
 STOPPED = "stopped by a person"
 
 
 def attempt(core: Controller | None, request: Callable[[Controller], None]) -> Answer:
-    """Make a request; the answer has the id of the loaded policy, or the reason for a refusal.
+    """Make a request to the controller; the answer says why it refuses.
 
     Args:
         core: Controller, None when it is not active.
@@ -33,14 +29,18 @@ def attempt(core: Controller | None, request: Callable[[Controller], None]) -> A
     try:
         request(core)
     except ControllerError as error:
-        return Answer(Code(error.refusal.value), str(error), error.values)
-    return Answer(Code.DONE, values={"policy": core.policy_id} if core.policy_id else {})
+        return Answer(Code(error.refusal.value), str(error), speed=error.speed)
+    return Answer(Code.DONE)
 
 
-def fill(response: Trigger.Response, answer: Answer) -> Trigger.Response:
-    """Write an answer into a response."""
-    response.success, response.message = answer.success, str(answer)
-    return response
+class Replies(Protocol):
+    """How `MotionRequests` replies to the request of an id."""
+
+    def begun(self, id: str) -> None:
+        """Say that it has begun."""
+
+    def ended(self, id: str, answer: Answer, end: Ended | None = None) -> None:
+        """End it; with the end of a rollout that has run."""
 
 
 class MotionRequests:
@@ -53,45 +53,35 @@ class MotionRequests:
     Args:
         joint_names: Names of the joints, for the summary of a replay.
         active: Returns the controller, None when it is not active.
-        give: Sends the answer to the request of an id.
+        replies: How to reply.
     """
 
     def __init__(
         self,
         joint_names: Sequence[str],
         active: Callable[[], Controller | None],
-        give: Callable[[str, Answer], None],
+        replies: Replies,
     ) -> None:
-        self._joint_names, self._active, self._send = joint_names, active, give
-        self._given: dict[str, Answer] = {}  # last answers by id
+        self._joint_names, self._active, self._replies = joint_names, active, replies
         self._id = self._do = ""  # request under way; "" for none
-        self._begin_ns = 0  # wall time; what was sent before is not begun
+        self._begin_ns = 0  # wall time; what was asked for before is not begun
         self.last_stop = ""
         self._by_person = False  # has ended the request under way
 
     def begin(
-        self,
-        id: str,
-        do: str,
-        about: TabulatedPolicy | Sampled,
-        sent_ns: int,
-        known_stop: str | None = None,
+        self, id: str, do: str, about: TabulatedPolicy | Sampled, asked_ns: int, known_stop: str
     ) -> None:
-        """Begin a movement and answer that it has begun, or why not.
-
-        A request that comes again is answered as before: nothing is done twice.
+        """Begin a movement, or say why not.
 
         Args:
             id: Id of the request.
             do: "move_to_start" or "execute" a policy, or "replay" a movement.
             about: The policy or the movement.
-            sent_ns: Time at which the request was sent, by the clock of its sender [ns].
-            known_stop: Last stop that its sender knows, after which a person has let it go on; None
-                for a sender who is a person. A request that does not know of the last stop is not
-                begun, so that no stop can be overtaken.
+            asked_ns: Wall time at which it was sent, or received if that is not known [ns].
+            known_stop: Last stop that its sender knows, after which a person has let it go on; ""
+                if it does not say. A request that does not know of the last stop is not begun, so
+                that no stop can be overtaken.
         """
-        if id in self._given:
-            return self._send(id, self._given[id])
 
         def start(core: Controller) -> None:
             if do == "replay":
@@ -99,19 +89,19 @@ class MotionRequests:
             core.load_prepared(about)
             return core.execute() if do == "execute" else core.move_to_start()
 
-        if known_stop is not None and self.last_stop not in ("", known_stop):
-            return self._give(id, self._stopped())
-        if sent_ns < self._begin_ns:
-            text = "sent before the last stop, reset or activation, by the clock of its sender"
+        if known_stop and self.last_stop not in ("", known_stop):
+            return self._replies.ended(id, self._stopped())
+        if asked_ns < self._begin_ns:
+            text = "asked for before the last stop, reset or activation"
             stop = self.last_stop if self.last_stop == str(self._begin_ns) else ""
-            return self._give(id, Answer(Code.STOPPED, text, {"stop": stop}))
+            return self._replies.ended(id, Answer(Code.STOPPED, text, stop))
         if self._id:
             return self.refuse(id, "the previous request is under way")
         answer = attempt(self._active(), start)
-        if answer.success:
-            self._id, self._do, self._by_person = id, do, False
-            answer = replace(answer, code=Code.BEGUN)
-        return self._give(id, answer)
+        if not answer.success:
+            return self._replies.ended(id, answer)
+        self._id, self._do, self._by_person = id, do, False
+        return self._replies.begun(id)
 
     def expire(self) -> None:
         """Begin nothing any more that was sent before now, also what is still being read.
@@ -123,16 +113,24 @@ class MotionRequests:
 
     def refuse(self, id: str, reason: str) -> None:
         """Refuse a request for now."""
-        self._give(id, Answer(Code.BUSY, f"refused: {reason}"))
+        self._replies.ended(id, Answer(Code.BUSY, f"refused: {reason}"))
+
+    def is_under_way(self, id: str) -> bool:
+        """Whether the request of an id is under way."""
+        return bool(id) and id == self._id
 
     def rollout_ended(self, core: Controller, path: EndEffectorPath, start_ns: int) -> None:
         """Answer the request for a rollout whose path, from a stamp [ns] on, is complete."""
         if self._do != "execute":
             return
         self._note_release(core)
-        stop = self.last_stop if self._by_person else ""
-        answer = RolloutEnd(path.id, start_ns, core.latched, core.stopped_in, stop).answer()
-        self._end(replace(answer, text=answer.text or STOPPED) if stop else answer)
+        fault, stop = core.latched, self.last_stop if self._by_person else ""
+        end = Ended(path.id, start_ns, fault, core.stopped_in, stop)
+        if stop:
+            answer = self._stopped(fault.text if fault else STOPPED)
+        else:
+            answer = Answer(Code.FAULT, fault.text) if fault else Answer(Code.DONE)
+        self._end(answer, end)
 
     def answer(self, core: Controller) -> None:
         """Answer the request under way once the arm rests or the movement was aborted."""
@@ -149,7 +147,7 @@ class MotionRequests:
         else:
             answer = Answer(Code.STOPPED, f"failed: mode is {mode.value}")
         if self._do == "move_to_start" and core.ready:
-            answer = Answer(Code.DONE, values={"policy": core.policy_id})
+            answer = Answer(Code.DONE)
         elif self._do == "replay" and mode is Mode.HOLD:
             answer = Answer(Code.DONE, self._summary(core))
         self._end(answer)
@@ -172,7 +170,7 @@ class MotionRequests:
             self._note_stop()
 
     def _stopped(self, text: str = STOPPED) -> Answer:
-        return Answer(Code.STOPPED, text, {"stop": self.last_stop})
+        return Answer(Code.STOPPED, text, self.last_stop)
 
     def deactivated(self) -> None:
         """Answer the request under way: the controller is not active any more."""
@@ -180,16 +178,9 @@ class MotionRequests:
         if self._id:
             self._end(NOT_ACTIVE)
 
-    def _end(self, answer: Answer) -> None:
+    def _end(self, answer: Answer, end: Ended | None = None) -> None:
         id, self._id, self._do = self._id, "", ""
-        self._give(id, answer)
-
-    def _give(self, id: str, answer: Answer) -> None:
-        self._given.pop(id, None)
-        self._given[id] = answer
-        if len(self._given) > KEPT:
-            del self._given[next(iter(self._given))]
-        self._send(id, answer)
+        self._replies.ended(id, answer, end)
 
     def _summary(self, core: Controller | None) -> str:
         """Tracking error of the last replay, as text."""

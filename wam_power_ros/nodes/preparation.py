@@ -26,7 +26,7 @@ from wam_power_ros.control.safety import Limits
 from wam_power_ros.learning.dmp import TabulatedPolicy
 from wam_power_ros.learning.rollout import EndEffectorPath
 from wam_power_ros.regions import Region
-from wam_power_ros.ros.answers import Answer
+from wam_power_ros.ros.outcomes import Answer, Ended
 from wam_power_ros.ros.process_channel import Channel, Message, pair
 
 NAME = "torque_controller_preparation"  # node of the process
@@ -49,6 +49,7 @@ class Preparation:
         domain: DDS domain of the node.
         on_request: Called by `poll` with the id of a request, what to do, the policy or movement
             that it is about, when it was sent [ns], and the last stop that its sender knows.
+        on_cancel: Called by `poll` with the id of a request that its sender cancels.
         on_refusal: Called by `poll` with the kind of a refused message, REQUEST or MOVEMENT, and
             the reason.
         on_lost: Called by `poll` with the id of a request that the process had not read when it
@@ -58,12 +59,14 @@ class Preparation:
     def __init__(
         self,
         domain: int,
-        on_request: Callable[[str, str, TabulatedPolicy | Sampled, int, str | None], None],
+        on_request: Callable[[str, str, TabulatedPolicy | Sampled, int, str], None],
+        on_cancel: Callable[[str], None],
         on_refusal: Callable[[str, str], None],
         on_lost: Callable[[str, str], None],
     ) -> None:
         self._domain = domain
-        self._on_request, self._on_refusal, self._on_lost = on_request, on_refusal, on_lost
+        self._on_request, self._on_cancel = on_request, on_cancel
+        self._on_refusal, self._on_lost = on_refusal, on_lost
         self.starts = 0
         self.pid: int | None = None
         self._reading = ""  # id of the request that the process is reading; "" for none
@@ -97,12 +100,17 @@ class Preparation:
         if self._channel is not None:
             self._send(self._settings)
 
-    def answer(self, id: str, answer: Answer) -> None:
-        """Answer a request."""
-        code, values = answer.code.value, dict(answer.values)
-        self._send(
-            {"what": "answer", "id": id, "code": code, "text": answer.text, "values": values}
-        )
+    def begun(self, id: str) -> None:
+        """Say that the movement of a request has begun."""
+        self._send({"what": "begun", "id": id})
+
+    def ended(self, id: str, answer: Answer, end: Ended | None = None) -> None:
+        """End a request; with the end of a rollout that has run."""
+        values: dict[str, object] = {"what": "ended", "id": id, "answer": vars(answer)}
+        if end is not None:
+            fault = None if end.fault is None else vars(end.fault)
+            values["end"] = {**vars(end), "fault": fault}
+        self._send(values)
 
     def publish_path(self, path: EndEffectorPath, start_ns: int, frame: str) -> None:
         """Publish the path of a rollout that began at a stamp [ns], in a frame."""
@@ -182,16 +190,18 @@ class Preparation:
             self._reading = values["id"]
             return
         self._reading = ""
-        if what == "refused":
+        if what == "cancel":
+            self._on_cancel(values["id"])
+        elif what == "refused":
             self._on_refusal(values["kind"], values["text"])
         elif values["configuration"] != self._configuration:
             self._on_lost(values["id"], "the controller was configured anew")
         elif what == "policy":
             policy = TabulatedPolicy(**values["policy"], **arrays)
-            self._on_request(values["id"], values["do"], policy, *values["sent"])
+            self._on_request(values["id"], values["do"], policy, *values["asked"])
         else:
             movement = Sampled(**arrays, **values["movement"])
-            self._on_request(values["id"], "replay", movement, *values["sent"])
+            self._on_request(values["id"], "replay", movement, *values["asked"])
 
     # Start and end of the process
 

@@ -14,21 +14,25 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
+from uuid import uuid4
 
 import numpy as np
+from control_msgs.action import FollowJointTrajectory
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Path
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
-from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
+from wam_power_interfaces.action import ExecutePolicy, MoveToStart, Replay
+from wam_power_interfaces.msg import Policy, RolloutEnd
 from wam_power_ros.control import policy_execution, replay_trajectory
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.modes import ControllerError
 from wam_power_ros.control.safety import Limits
+from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.rollout import EndEffectorPath
 from wam_power_ros.nodes.preparation import (
@@ -38,18 +42,19 @@ from wam_power_ros.nodes.preparation import (
     channel_of_process,
     settings_of,
 )
-from wam_power_ros.ros import interface, joint_messages, node_runner, pose_messages, requests
-from wam_power_ros.ros.answers import NOT_ACTIVE, Answer, Code
+from wam_power_ros.ros import interface, joint_messages, node_runner, pose_messages
+from wam_power_ros.ros.action_server import Action, Begin
 from wam_power_ros.ros.diagnostics import diagnostics_message
+from wam_power_ros.ros.outcomes import NOT_ACTIVE, Answer, Code, Ended
 from wam_power_ros.ros.process_channel import Channel, Message
-from wam_power_ros.ros.stamps import time_message
+from wam_power_ros.ros.stamps import sent_ns, time_message
 
-# Larger messages are refused unread: 20 MB are 200 000 points of seven joints with positions alone,
+# Larger movements are refused unread: 20 MB are 200 000 points of seven joints with positions,
 # where the 600 s that may be replayed have 60 000 points.
-SIZE_MAX = {REQUEST: requests.SIZE_MAX + 64, MOVEMENT: 20_000_000}
+SIZE_MAX = 20_000_000
 POINTS_MAX = 200_000
 TEXT_MAX = 2000  # characters of a refusal
-POLICY_REQUESTS = ("move_to_start", "execute")
+STAGE = "moving"  # of a request, once the arm moves
 
 
 class PreparationWorker(Node):
@@ -70,17 +75,29 @@ class PreparationWorker(Node):
         self._configuration = 0  # number of the last `configure`
         self._settings: ControllerSettings | None = None
         self._joint_names: tuple[str, ...] = ()
-        self._asked = ("", "")  # id and policy of the last request about one
+        self._asked: dict[str, Policy] = {}  # policy of a request under way, by id
         # Arrays of the last two of each kind: when the loop releases one, its memory is freed here.
-        self._shared: dict[str, deque[object]] = {what: deque(maxlen=2) for what in SIZE_MAX}
+        self._shared: dict[str, deque[object]] = {
+            what: deque(maxlen=2) for what in (REQUEST, MOVEMENT)
+        }
+        self._path = Path()  # of the last rollout
         self._paths = self.create_publisher(Path, interface.ROLLOUT_END_EFFECTOR, interface.LATCHED)
-        self._policies = self.create_publisher(String, interface.POLICY, interface.LATCHED)
+        self._policies = self.create_publisher(Policy, interface.POLICY, interface.LATCHED)
+        self._ends = self.create_publisher(RolloutEnd, interface.ROLLOUT_END, interface.LATCHED)
         self._diagnostics = self.create_publisher(
             DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
         )
-        self._answers = requests.Answers(self, interface.CONTROLLER_ANSWER)
-        self._take(String, interface.CONTROLLER_REQUEST, REQUEST, self._request)
-        self._take(JointTrajectory, interface.REPLAY, MOVEMENT, self._movement)
+        self._actions = [
+            Action(self, kind, name, begin, self._cancel, result)
+            for kind, name, begin, result in (
+                (ExecutePolicy, interface.EXECUTE_POLICY, self._of_policy("execute"), None),
+                (MoveToStart, interface.MOVE_TO_START, self._of_policy("move_to_start"), None),
+                (Replay, interface.REPLAY_MOVEMENT, self._replay, None),
+                (FollowJointTrajectory, interface.FOLLOW_TRAJECTORY, self._follow, followed),
+            )
+        ]
+        topic, qos = interface.REPLAY, interface.REPLAYS
+        self.create_subscription(JointTrajectory, topic, self._on_movement, qos, raw=True)
         # Not Executor.wake(), after which the executor waits again without calling anything.
         self._arrived = self.create_guard_condition(self._handle_messages)
         threading.Thread(target=self._listen, daemon=True).start()
@@ -113,18 +130,34 @@ class PreparationWorker(Node):
         self._settings = None if settings is None else settings_of(settings)
         self._joint_names = tuple(values["joint_names"])
 
-    def _do_answer(self, values: dict[str, Any], _: object) -> None:
-        id, policy = self._asked
-        if values["id"] == id and values["code"] == Code.BEGUN.value:
-            self._policies.publish(String(data=policy))
-        self._answers.give(
-            values["id"], Answer(Code(values["code"]), values["text"], values["values"])
-        )
+    def _do_begun(self, values: dict[str, Any], _: object) -> None:
+        id = values["id"]
+        if id in self._asked:
+            self._policies.publish(self._asked[id])
+        for action in self._actions:
+            action.report(id, STAGE)
+
+    def _do_ended(self, values: dict[str, Any], _: object) -> None:
+        more: dict[str, Any] = {}
+        if "end" in values:
+            end = values["end"]
+            fault = end["fault"] and Fault(FaultKind(end["fault"]["kind"]), end["fault"]["text"])
+            message = Ended(**{**end, "fault": fault}).message()
+            self._ends.publish(message)
+            more = {"end": message, "path": self._path}
+        answer = values["answer"]
+        self._finish(values["id"], Answer(**{**answer, "code": Code(answer["code"])}), **more)
+
+    def _finish(self, id: str, answer: Answer, **more: Any) -> None:  # noqa: ANN401 - see Action
+        self._asked.pop(id, None)
+        for action in self._actions:
+            if id in action.under_way:
+                action.finish(id, answer, **more)
 
     def _do_path(self, values: dict[str, Any], arrays: dict[str, np.ndarray]) -> None:
         path = EndEffectorPath(values["id"], **arrays)
-        message = pose_messages.path_message(path, values["start_ns"], values["frame"])
-        self._paths.publish(message)
+        self._path = pose_messages.path_message(path, values["start_ns"], values["frame"])
+        self._paths.publish(self._path)
 
     def _do_report(self, values: dict[str, Any], _: object) -> None:
         if any(later is not None and later.values["what"] == "report" for later in self._inbox):
@@ -143,76 +176,93 @@ class PreparationWorker(Node):
 
     # From the network
 
-    def _take(self, kind: type, topic: str, what: str, take: Callable[[bytes, int], None]) -> None:
-        """Subscribe to messages of a kind; a message that cannot be taken is refused."""
-
-        def received(data: bytes, info: dict[str, int]) -> None:
-            try:
-                if (size := len(data)) > SIZE_MAX[what]:
-                    raise ValueError(f"{size} bytes; at most {SIZE_MAX[what]} allowed")
-                take(data, info["source_timestamp"])
-            except Exception as error:  # of any kind: the process goes on
-                self._refuse(what, error)
-
-        self.create_subscription(kind, topic, received, interface.REQUESTS, raw=True)
-
-    def _refuse(self, what: str, error: Exception) -> str:
-        """Report a refusal; returns its text."""
-        text = str(error) if isinstance(error, (ValueError, ControllerError)) else repr(error)
-        self._channel.send({"what": "refused", "kind": what, "text": text[:TEXT_MAX]})
-        return text[:TEXT_MAX]
-
-    def _prepare(self, id: str, what: str, prepare: Callable[[], None]) -> None:
-        """Prepare what a request is about and hand it over, or answer why it is refused."""
-        if not self._answers.is_new(id):
-            return
+    def _prepare(self, id: str, what: str, prepare: Callable[[], None]) -> Answer | None:
+        """Prepare what a request is about and hand it over, or say why it is refused."""
         if self._settings is None:
-            return self._answers.give(id, NOT_ACTIVE)
+            return NOT_ACTIVE
         self._channel.send({"what": "reading", "id": id})
         try:
             prepare()
         except ControllerError as error:
-            text = self._refuse(what, error)
-            self._answers.give(id, Answer(Code(error.refusal.value), text, error.values))
+            code = Code(error.refusal.value)
+            return Answer(code, self._refuse(what, str(error)), speed=error.speed)
+        except ValueError as error:
+            return Answer(Code.REFUSED, self._refuse(what, str(error)))
         except Exception as error:  # of any kind: the process goes on
-            self._answers.give(id, Answer(Code.REFUSED, self._refuse(what, error)))
+            return Answer(Code.REFUSED, self._refuse(what, repr(error)))
         return None
 
-    def _request(self, data: bytes, sent_ns: int) -> None:
-        asked = requests.request(deserialize_message(data, String).data)
-        self._prepare(asked.id, REQUEST, lambda: self._prepare_policy(asked, sent_ns))
+    def _refuse(self, what: str, text: str) -> str:
+        """Report a refusal; returns its text."""
+        self._channel.send({"what": "refused", "kind": what, "text": text[:TEXT_MAX]})
+        return text[:TEXT_MAX]
 
-    def _prepare_policy(self, asked: requests.Request, sent_ns: int) -> None:
-        if asked.do not in POLICY_REQUESTS or asked.about.keys() - {"stop"} != {"policy"}:
-            given = ", ".join([asked.do, *asked.about])
-            raise ValueError(f"{POLICY_REQUESTS} of a policy can be requested, not {given}")
+    def _cancel(self, id: str) -> None:
+        self._channel.send({"what": "cancel", "id": id})
+
+    def _of_policy(self, do: str) -> Begin:
+        """Begin of an action that is about a policy."""
+
+        def begin(id: str, goal: ExecutePolicy.Goal | MoveToStart.Goal) -> Answer | None:
+            asked = sent_ns(id), goal.known_stop
+            return self._prepare(
+                id, REQUEST, lambda: self._prepare_policy(id, do, goal.policy, asked)
+            )
+
+        return begin
+
+    def _prepare_policy(self, id: str, do: str, message: Policy, asked: tuple[int, str]) -> None:
         settings, limits = self._arm()
-        policy = policies.from_json(asked.about["policy"])
+        policy = policies.from_json(message.text)
+        if message.id not in ("", policy.id):
+            raise ValueError(f"the policy {policy.id!r} is named {message.id!r} in the goal")
         prepared = vars(policy_execution.prepare(policy, limits, settings))
         arrays = {name: each for name, each in prepared.items() if isinstance(each, np.ndarray)}
         rest = {name: each for name, each in prepared.items() if name not in arrays}
-        self._asked = asked.id, asked.about["policy"]
-        sent = sent_ns, asked.about.get("stop")
-        values = {"what": "policy", "id": asked.id, "do": asked.do, "sent": sent, "policy": rest}
+        self._asked[id] = Policy(id=policy.id, text=message.text)
+        values = {"what": "policy", "id": id, "do": do, "asked": asked, "policy": rest}
         self._hand_over(REQUEST, values, arrays)
 
-    def _movement(self, data: bytes, sent_ns: int) -> None:
-        message = deserialize_message(data, JointTrajectory)
-        id, knows, stop = requests.checked_id(message.header.frame_id).partition(" ")
-        sent = sent_ns, stop if knows else None
-        self._prepare(id, MOVEMENT, lambda: self._prepare_movement(id, message, sent))
+    def _replay(self, id: str, goal: Replay.Goal) -> Answer | None:
+        asked = sent_ns(id), goal.known_stop
+        return self._prepare(id, MOVEMENT, lambda: self._prepare_movement(id, goal.movement, asked))
+
+    def _follow(self, id: str, goal: FollowJointTrajectory.Goal) -> Answer | None:
+        asked = sent_ns(id), ""
+        return self._prepare(
+            id, MOVEMENT, lambda: self._prepare_movement(id, goal.trajectory, asked, waypoints=True)
+        )
+
+    def _on_movement(self, data: bytes, info: dict[str, int]) -> None:
+        """Take a movement from the topic, whose sender gets no answer."""
+        asked, id = (info["source_timestamp"], ""), uuid4().hex
+
+        def prepare() -> None:
+            if (size := len(data)) > SIZE_MAX:
+                raise ValueError(f"{size} bytes; at most {SIZE_MAX} allowed")
+            message = deserialize_message(data, JointTrajectory)
+            self._prepare_movement(id, message, asked, waypoints=True)
+
+        if (answer := self._prepare(id, MOVEMENT, prepare)) is not None:
+            self.get_logger().warning(f"movement refused: {answer.text}")
 
     def _prepare_movement(
-        self, id: str, message: JointTrajectory, sent: tuple[int, str | None]
+        self,
+        id: str,
+        message: JointTrajectory,
+        asked: tuple[int, str],
+        waypoints: bool = False,
     ) -> None:
         settings, limits = self._arm()
         if (points := len(message.points)) > POINTS_MAX:
             raise ValueError(f"{points} points; at most {POINTS_MAX} allowed")
         t, q = joint_messages.movement(message, self._joint_names)
+        if waypoints:
+            t, q = replay_trajectory.through(t, q)
         sampled = replay_trajectory.sampled(t, q, settings.period, limits)
         values = {"duration": sampled.duration, "period": sampled.period}
         arrays = {"q": sampled.q, "qd": sampled.qd, "qdd": sampled.qdd}
-        about = {"what": "movement", "id": id, "movement": values, "sent": sent}
+        about = {"what": "movement", "id": id, "movement": values, "asked": asked}
         self._hand_over(MOVEMENT, about, arrays)
 
     def _arm(self) -> tuple[ControllerSettings, Limits]:
@@ -222,6 +272,16 @@ class PreparationWorker(Node):
     def _hand_over(self, what: str, values: dict[str, Any], arrays: dict[str, np.ndarray]) -> None:
         shared = self._channel.send({**values, "configuration": self._configuration}, arrays)
         self._shared[what].append(shared)
+
+
+def followed(answer: Answer, **_: object) -> FollowJointTrajectory.Result:
+    """Result of a FollowJointTrajectory that ended with an answer."""
+    result = FollowJointTrajectory.Result(error_string=answer.text)
+    if answer.code in (Code.REFUSED, Code.TOO_FAST):
+        result.error_code = result.INVALID_GOAL
+    elif not answer.success:
+        result.error_code = result.PATH_TOLERANCE_VIOLATED
+    return result
 
 
 def main() -> int:

@@ -36,7 +36,7 @@ from wam_power_ros.control.modes import MOVING_MODES, ControllerError, Mode, Ref
 from wam_power_ros.control.watchdog import StampClock, Watchdog, overload
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.nodes.controller_report import Condition, ControllerReport
-from wam_power_ros.nodes.motion_requests import MotionRequests, attempt, fill
+from wam_power_ros.nodes.motion_requests import MotionRequests, attempt
 from wam_power_ros.nodes.preparation import Preparation
 from wam_power_ros.params.resources import robot_description
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
@@ -49,10 +49,10 @@ from wam_power_ros.ros import (
     scheduling,
     security,
 )
-from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.command_guard import CommandGuard
 from wam_power_ros.ros.diagnostics import LAST_STOP
 from wam_power_ros.ros.loop_statistics import LoopStatistics
+from wam_power_ros.ros.outcomes import Answer, Code, fill
 from wam_power_ros.ros.simulation_guard import SimulationGuard
 from wam_power_ros.ros.state_guard import Info, StateGuard, with_info
 
@@ -102,6 +102,7 @@ class TorqueController(LifecycleNode):
         self._preparation = Preparation(
             self.context.get_domain_id(),
             lambda *request: self._requests.begin(*request),
+            self._on_cancel,
             lambda what, reason: self._report.refuse(what, reason),
             lambda id, reason: self._requests.refuse(id, reason),
         )
@@ -130,7 +131,7 @@ class TorqueController(LifecycleNode):
         serve(Trigger, interface.RESET, self._answering(self._reset))
         serve(SetBool, interface.GRAVITY_COMPENSATION, self._on_gravity_compensation)
         self._requests = MotionRequests(
-            params.joint_names, self._active_controller, self._preparation.answer
+            params.joint_names, self._active_controller, self._preparation
         )
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(0.1, self._supervise, clock=steady)
@@ -461,6 +462,11 @@ class TorqueController(LifecycleNode):
     def _active_controller(self) -> Controller | None:
         """The controller while it is active, else None."""
         return self._controller if self._active else None
+
+    def _on_cancel(self, id: str) -> None:
+        """Stop the arm for the sender of the request under way."""
+        if self._requests.is_under_way(id):
+            self._stop()
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         answer = self._stop()

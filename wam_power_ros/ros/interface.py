@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Names and QoS of all topics and services, and the frames.
+"""Names and QoS of all topics, actions and services, and the frames.
 
 Names that belong to one arm are relative and follow the namespace of its nodes. Names that all arms
 of a graph share are absolute, as usual in ROS.
@@ -20,17 +20,22 @@ EFFORT_COMMANDS = "effort_controller/commands"
 MARKERS = "pointCloud"
 POLICY = "policy"
 ROLLOUT_END_EFFECTOR = "rollout/end_effector"
+ROLLOUT_END = "rollout/end"
 LEARNER_MARKERS = "learner/markers"
 ROBOT_DESCRIPTION = "robot_description"
 DIAGNOSTICS = "/diagnostics"
 CLOCK = "/clock"
 ENABLE = "controller/enable"
 
-# Topics of requests and of their answers, see `requests`; a movement to replay has its own
-CONTROLLER_REQUEST, CONTROLLER_ANSWER = "controller/request", "controller/answer"
-LEARNER_REQUEST, LEARNER_ANSWER = "learner/request", "learner/answer"
-SCENE_REQUEST, SCENE_ANSWER = "scene/request", "scene/answer"  # stand-in only
-REPLAY = "controller/replay"
+REPLAY = "controller/replay"  # a movement to follow, for who wants no answer
+
+# Actions
+EXECUTE_POLICY = "controller/execute_policy"
+MOVE_TO_START = "controller/move_to_start"
+REPLAY_MOVEMENT = "controller/replay_movement"
+FOLLOW_TRAJECTORY = "controller/follow_joint_trajectory"  # of control_msgs
+RESET_SCENE = "scene/reset"  # this and the next: stand-in only
+DEMONSTRATE = "scene/demonstrate"
 
 # Services
 STOP = "controller/stop"
@@ -40,6 +45,7 @@ RECORD = "recorder/record"
 LEARNER_REWARD = "learner/reward"
 LEARNER_PUNISH = "learner/punish"
 LEARNER_PAUSE = "learner/pause"
+ADD_DEMONSTRATION = "learner/add_demonstration"
 WAM_GRAVITY_COMPENSATE = "wam/gravityCompensate"
 WAM_HOLD = "wam/holdJointPosition"
 WAM_MOVE_HOME = "wam/moveHome"
@@ -50,7 +56,7 @@ BODY_LEAVES = ("pose", "state", "truth", "drop")  # the last two: stand-in only
 SCENE_LEAVES = ("truth",)  # of a task without a body
 SCENE = "scene"
 _BODY = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-_RESERVED = {SCENE, "end_effector"}
+_RESERVED = {SCENE, "end_effector", "end"}
 
 
 def body_topic(body: str, leaf: str) -> str:
@@ -112,8 +118,7 @@ STATE_RECORD = _qos(2000, "BEST_AVAILABLE")
 MOCAP = _qos(500)  # a path needs every frame: two seconds at 240 Hz
 MOCAP_BEST_EFFORT = _qos(500, "BEST_EFFORT")
 LATCHED = _qos(1, durability="TRANSIENT_LOCAL")
-REQUESTS = _qos(10)
-ANSWERS = _qos(10, durability="TRANSIENT_LOCAL")  # to a client that was discovered meanwhile
+REPLAYS = _qos(10)
 DIAGNOSTICS_QOS = _qos(10)
 CLOCK_QOS = _qos(1, "BEST_EFFORT")
 ENABLE_OUT, ENABLE_IN = _qos(1), _qos(1, "BEST_EFFORT")

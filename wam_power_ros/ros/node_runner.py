@@ -29,8 +29,8 @@ from wam_power_ros.durable_files import explained
 from wam_power_ros.entry import INTERRUPTED, REFUSED, SIGNALS
 from wam_power_ros.params import parameter_file
 from wam_power_ros.ros import network, security
-from wam_power_ros.ros.answers import ServiceError
 from wam_power_ros.ros.domain import exported
+from wam_power_ros.ros.outcomes import ServiceError
 
 N = TypeVar("N", bound=Node)
 RCLError = rclpy_implementation.RCLError  # error of the middleware, such as invalid keys

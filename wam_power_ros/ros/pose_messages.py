@@ -8,16 +8,15 @@ are `int` nanoseconds, quaternions xyzw, all else SI.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from diagnostic_msgs.msg import KeyValue
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry, Path
 from sensor_msgs.msg import PointCloud2, PointField
-from std_msgs.msg import String
 
+from wam_power_interfaces.msg import GroundTruth
 from wam_power_ros import plain_json, rotations
 from wam_power_ros.ros.stamps import nanoseconds, sensor_stamp, time_message
 
@@ -202,45 +201,30 @@ def path(message: Path) -> PathReading:
     return PathReading(start_ns, t, position, quat_xyzw)
 
 
-class GroundTruth(NamedTuple):
+class TruthReading(NamedTuple):
     """What a simulator knows of a rollout that has ended there."""
 
+    policy_id: str
     end_ns: int  # stamp of its end
-    values: dict[str, Any]  # "id" of the policy, and values of the scene
+    values: dict[str, Any]  # of the scene
 
 
-def ground_truth_message(truth: GroundTruth) -> String:
-    """Message about the ground truth of a rollout: a JSON object."""
-    return String(data=json.dumps({"end": _stamp_values(truth.end_ns), **truth.values}))
+def ground_truth_message(truth: TruthReading) -> GroundTruth:
+    """Message about the ground truth of a rollout."""
+    message = GroundTruth(policy_id=truth.policy_id)
+    message.header.stamp = time_message(truth.end_ns)
+    message.values = [
+        KeyValue(key=key, value=json.dumps(value)) for key, value in truth.values.items()
+    ]
+    return message
 
 
-def ground_truth(message: String) -> GroundTruth:
+def ground_truth(message: GroundTruth) -> TruthReading:
     """Read a message about the ground truth of a rollout.
 
     Raises:
-        ValueError: When it is not such a JSON object.
+        ValueError: When a value is not JSON.
     """
-    with _refusing(message, "the ground truth of a rollout") as values:
-        return GroundTruth(_stamp(values.pop("end")), values)
-
-
-@contextmanager
-def _refusing(message: String, what: str) -> Iterator[dict[str, Any]]:
-    """Values of a message with a JSON object, which is refused if they are not as expected.
-
-    Raises:
-        ValueError: The message is not JSON, or reading its values within the context failed.
-    """
-    try:
-        yield plain_json.parse(message.data, what)
-    except (AttributeError, KeyError, TypeError, OverflowError) as error:
-        raise ValueError(f"{message.data[:200]!r} must describe {what}: {error!r}") from error
-
-
-def _stamp_values(stamp_ns: int) -> dict[str, int]:
-    sec, nanosec = divmod(stamp_ns, 1_000_000_000)
-    return {"sec": sec, "nanosec": nanosec}
-
-
-def _stamp(values: Mapping[str, Any]) -> int:
-    return int(values["sec"]) * 1_000_000_000 + int(values["nanosec"])
+    what = "a value of the ground truth"
+    values = {each.key: plain_json.parse(each.value, what) for each in message.values}
+    return TruthReading(message.policy_id, nanoseconds(message.header.stamp), values)

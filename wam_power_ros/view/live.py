@@ -20,15 +20,17 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
+from wam_power_interfaces.msg import Policy as PolicyMessage
+from wam_power_interfaces.srv import Pause
 from wam_power_ros.client.feedback import Feedback
-from wam_power_ros.client.link import Data, Link
+from wam_power_ros.client.link import DISCOVERY, Data, Link
 from wam_power_ros.client.robot import Robot
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.params.resources import robot_description
 from wam_power_ros.ros import interface, pose_messages
-from wam_power_ros.ros.answers import Answer, Code, ServiceError
 from wam_power_ros.ros.joint_messages import JointStateReader
+from wam_power_ros.ros.outcomes import Answer, Code, ServiceError
 
 APPEAR_TIMEOUT = 2.0  # [s of wall time] for the service of a button
 ANSWER_TIMEOUT = 10.0  # [s of wall time]
@@ -84,13 +86,14 @@ class View(Node):
         if body:
             states = link.newest(Odometry, interface.body_topic(body, "state"))
             self._newest.append((states, self._on_body))
-        self._policy = link.last(String, interface.POLICY, lambda it: policies.from_json(it.data))
+        read = lambda it: policies.from_json(it.text)  # noqa: E731
+        self._policy = link.last(PolicyMessage, interface.POLICY, read)
         self._path = link.last(Path, interface.ROLLOUT_END_EFFECTOR, pose_messages.path)
         if not self.urdf:
             link.last(String, interface.ROBOT_DESCRIPTION, self._on_urdf)
         qos = interface.DIAGNOSTICS_QOS
         link.listen(DiagnosticArray, interface.DIAGNOSTICS, self._on_diagnostics, qos)
-        switches = interface.LEARNER_PAUSE, interface.GRAVITY_COMPENSATION, interface.RECORD
+        switches = interface.GRAVITY_COMPENSATION, interface.RECORD
         triggers = (
             interface.LEARNER_REWARD,
             interface.LEARNER_PUNISH,
@@ -98,7 +101,8 @@ class View(Node):
         )
         link.prepare(*triggers)
         link.prepare(*switches, data=True)
-        self._offered = (*triggers, *switches)
+        link.prepare(interface.LEARNER_PAUSE, data=Pause.Request())
+        self._offered = (*triggers, *switches, interface.LEARNER_PAUSE)
 
     def update(self) -> LiveState:
         """Take the newest messages received since the last update."""
@@ -132,7 +136,7 @@ class View(Node):
         """
 
         def teach() -> Answer:
-            simulated = self.link.has_reader(interface.SCENE_REQUEST)
+            simulated = self.link.until(lambda: self._scene[0].offered, timeout=2.0 * DISCOVERY)
             return self._feedback.teach(self._robot, None if simulated else lead, notify)
 
         return self._answered(teach)

@@ -18,6 +18,7 @@ from wam_power_ros.params.resources import share
 from wam_power_ros.view.skeleton import Skeleton
 
 DESCRIPTION, POLICY = "/robot_description", "/policy"  # topics below the arm's namespace
+POLICY_TYPE = "wam_power_interfaces/msg/Policy"
 STATE, ODOMETRY = "/state", "nav_msgs/msg/Odometry"  # topic of a body below its name; its type
 URDFS = ("urdf/wam7.urdf", "urdf/cobot7.urdf")  # tried for a bag without a robot description
 BODY_LEAD_MAX = 0.05  # [s] before the first joint state; earlier body states are dropped
@@ -98,7 +99,7 @@ def read(path: Path) -> Movement:
 
 def _description(bag: Bag) -> tuple[str, Skeleton]:
     """URDF and skeleton of the arm: from the bag, else the first of `URDFS` with its joints."""
-    for message in _texts(bag, DESCRIPTION):
+    for message in _found(bag, DESCRIPTION, STRING):
         return message.data, Skeleton(message.data)
     texts = [share(urdf).read_text() for urdf in URDFS]
     for text in texts:
@@ -113,14 +114,14 @@ def _description(bag: Bag) -> tuple[str, Skeleton]:
     )
 
 
-def _texts(bag: Bag, name: str) -> Iterator[Any]:
-    """Messages of the first String topic with this name, in any namespace."""
-    topics = [n for n, of in bag.topics.items() if n.endswith(name) and of.msgtype == STRING]
-    yield from _decoded(bag, topics[0], STRING) if topics else ()
+def _found(bag: Bag, name: str, msgtype: str) -> Iterator[Any]:
+    """Messages of the first topic of this type and name, in any namespace."""
+    topics = [n for n, of in bag.topics.items() if n.endswith(name) and of.msgtype == msgtype]
+    yield from _decoded(bag, topics[0], msgtype) if topics else ()
 
 
 def _policy(bag: Bag) -> Policy | None:
-    texts = [message.data for message in _texts(bag, POLICY)]
+    texts = [message.text for message in _found(bag, POLICY, POLICY_TYPE)]
     return from_json(texts[-1]) if texts else None
 
 

@@ -14,6 +14,8 @@ from pathlib import Path
 import numpy as np
 import viser
 
+from wam_power_interfaces.srv import Pause
+from wam_power_ros.client.link import Data
 from wam_power_ros.learning.policy_shapes import plan
 from wam_power_ros.params import overlay
 from wam_power_ros.practice import session
@@ -75,12 +77,16 @@ class SessionPage:
         self._trail: deque[np.ndarray] = deque(maxlen=TRAIL_LENGTH)
         self._still = 0  # number of updates since the arm has moved
         self._teaching: threading.Event | None = None  # set at the end of the movement
-        call, last, pause = self._call, "the last finished rollout", interface.LEARNER_PAUSE
+        call, last, service = self._call, "the last finished rollout", interface.LEARNER_PAUSE
+        pause, go_on = (
+            (service, Pause.Request(pause=True)),
+            (service, Pause.Request(pause=False)),
+        )
         buttons = {
             REWARD: ("green", last, partial(call, REWARD, interface.LEARNER_REWARD)),
             PUNISH: ("orange", last, partial(call, PUNISH, interface.LEARNER_PUNISH)),
-            PAUSE: ("blue", "after the current trial", partial(call, PAUSE, pause, True)),
-            CONTINUE: ("blue", "after a pause", partial(call, CONTINUE, pause, False)),
+            PAUSE: ("blue", "after the current trial", partial(call, PAUSE, *pause)),
+            CONTINUE: ("blue", "after a pause", partial(call, CONTINUE, *go_on)),
             TEACH: ("violet", "pause, guide the arm by hand, learn from it", self._teach),
             END_TEACHING: ("violet", "the demonstration is complete", self._end_teaching),
             STOP: ("red", "no safety function", partial(call, STOP, interface.STOP)),
@@ -179,13 +185,13 @@ class SessionPage:
 
     # Button callbacks, in threads of viser
 
-    def _call(self, label: str, name: str, on: bool | None = None) -> None:
+    def _call(self, label: str, name: str, data: Data = None) -> None:
         """Call a service of the session and show the answer in the browser."""
         node = self._node
         if node is None:
             self._page.notify(label, "the session is not running", good=False)
             return
-        answer = node.call(name, on)
+        answer = node.call(name, data)
         self._page.notify(label, answer.said, good=answer.success)
 
     def _teach(self) -> None:
