@@ -35,6 +35,7 @@ from benchmark.kill import learning, lines
 from benchmark.nodes import environment
 from benchmark.terminal import options
 from wam_power_interfaces.action import ExecutePolicy, MoveToStart, Replay
+from wam_power_interfaces.srv import Pause
 from wam_power_ros.cli.processes import Processes
 from wam_power_ros.client.link import Link
 from wam_power_ros.params import overlay
