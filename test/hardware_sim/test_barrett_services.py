@@ -36,7 +36,7 @@ def test_an_arm_that_waits_frozen_for_a_rollout_moves_home_on_request(
     hardware.control()
     policy = lift("never-executed")
     hardware.insist("move_to_start", policy)
-    hardware.insist("reset", policy, "SCENE")
+    hardware.insist("reset", policy)
     waiting = hardware.state().q
     home = probe.begin(Trigger, interface.WAM_MOVE_HOME)
     probe.until(lambda: np.abs(hardware.state().q - waiting).max() > 0.1, "the arm on its way")

@@ -8,7 +8,9 @@ import time
 
 import numpy as np
 import pytest
-from conftest import Probe, Processes, diagnosis, lift
+from action_msgs.msg import GoalStatus
+from conftest import Probe, Processes, Sent, diagnosis, lift
+from control_msgs.action import FollowJointTrajectory
 from stand_ins import NAMES, Hardware, arm_model
 from std_msgs.msg import Float64MultiArray
 
@@ -67,7 +69,7 @@ def test_a_recorded_movement_is_replayed_by_the_arm(probe: Probe, processes: Pro
     hardware.messages.clear()
     movement = joint_messages.JointMovement(t, q)
     replay = probe.replay(joint_messages.movement_message(NAMES, movement))
-    message = probe.until(lambda: replay[1:], "the end of the replay")[0].text
+    message = probe.answer(replay).text
 
     def moved() -> float:
         states = [hardware.state(i).q[3] - start for i in range(len(hardware.messages))]
@@ -76,6 +78,52 @@ def test_a_recorded_movement_is_replayed_by_the_arm(probe: Probe, processes: Pro
     probe.until(lambda: moved() > 0.17, "the states of the movement")  # behind the answer
     assert moved() < 0.23
     assert "rms error 0.0" in message
+
+
+def test_waypoints_of_a_follow_joint_trajectory_are_passed_and_a_cancel_stops_the_arm(
+    probe: Probe, processes: Processes
+) -> None:
+    hardware = Hardware(probe, processes, "lockstep")
+    hardware.control()
+    start = hardware.state().q
+    there = start + 0.3 * np.eye(7)[3]
+
+    def follow(seconds: float, names: list[str] = NAMES) -> Sent:
+        t, q = np.array([0.0, 0.5, 1.0]), np.array([start, there, start])
+        movement = joint_messages.JointMovement(seconds * t, q)
+        goal = joint_messages.movement_message(names, movement)
+        return probe.ask("follow", trajectory=goal)
+
+    def end(sent: Sent) -> tuple[int, int]:
+        probe.until(lambda: sent.result, "the end of a goal")
+        return sent.result.error_code, sent.status
+
+    hardware.messages.clear()
+    done = end(follow(2.0))
+    assert done == (FollowJointTrajectory.Result.SUCCESSFUL, GoalStatus.STATUS_SUCCEEDED)
+
+    def moved() -> float:
+        states = [hardware.state(i).q[3] - start[3] for i in range(len(hardware.messages))]
+        return max(states, default=0.0)
+
+    probe.until(lambda: moved() > 0.27, "the states of the movement")  # behind the answer
+    assert moved() < 0.33
+
+    invalid = FollowJointTrajectory.Result.INVALID_GOAL, GoalStatus.STATUS_ABORTED
+    assert end(follow(0.1)) == invalid  # too fast
+    wrong = follow(2.0, [*NAMES[:6], "finger"])
+    assert end(wrong) == invalid and "wam_j7" in wrong.result.error_string
+
+    long = follow(20.0)
+    probe.until(lambda: hardware.state().q[3] - start[3] > 0.05, "the arm under way")
+    assert probe.cancel(long)
+    _, status = end(long)
+    assert status == GoalStatus.STATUS_CANCELED
+    hardware.holds()
+    hardware.messages.clear()
+    probe.until(lambda: len(hardware.messages) > 100, "states")
+    assert max(np.abs(hardware.state(i).qd).max() for i in range(-50, 0)) < 0.02
+    assert hardware.state().q[3] - start[3] < 0.29
 
 
 def test_a_driver_without_velocities_is_simulated_too(probe: Probe, processes: Processes) -> None:

@@ -13,13 +13,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rclpy
 from conftest import ROOT, Probe, Processes, lift, python_path
 from played_arm import HOME, NAMES, PlayedArm
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
+from wam_power_interfaces.action import ExecutePolicy
+from wam_power_interfaces.msg import Policy as PolicyMessage
 from wam_power_ros import plain_json
+from wam_power_ros.client.actions import Action
+from wam_power_ros.client.link import Link
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.safety import limits_of
@@ -148,10 +153,13 @@ def test_a_killed_process_is_started_again_and_the_policy_in_force_stays(
     moved = probe.ask("move_to_start", lift("loaded"))
     arm.diagnosis(lambda d: arm.send() or d["policy"] == "loaded", "the policy")
     assert probe.answer(moved, arm.send).success
-    probe.ask("execute", largest_policy())
-    time.sleep(0.05)  # it takes longer to prepare
-    worker.signal(signal.SIGKILL)
-    answered(arm)
+    with Link(rclpy.create_node("client", context=probe.context)) as link:
+        execution = Action(link, ExecutePolicy, interface.EXECUTE_POLICY)
+        goal = execution.send(policy=PolicyMessage(text=largest_policy()))
+        worker.signal(signal.SIGKILL)  # it takes longer to prepare
+        answered(arm)
+        probe.until(lambda: arm.send() or goal.ended, "the end of the goal")
+        assert goal.answer.code is Code.UNKNOWN  # to the client, within seconds
     assert worker.find() not in (0, worker.pid)
     report = arm.diagnosis(lambda d: arm.send() or d["preparation processes"] == "2", "the report")
     assert report["policy"] == "loaded" and report["mode"] == "hold"

@@ -12,7 +12,6 @@ from std_srvs.srv import SetBool, Trigger
 from test_examples import DRIVER, EXAMPLES, OVER_DDS, output
 
 from wam_power_ros.ros import interface, pose_messages
-from wam_power_ros.ros.outcomes import Code
 
 
 def test_the_example_teaches_learns_and_replays_over_dds(tmp_path: Path) -> None:
@@ -46,10 +45,7 @@ def test_the_real_controller_teaches_holds_moves_and_executes_with_the_driver_of
         return found == name
 
     def answered(do: str) -> bool:
-        answers = probe.ask(do, policy)
-        ended = lambda: answers and answers[-1].code is not Code.BEGUN  # noqa: E731
-        probe.until(ended, f"the end of {do}")
-        return answers[-1].success
+        return probe.answer(probe.ask(do, policy)).success
 
     def executed() -> bool:
         # An attempt before may have seen a report from before its request.

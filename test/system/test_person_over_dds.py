@@ -9,13 +9,14 @@ from pathlib import Path
 
 from conftest import ROOT, Probe, Process, Processes
 from diagnostic_msgs.msg import DiagnosticArray
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import Trigger
 from test_session_over_dds import JOINTS, SEED, learnt, lines
 from toss_task import practice_of
 
 from hardware_sim.scenes import scene_type
 from hardware_sim.settings import WorldSettings
 from hardware_sim.world import World
+from wam_power_interfaces.srv import AddDemonstration, Pause
 from wam_power_ros.bags import reader
 from wam_power_ros.cli.plan import DOMAIN_FILE
 from wam_power_ros.control.arm import Arm
@@ -23,10 +24,11 @@ from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.learning.demonstration import from_joint_samples
 from wam_power_ros.learning.dmp import fit
 from wam_power_ros.learning.policy import Policy
+from wam_power_ros.practice import session_log
 from wam_power_ros.practice.session import Session, read
-from wam_power_ros.practice.session_log import NewDemonstration, Pause, Record
+from wam_power_ros.practice.session_log import NewDemonstration, Record
 from wam_power_ros.practice.settings import preset
-from wam_power_ros.ros import answers, interface
+from wam_power_ros.ros import interface
 from wam_power_ros.ros.diagnostics import LEARNER_STATE
 from wam_power_ros.tasks.flip.settings import FLIP_FIT
 
@@ -64,10 +66,12 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
 
     def say(service: str) -> str:
         response = probe.call(Trigger, service, deadline=300.0)
-        answer = answers.read(response.success, response.message)
-        assert answer.success, answer
-        assert read(folder).log[-1].note == answer.text  # on disk before it is answered
-        return answer.text
+        assert response.success, response
+        assert read(folder).log[-1].note == response.message  # on disk before it is answered
+        return str(response.message)
+
+    def pause() -> Pause.Response:
+        return probe.call(Pause, interface.LEARNER_PAUSE, Pause.Request(pause=True))
 
     (folder / "logs").mkdir()
     (folder / "logs" / DOMAIN_FILE).write_text(processes.environment["ROS_DOMAIN_ID"])
@@ -94,9 +98,9 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
     assert not refused.success  # nothing to rate: no rollout yet, or not even a session read
     probe.until(rollouts, "a first rollout", 300.0)
     assert say(interface.LEARNER_REWARD).startswith("trial-0001 rewarded: return ")
-    assert probe.call(SetBool, interface.LEARNER_PAUSE, SetBool.Request(data=True)).success
-    refused = probe.ask("add_demonstration", to="LEARNER")
-    assert probe.until(lambda: refused, "an answer", 300.0)[0].text == "the request names no bag"
+    assert pause().success
+    refused = probe.call(AddDemonstration, interface.ADD_DEMONSTRATION, deadline=300.0)
+    assert (refused.success, refused.message) == (False, "the request names no bag")
     status, answer = tell("demonstration", LATER.parent)  # no bag, but a folder of them
     # the middleware may write lines, too
     assert status == 2 and f"\nrefused: {LATER.parent}" in f"\n{answer}", answer
@@ -112,12 +116,12 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
     probe.until(lambda: states()[-1:] == ["paused"], "the pause from before the kill", 300.0)
     assert lines(folder) == kept and tell("continue")[0] == 0
     probe.until(lambda: rollouts()[-1].demonstration == "demonstration-2", "the new one", 400.0)
-    assert probe.call(SetBool, interface.LEARNER_PAUSE, SetBool.Request(data=True)).success
+    assert pause().success
 
     def paused() -> bool:
         """Whether the learner says, when it is paused again, that no trial is under way."""
-        answer = probe.call(SetBool, interface.LEARNER_PAUSE, SetBool.Request(data=True))
-        return answers.read(answer.success, answer.message).values["trial"] == "over"
+        answer = pause()
+        return answer.success and not answer.under_way
 
     if len(rollouts()) < 5:
         probe.until(paused, "the end of the trial under way", 300.0)
@@ -134,7 +138,7 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
     # The same in one process, undisturbed: what a person did, at the places the log has it.
     bench = Environment(World(scene_type("flip"), WorldSettings(), SEED))
     practice = practice_of([candidate], SETTINGS, SEED, arm=bench)
-    events = [line for line in read(folder).log if not isinstance(line, Record | Pause)]
+    events = [line for line in read(folder).log if not isinstance(line, Record | session_log.Pause)]
     assert len(events) == 3
     while (trial := practice.next_trial()) is not None:
         rollout, truth = bench.run(trial.policy)

@@ -25,12 +25,12 @@ from conftest import ROOT, Probe, Process, Processes, python_path
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from nav_msgs.msg import Path as PathMessage
-from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
 from hardware_sim.scenes import scene_type
 from hardware_sim.settings import WorldSettings
 from hardware_sim.world import World
+from wam_power_interfaces.msg import GroundTruth
 from wam_power_ros.bags import layout, reader
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.in_process.environment import Environment
@@ -283,13 +283,13 @@ def test_a_learner_killed_in_mid_rollout_learns_the_same_when_started_again(
     left = PathMessage
     left_path = probe.publisher(left, interface.ROLLOUT_END_EFFECTOR, interface.LATCHED)
     left_truth = probe.node.create_publisher(
-        String, interface.body_topic("pancake", "truth"), interface.LATCHED
+        GroundTruth, interface.body_topic("pancake", "truth"), interface.LATCHED
     )
     path = EndEffectorPath(
         ROLLOUTS[0], np.array([0.0, 0.01]), np.zeros((2, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (2, 1))
     )
     left_path.publish(pose_messages.path_message(path, 2_000_000, "wam_base"))
-    long_ago = pose_messages.GroundTruth(8_000_000, {"id": ROLLOUTS[0], "caught": "long ago"})
+    long_ago = pose_messages.TruthReading(ROLLOUTS[0], 8_000_000, {"caught": "long ago"})
     left_truth.publish(pose_messages.ground_truth_message(long_ago))
     assert probe.call(SetBool, interface.RECORD, SetBool.Request(data=True)).success
 
@@ -331,17 +331,23 @@ def test_answers_that_do_not_come_cost_a_session_time_and_nothing_else(
     folder = begin(tmp_path / "session", candidate)
     controller = all_but_the_learner(processes, folder)
     learning = learner(processes, folder)
-    recording = layout.unfinished(folder / "bags" / f"rollout_{ROLLOUTS[0]}")
-    end = time.monotonic() + 120.0
-    while not recording.exists() and time.monotonic() < end:
-        time.sleep(2e-4)  # the rollout is requested some milliseconds later
-    controller.send_signal(signal.SIGSTOP)  # before it has answered that the rollout begins
-    try:
+
+    def begins(rollout: str) -> None:
+        recording = layout.unfinished(folder / "bags" / f"rollout_{rollout}")
+        end = time.monotonic() + 120.0
+        while not recording.exists() and time.monotonic() < end:
+            time.sleep(2e-4)  # the rollout is requested some milliseconds later
         assert recording.exists()
-        again = lambda: "is started again" in processes.output(learning)  # noqa: E731
-        probe.until(again, "a new start", 180.0)
-    finally:
-        controller.send_signal(signal.SIGCONT)
+
+    begins(ROLLOUTS[0])  # and what answers for the controller forgets it
+    children = Path(f"/proc/{controller.pid}/task/{controller.pid}/children").read_text()
+    os.kill(int(children.split()[-1]), signal.SIGKILL)
+    again = lambda: "is started again" in processes.output(learning)  # noqa: E731
+    probe.until(again, "a new start", 180.0)
+    begins(ROLLOUTS[1])  # and its answer comes late
+    controller.send_signal(signal.SIGSTOP)
+    time.sleep(5.0)
+    controller.send_signal(signal.SIGCONT)
     probe.until(lambda: learning.poll() is not None, "the end of the session", 120.0)
     assert learning.returncode == 0, processes.output(learning)
     assert learnt(lines(folder)) == expected
@@ -372,11 +378,12 @@ def test_another_reader_opens_a_rollout_with_everything_that_made_it(
         interface.JOINT_STATES: "sensor_msgs/msg/JointState",
         interface.EFFORT_COMMANDS: "std_msgs/msg/Float64MultiArray",
         interface.body_topic("pancake", "pose"): "geometry_msgs/msg/PoseStamped",
-        interface.POLICY: "std_msgs/msg/String",
+        interface.POLICY: "wam_power_interfaces/msg/Policy",
+        interface.ROLLOUT_END: "wam_power_interfaces/msg/RolloutEnd",
     }.items()
     assert topics[f"/{interface.POLICY}"][3]["durability"] == "transient_local"
     (policy, *_) = decoded(bag, interface.POLICY)
-    assert json.loads(policy.data)["id"] == ROLLOUTS[-1]
+    assert policy.id == json.loads(policy.text)["id"] == ROLLOUTS[-1]
     commands = decoded(bag, interface.EFFORT_COMMANDS)
     states = decoded(bag, interface.JOINT_STATES)
     stamps = {s.header.stamp.sec * 10**9 + s.header.stamp.nanosec for s in states}

@@ -7,28 +7,25 @@ import signal
 from pathlib import Path
 
 import pytest
-from conftest import Probe, Processes
+from conftest import ACTIONS, Probe, Processes
 from diagnostic_msgs.msg import DiagnosticArray
-from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from test_person_over_dds import TAUGHT, fitted
 from test_session_over_dds import SEED, all_but_the_learner, learner, learnt
 from toss_task import practice_of
-from wam_power_ros.ros.requests import read_answer, request
 
 from hardware_sim.scenes import scene_type
 from hardware_sim.settings import WorldSettings
 from hardware_sim.world import World
+from wam_power_interfaces.srv import Pause
 from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.practice.session import Session, read
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.diagnostics import LEARNER_STATE
-from wam_power_ros.ros.outcomes import Code
 
 SETTINGS = preset("flip", budget=4, retests=3)
 FREE = SetBool.Request(data=True)
-ON = SetBool.Request(data=False)
 STOP = Trigger, interface.STOP, None
 TAKE = SetBool, interface.GRAVITY_COMPENSATION, FREE
 ENDS = (("move_to_start", STOP), ("execute", TAKE), ("move_to_start", TAKE), ("execute", STOP))
@@ -42,15 +39,15 @@ def test_nothing_moves_after_a_stop_until_a_person_continues_and_kill_9_changes_
     folder, candidate = tmp_path / "session", fitted(TAUGHT)
     Session.begin(folder, SETTINGS, SEED, [candidate]).close()
     all_but_the_learner(processes, folder)
-    asked = probe.listen(String, interface.CONTROLLER_REQUEST, interface.REQUESTS)
-    answered = probe.listen(String, interface.CONTROLLER_ANSWER, interface.ANSWERS)
+    begun: list[str] = []  # what the controller has begun
+    for do, (kind, name) in ACTIONS.items():
+        probe.node.create_subscription(
+            kind.Impl.FeedbackMessage,
+            f"{name}/_action/feedback",
+            lambda _, do=do: begun.append(do),
+            10,
+        )
     reports = probe.listen(DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS)
-
-    def begun() -> list[str]:
-        """What the controller has begun."""
-        names = {each.id: each.do for each in (request(message.data) for message in asked)}
-        answers = [read_answer(message) for message in answered]
-        return [names[id] for id, answer in answers if answer.code is Code.BEGUN]
 
     def paused() -> bool:
         found = [each for report in reports for each in report.status if each.name[:7] == "learner"]
@@ -59,15 +56,15 @@ def test_nothing_moves_after_a_stop_until_a_person_continues_and_kill_9_changes_
 
     def lets_go_on() -> bool:
         """Continue; a report may be one of the killed learner, so the session may not be there."""
-        return probe.call(SetBool, interface.LEARNER_PAUSE, ON).success
+        return probe.call(Pause, interface.LEARNER_PAUSE, Pause.Request(pause=False)).success
 
     running = learner(processes, folder)
     probe.until(lambda: read(folder).records, "a first rollout", 300.0)
     for do, (kind, service, given) in ENDS:
-        before = len(begun())
-        probe.until(lambda: do in begun()[before:], do, 300.0)  # noqa: B023
+        before = len(begun)
+        probe.until(lambda: do in begun[before:], do, 300.0)  # noqa: B023
         probe.call(kind, service, given)
-        before = len(begun())
+        before = len(begun)
         probe.until(paused, "the pause", 60.0)
         probe.spin(QUIET)
         assert processes.end(running, signal.SIGKILL) == -signal.SIGKILL
@@ -75,19 +72,19 @@ def test_nothing_moves_after_a_stop_until_a_person_continues_and_kill_9_changes_
         running = learner(processes, folder)
         probe.until(paused, "the pause of the resumed session", 120.0)
         probe.spin(QUIET)
-        assert begun()[before:] == []
+        assert begun[before:] == []
         probe.until(lets_go_on, "the session to go on", 120.0)
 
     # A stop while no learner runs is one of the session that is resumed.
-    before = len(begun())
-    probe.until(lambda: begun()[before:], "a movement", 300.0)
+    before = len(begun)
+    probe.until(lambda: begun[before:], "a movement", 300.0)
     assert processes.end(running, signal.SIGKILL) == -signal.SIGKILL
     assert probe.call(*STOP).success
     del reports[:]
-    before, running = len(begun()), learner(processes, folder)
+    before, running = len(begun), learner(processes, folder)
     probe.until(paused, "the pause of the resumed session", 120.0)
     probe.spin(QUIET)
-    assert begun()[before:] == []
+    assert begun[before:] == []
     probe.until(lets_go_on, "the session to go on", 120.0)
 
     probe.until(lambda: running.poll() is not None, "the end of the session", 300.0)
