@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING
 
 import pytest
 from conftest import python_path
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import Trigger
 from toss_task import demonstrated_policy
 
+from wam_power_interfaces.srv import Pause
 from wam_power_ros.cli import main
 from wam_power_ros.cli.plan import DOMAIN_FILE
 from wam_power_ros.client.feedback import SERVICES
 from wam_power_ros.practice.session import Session
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.outcomes import Answer, Code
 
 if TYPE_CHECKING:
     from conftest import Probe
@@ -39,17 +39,16 @@ def test_the_answer_of_the_learner_is_returned_and_a_pause_is_not_a_continuation
 ) -> None:
     asked: list[bool] = []
 
-    def pause(request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        asked.append(request.data)
-        response.success, response.message = True, str(Answer(Code.DONE, "paused"))
+    def pause(request: Pause.Request, response: Pause.Response) -> Pause.Response:
+        asked.append(request.pause)
+        response.success, response.message = True, "paused"
         return response
 
     def reward(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success = False
-        response.message = str(Answer(Code.NOTHING, "no rollout has finished"))
+        response.success, response.message = False, "no rollout has finished"
         return response
 
-    probe.node.create_service(SetBool, interface.LEARNER_PAUSE, pause)
+    probe.node.create_service(Pause, interface.LEARNER_PAUSE, pause)
     probe.node.create_service(Trigger, interface.LEARNER_REWARD, reward)
     monkeypatch.setenv("ROS_DOMAIN_ID", str(domain_id))
     for kind, expected in (
@@ -75,7 +74,7 @@ def test_an_arm_is_stopped_from_the_command_line_while_no_learner_runs(
 
     def stop(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         stopped.append(True)
-        response.success, response.message = True, str(Answer(Code.DONE))
+        response.success = True
         return response
 
     probe.node.create_service(Trigger, interface.STOP, stop)

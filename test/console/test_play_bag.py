@@ -22,7 +22,6 @@ from wam_power_ros.bags.writer import BagWriter
 from wam_power_ros.cli import main
 from wam_power_ros.console.play_bag import select_topics
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.outcomes import read
 
 DEMONSTRATION = min((ROOT / "bags").glob("demo_*"))
 REACH = min((ROOT / "bags").glob("reach_*"))
@@ -73,7 +72,7 @@ def test_a_played_demonstration_is_recorded_again_message_by_message(
     )
     answer = probe.call(SetBool, interface.RECORD, SetBool.Request(data=False))
     assert answer.success, answer.message
-    again = Path(read(answer.success, answer.message).text)
+    again = Path(answer.message)
     assert messages(again, *topics) == wanted
     before = offered(DEMONSTRATION)
     assert offered(again) == {name: before[name] for name in (*topics, layout.EVENT)}

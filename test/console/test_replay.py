@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import signal
 import subprocess
@@ -17,14 +18,14 @@ import pytest
 from conftest import Probe, Processes
 from stand_ins import Hardware
 from std_srvs.srv import SetBool, Trigger
-from trajectory_msgs.msg import JointTrajectory
-from wam_power_ros.ros.requests import Answers
 
+from wam_power_interfaces.action import Replay
 from wam_power_ros.bags import layout, reader
 from wam_power_ros.cli import main
 from wam_power_ros.console.replay import with_possible_speed
 from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface
+from wam_power_ros.ros.action_server import Action
 from wam_power_ros.ros.outcomes import Answer, Code
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -95,12 +96,12 @@ raise SystemExit(replay_running.main())
 
 @pytest.mark.parametrize("speed", [0.5, 2.0])
 def test_the_possible_speed_is_given_as_a_value_of_the_option(speed: float) -> None:
-    too_fast = Answer(Code.TOO_FAST, "refused", {"speed": "0.400"})
+    too_fast = Answer(Code.TOO_FAST, "refused", speed=0.4)
     assert with_possible_speed(too_fast, speed) == (
         f"refused; possible at --speed {0.4 * speed:.2f}"
     )
     assert with_possible_speed(Answer(Code.STOPPED, "stopped"), speed) == "stopped"
-    jump = Answer(Code.TOO_FAST, "refused", {"speed": "0.001"})
+    jump = Answer(Code.TOO_FAST, "refused", speed=0.001)
     assert with_possible_speed(jump, speed) == "refused; no --speed is slow enough"
 
 
@@ -133,19 +134,16 @@ def test_a_replay_that_is_refused_leaves_no_bag(
     def answer(text: str) -> Callable[..., Any]:
         def respond(_: object, response: Trigger.Response) -> Trigger.Response:
             made.mkdir(exist_ok=True)
-            response.success, response.message = True, str(Answer(Code.DONE, text))
+            response.success, response.message = True, text
             return response
 
         return respond
 
-    give = Answers(probe.node, interface.CONTROLLER_ANSWER).give
-
-    def refuse(message: JointTrajectory) -> None:
+    def refuse(id: str, goal: Replay.Goal) -> Answer:
         made.mkdir(exist_ok=True)
-        values = {"speed": "0.5"} if code is Code.TOO_FAST else {}
-        give(message.header.frame_id, Answer(code, "no", values))
+        return Answer(code, "no", speed=0.5 if code is Code.TOO_FAST else math.nan)
 
-    probe.node.create_subscription(JointTrajectory, interface.REPLAY, refuse, interface.REQUESTS)
+    Action(probe.node, Replay, interface.REPLAY_MOVEMENT, refuse)
     probe.node.create_service(Trigger, interface.STOP, answer(""))
     probe.node.create_service(SetBool, interface.RECORD, answer(str(made)))
     given = {"bag": REACH, "speed": 1.0, "person": False, "arm": "''", "joint_names": NAMES}

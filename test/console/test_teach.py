@@ -16,10 +16,11 @@ import pytest
 from bag_samples import demonstration, random_q
 from conftest import Probe, Processes
 from std_srvs.srv import SetBool, Trigger
-from wam_power_ros.ros.requests import Server
 
+from wam_power_interfaces.action import Demonstrate, ResetScene
 from wam_power_ros.bags import series
 from wam_power_ros.ros import interface
+from wam_power_ros.ros.action_server import Action
 from wam_power_ros.ros.outcomes import Answer, Code
 
 
@@ -30,8 +31,11 @@ class Terminal:
         self._probe, self._folder = probe, folder
         self.file, self.text, self._recorded = folder / series.FILE, "", 0
         probe.node.create_service(SetBool, interface.GRAVITY_COMPENSATION, _done)
-        begin = dict.fromkeys(("reset", "demonstrate"), lambda _: Answer(Code.DONE))
-        Server(probe.node, interface.SCENE_REQUEST, interface.SCENE_ANSWER, begin)
+        for kind, name in (
+            (ResetScene, interface.RESET_SCENE),
+            (Demonstrate, interface.DEMONSTRATE),
+        ):
+            Action(probe.node, kind, name, lambda id, goal: Answer(Code.DONE))
         probe.node.create_service(SetBool, interface.RECORD, self._record)
         self._master, slave = pty.openpty()
         parameters = {
@@ -57,7 +61,7 @@ class Terminal:
         if not request.data:
             demonstration(bag, random_q(5))
             self._recorded += 1
-        response.success, response.message = True, str(Answer(Code.DONE, str(bag)))
+        response.success, response.message = True, str(bag)
         return response
 
     def read(self) -> str:
@@ -84,7 +88,7 @@ class Terminal:
 
 
 def _done(_: object, response: Trigger.Response) -> Trigger.Response:
-    response.success, response.message = True, str(Answer(Code.DONE))
+    response.success = True
     return response
 
 
