@@ -139,6 +139,8 @@ def recorded_rollout(
         found[wanted[topic]] = layout.decoded(data, topics[topic].msgtype)
     if interface.POLICY not in found or interface.ROLLOUT_END_EFFECTOR not in found:
         return _as_rollout(bag, task, joint_names, arm)
+    if not hasattr(found[interface.POLICY], "text"):
+        raise ValueError(f"{interface.POLICY} is no wam_power_interfaces/msg/Policy")
     policy = policies.from_json(found[interface.POLICY].text)
     path = pose_messages.path(found[interface.ROLLOUT_END_EFFECTOR])
     tool = EndEffectorPath(policy.id, *path[1:])
