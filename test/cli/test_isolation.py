@@ -160,7 +160,6 @@ def test_demonstrations_that_are_taught_already_count_against_the_trials(
     assert [path.name for path in (tmp_path / "s").iterdir()] == [series.FILE]  # nothing started
 
 
-@pytest.mark.parametrize("command", ["learn", "plan sim"])
 @pytest.mark.parametrize(
     "words",
     [
@@ -169,9 +168,9 @@ def test_demonstrations_that_are_taught_already_count_against_the_trials(
     ],
 )
 def test_a_learner_that_cannot_work_is_refused_before_anybody_teaches(
-    command: str, words: str, refusal: Callable[..., str]
+    words: str, refusal: Callable[..., str]
 ) -> None:
-    said = refusal(*command.split(), "--session", "s", *words.split())
+    said = refusal("learn", "--session", "s", *words.split())
     assert "'model_based' needs a model of the vector error" in said
     working = said.strip().rpartition(": ")[2].split(", ")
     assert "power" in working and "model_based" not in working

@@ -12,8 +12,9 @@ from pathlib import Path
 
 import pytest
 from conftest import Probe
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import Trigger
 
+from wam_power_interfaces.srv import Pause
 from wam_power_ros.cli.keys import HINT, Keys
 from wam_power_ros.ros import interface
 
@@ -35,18 +36,18 @@ def test_each_key_reaches_its_node_and_the_answer_is_shown(
 
     def serve(kind: type, name: str) -> None:
         def answer(request: object, response: object) -> object:
-            asked.append(getattr(request, "data", name))
-            response.success, response.message = True, f"[done] answer {len(asked)}"
+            asked.append(getattr(request, "pause", name))
+            response.success, response.message = True, f"answer {len(asked)}"
             return response
 
         probe.node.create_service(kind, name, answer)
 
     reward, punish = interface.LEARNER_REWARD, interface.LEARNER_PUNISH
-    stop, _pauses = interface.STOP, [(b" ", True), (b" ", True), (b"c", False)]
+    stop = interface.STOP
     serve(Trigger, reward)
     serve(Trigger, punish)
     serve(Trigger, interface.STOP)
-    serve(SetBool, interface.LEARNER_PAUSE)
+    serve(Pause, interface.LEARNER_PAUSE)
     before = termios.tcgetattr(sys.stdin)
     with Keys({"ROS_DOMAIN_ID": str(domain_id)}) as keys:
         assert keys.poll() == HINT

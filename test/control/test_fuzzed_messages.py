@@ -7,6 +7,7 @@ import pytest
 from fuzzed_messages import bombard
 
 from benchmark.nodes import taught
+from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 
@@ -15,7 +16,7 @@ from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 @pytest.mark.parametrize("seed", [0, 1])
 def test_fuzzed_messages_give_no_torque_over_a_limit(seed: int) -> None:
     files = share("config/torque_controller.yaml"), share("config/simulation.yaml")
-    params = TorqueControllerParams.of_file(files[0], "torque_controller", files[1])
+    params = TorqueControllerParams.of_setup(overlay.of_files(files))
     controller = params.controller(share("urdf/wam7.urdf").read_text())
     found = bombard(controller, taught(), 4000, seed)
     assert found["torques"] > 3000 and found["refused"] > 50

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The table of transitions, and refusals with reason codes."""
 
+import math
+
 import pytest
 
 from wam_power_ros.control.modes import (
@@ -60,11 +62,7 @@ def test_every_moving_mode_can_end_in_hold_and_in_a_fault() -> None:
     assert set(SWITCH_MODES) == {Mode.GRAVITY_COMPENSATION, Mode.REPLAY, Mode.ROLLOUT}
 
 
-def test_a_refusal_has_values_in_addition_to_its_text() -> None:
-    error = ControllerError(Refusal.NOT_AT_START, "away", {"policy": "trial-0001"})
-    assert (str(error), error.refusal, error.values) == (
-        "away",
-        Refusal.NOT_AT_START,
-        {"policy": "trial-0001"},
-    )
-    assert ControllerError(Refusal.BUSY, "moving").values == {}
+def test_a_refusal_of_what_is_too_fast_has_the_speed_at_which_it_is_possible() -> None:
+    error = ControllerError(Refusal.TOO_FAST, "away", 0.5)
+    assert (str(error), error.refusal, error.speed) == ("away", Refusal.TOO_FAST, 0.5)
+    assert math.isnan(ControllerError(Refusal.BUSY, "moving").speed)

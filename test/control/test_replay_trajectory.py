@@ -96,7 +96,7 @@ def test_too_fast_a_replay_is_refused_with_the_largest_possible_speed() -> None:
     with pytest.raises(ControllerError, match="times a joint-speed limit") as refused:
         sampled(t / 8.0, q, 0.002, LIMITS)
     assert refused.value.refusal is Refusal.TOO_FAST
-    possible = 8.0 * float(refused.value.values["speed"])
+    possible = 8.0 * refused.value.speed
     assert 1.0 < possible < 8.0
     assert np.abs(sampled(t / (0.995 * possible), q, 0.002, LIMITS).qd / LIMITS.qd_max).max() < 1
     with pytest.raises(ControllerError):
