@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from conftest import ROOT
+from conftest import ROOT, Processes
 from toss_task import ANY_ARM, demonstrated_policy
 
 from hardware_sim.wam import JOINTS
@@ -68,6 +68,19 @@ def test_a_learner_refuses_what_cannot_work_before_it_reads_a_bag_or_begins_a_se
     assert ended.returncode == 2
     assert says in ended.stderr and "no_bag" not in ended.stderr
     assert not (tmp_path / "s").exists()
+
+
+def test_nodes_that_were_started_with_different_set_ups_notice_it_before_anything_moves(
+    processes: Processes, tmp_path: Path
+) -> None:
+    controller = "wam_power_ros.nodes.torque_controller"
+    processes.node(controller, "simulation.yaml", tool_speed_max=3.5)
+    given = {"session": tmp_path / "s", "demonstrations": f"[{next(ROOT.glob('bags/demo_*'))}]"}
+    learner = processes.node("wam_power_ros.nodes.learner", "simulation.yaml", **given)
+    assert learner.wait(60.0) == 2
+    said = processes.output(learner)
+    assert "started with another set-up than this node: tool_speed_max 3.5, here 4.0. Give" in said
+    assert read(tmp_path / "s").records == ()
 
 
 def begun_session(folder: Path, **params: object) -> Session:

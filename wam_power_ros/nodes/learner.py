@@ -27,6 +27,7 @@ from pydantic import Field, model_validator
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
+from rclpy.parameter import parameter_value_to_python
 from std_srvs.srv import Trigger
 from typing_extensions import Self
 
@@ -105,6 +106,10 @@ class LearnerParams(Params):
     def _together(self) -> Self:
         require_same_joints(self.joint_names, self.model_joint_names)
         return self
+
+
+CONTROLLER = "torque_controller"  # node
+COMPARE_TIMEOUT = 5.0  # [s of wall time] for it to tell its parameters
 
 
 class SessionFailed(RuntimeError):
@@ -262,6 +267,28 @@ class Learner(Node):
             f"session finished: {practice.stopped}. {'' if best is None else best.why}"
         )
 
+    def _compare(self) -> None:
+        """Ask the controller for its parameters: policies are planned with them.
+
+        Raises:
+            SessionFailed: It has others than this node knows.
+        """
+        known = self._arm.parameters
+        values = self._link.parameters(CONTROLLER, list(known), COMPARE_TIMEOUT)
+        if not values:  # renamed, or secured
+            self.get_logger().info(f"{CONTROLLER} does not tell its parameters: not compared")
+        found = map(parameter_value_to_python, values)
+        other = [
+            f"{name} {plain(there)}, here {plain(known[name])}"
+            for name, there in zip(known, found, strict=False)
+            if plain(there) != plain(known[name])
+        ]
+        if other:
+            raise SessionFailed(
+                f"{CONTROLLER} was started with another set-up than this node: {'; '.join(other)}. "
+                "Give both the same parameter files"
+            )
+
     def _take_up(self, session: Session, practice: Practice) -> None:
         """Pause if the arm was stopped after the last line of the session, while no learner ran.
 
@@ -269,6 +296,7 @@ class Learner(Node):
         """
         reported = lambda: self._rollouts.reports  # noqa: E731
         self._link.until(reported, "a report of the controller", self.params.service_timeout)
+        self._compare()
         with self._lock:
             stopped = self._rollouts.go_on()
             if session.log and not practice.paused and stopped > _time(session.log[-1]):
@@ -425,6 +453,11 @@ def _time(line: Line) -> float:
     """When a line was written [s of wall time]."""
     clock = line.clock
     return float(clock["at"] if "at" in clock else clock.get("begun", 0.0) + clock.get("took", 0.0))
+
+
+def plain(value: Any) -> Any:  # noqa: ANN401 - a number, a text or some
+    """Value of a parameter as a number, a text or a list."""
+    return value if isinstance(value, (bool, int, float, str)) else list(value or ())
 
 
 def _line(record: Record) -> str:
