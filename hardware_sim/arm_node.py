@@ -43,7 +43,6 @@ class ArmSim(Node):
     """Driver of the simulated arm.
 
     Attributes:
-        params: Parameters of the node.
         on_torque: Callback for every valid torque command.
         counters: Events since the start, by name.
         world: World to step, see `attach`.

@@ -51,7 +51,6 @@ class Link:
     """Calls services and waits for conditions; a context manager, which ends its thread.
 
     Attributes:
-        node: The node.
         appear_timeout: Time for a service to appear [s of wall time].
 
     Args:

@@ -32,16 +32,7 @@ def of_controller(namespace: str, status: DiagnosticStatus) -> dict[str, str] | 
 def diagnostics_message(
     now: Time, name: str, hardware_id: str, level: str, text: str, values: Mapping[str, object]
 ) -> DiagnosticArray:
-    """Message with one status (REP-107).
-
-    Args:
-        now: Stamp.
-        name: Name of node and component, see `component`.
-        hardware_id: Name of the device.
-        level: "ok", "warn", "error" or "stale".
-        text: Summary for a person.
-        values: Values by name, written as text.
-    """
+    """Message with one status (REP-107); `level` is "ok", "warn", "error" or "stale"."""
     status = DiagnosticStatus(
         level=getattr(DiagnosticStatus, level.upper()),
         name=name,
