@@ -106,7 +106,7 @@ BUDGET = {
     "tasks": 3239,  # what follows from the errors of any task is written here once
     "practice": 2061,  # refusals by a person and pauses are in its log
     "conformance": 1123,
-    "bags": 2322,
+    "bags": 2308,
     "params": 1133,
     "ros": 2469,
     "client": 1462,
