@@ -9,6 +9,8 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
+from wam_power_ros.ros import interface
+
 FAULT_KIND = "fault kind"  # key that only the status of a controller has
 LAST_STOP = "last stop by a person"  # key of its id, "" before the first
 # Key that only the status of a learner has: "practises", "paused", or what it waits for, the
@@ -43,3 +45,18 @@ def diagnostics_message(
     message = DiagnosticArray(status=[status])
     message.header.stamp = now
     return message
+
+
+class Diagnostics:
+    """Publishes the status of a part of a node."""
+
+    def __init__(self, node: Node, part: str, hardware_id: str) -> None:
+        self._node, self._of = node, (component(node, part), hardware_id)
+        self._publisher = node.create_publisher(
+            DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
+        )
+
+    def publish(self, level: str, text: str, values: Mapping[str, object]) -> None:
+        """Publish as `diagnostics_message` has it, with the time of the node."""
+        now = self._node.get_clock().now().to_msg()
+        self._publisher.publish(diagnostics_message(now, *self._of, level, text, values))
