@@ -12,7 +12,6 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
@@ -24,7 +23,7 @@ from hardware_sim.sensors import MocapFrame
 from hardware_sim.settings import ArmSimParams
 from hardware_sim.world import World
 from wam_power_ros.ros import interface, joint_messages
-from wam_power_ros.ros.diagnostics import component, diagnostics_message
+from wam_power_ros.ros.diagnostics import Diagnostics
 
 CLOCK_PERIOD_NS = 10_000_000  # [ns] of /clock, which every node in lockstep reads and records
 IDLE_TIME = 5.0  # [s] without motion and requests, longer than any wait of a session
@@ -43,7 +42,6 @@ class ArmSim(Node):
     """Driver of the simulated arm.
 
     Attributes:
-        params: Parameters of the node.
         on_torque: Callback for every valid torque command.
         counters: Events since the start, by name.
         world: World to step, see `attach`.
@@ -86,9 +84,7 @@ class ArmSim(Node):
         self._description = self.create_publisher(
             String, interface.ROBOT_DESCRIPTION, interface.LATCHED
         )
-        self._diagnostics = self.create_publisher(
-            DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
-        )
+        self._diagnostics = Diagnostics(self, "loop", "stand-in")
         is_sorted = params.state_order == "sorted"
         names = sorted(params.joint_names) if is_sorted else list(params.joint_names)
         self._write = joint_messages.JointStateWriter(names)
@@ -180,7 +176,4 @@ class ArmSim(Node):
         state = "deactivated" if self._barrett.deactivated else state
         values |= {"frozen": world.frozen, "label": self._scene.label, **self.counters}
         values["stamp of the last [ns]"] = self.stamp_ns
-        now = self.get_clock().now().to_msg()
-        self._diagnostics.publish(
-            diagnostics_message(now, component(self, "loop"), "stand-in", "ok", state, values)
-        )
+        self._diagnostics.publish("ok", state, values)

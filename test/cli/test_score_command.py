@@ -116,15 +116,17 @@ def test_a_fault_counts_only_if_it_ended_the_rollout(
     assert told in capsys.readouterr().out
 
 
-def test_a_demonstration_is_scored_by_its_own_path(capsys: pytest.CaptureFixture[str]) -> None:
-    bag = min((ROOT / "bags").glob("reach_*"))
-    assert main.main(["score", str(bag), "--task", "reach"]) == 0
-    assert "stopped at the obstacle" in capsys.readouterr().out  # which lies on the demonstration
-
-
-def test_a_bag_without_a_return_is_an_error_that_says_why(
+def test_a_bag_without_a_rollout_is_an_error_that_says_so(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    bag = min((ROOT / "bags").glob("reach_*"))
-    assert main.main(["score", str(bag), "--task", "flip"]) == 1
-    assert "no state of the pancake" in capsys.readouterr().out
+    bag = min((ROOT / "bags").glob("demo_*"))
+    assert main.main(["score", str(bag)]) == 1
+    assert "no rollout: the bag has no policy" in capsys.readouterr().out
+
+
+def test_a_task_that_needs_data_of_its_own_session_names_them(
+    session: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = session / "bags" / "rollout_trial-0002"
+    assert main.main(["score", str(bag), "--task", "reach"]) == 1
+    assert "task reach needs 'demonstrated' of a session of its own" in capsys.readouterr().out

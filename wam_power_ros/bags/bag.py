@@ -23,7 +23,6 @@ class Bag:
     Attributes:
         path: Folder of the bag, or its only file.
         topics: Topics, in the order of their names.
-        notes: Notes of the recorder.
     """
 
     def __init__(self, path: Path | str, *others: Path | str) -> None:

@@ -24,11 +24,7 @@ class Gaps(NamedTuple):
 
 
 def gaps(stamps_ns: Sequence[int] | np.ndarray) -> Gaps:
-    """Gaps between stamps [ns], in the order of reception; stamps that repeat or go back make none.
-
-    Args:
-        stamps_ns: Stamps. Shape (M,).
-    """
+    """Gaps between stamps [ns] as received, shape (M,); those that repeat or go back make none."""
     steps = np.diff(np.asarray(stamps_ns, dtype=np.int64))
     steps = steps[steps > 0]
     if not len(steps):

@@ -136,27 +136,13 @@ def decoded(cdr: bytes, msgtype: str) -> object:
 
 
 def device(cdr: bytes, msgtype: str) -> tuple[str, ...]:
-    """Device that sent a message: names of its joints in a JointState; else empty, as if damaged.
-
-    Reads only the names, which a recorder can do for each message.
-    """
-    if msgtype != JOINT_STATE or len(cdr) < 16:
+    """Device that sent a message: names of its joints in a JointState; else, or if damaged, ()."""
+    if msgtype != JOINT_STATE:
         return ()
-    size = struct.Struct("<I" if cdr[1] & 1 else ">I")
-    names, at = [], 12  # after the encoding and the stamp
     try:
-        at += 4 + size.unpack_from(cdr, at)[0]  # frame_id
-        at += -at % 4
-        (count,) = size.unpack_from(cdr, at)
-        at += 4
-        for _ in range(count):
-            at += -at % 4
-            (length,) = size.unpack_from(cdr, at)
-            names.append(bytes(cdr[at + 4 : at + 3 + length]).decode())
-            at += 4 + length
-    except (struct.error, UnicodeDecodeError):
+        return tuple(decoded(cdr, msgtype).name)
+    except ValueError:
         return ()
-    return tuple(names)
 
 
 def event(cdr: bytes) -> dict[str, Any]:

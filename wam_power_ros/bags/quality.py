@@ -119,13 +119,7 @@ def movement_remarks(
 def completeness_remarks(
     counts: Mapping[str, int], missing: Mapping[str, int], ended: str
 ) -> list[Remark]:
-    """Remarks on missing messages and on a recording that was not stopped on request.
-
-    Args:
-        counts: Number of messages by topic.
-        missing: Number of missing messages by topic.
-        ended: Reason for the end of the recording, empty if unknown.
-    """
+    """Remarks on missing messages and on a recording that was not stopped on request."""
     cut = (
         [] if ended in ("", layout.STOP_REQUESTED) else [Remark(Grade.FAIR, f"cut short: {ended}")]
     )

@@ -32,7 +32,6 @@ class InspectedTake(NamedTuple):
     """A take and its quality.
 
     Attributes:
-        take: Its contents.
         t: Times of the smoothed movement [s]. Shape (N,).
         q: Smoothed joint angles [rad]. Shape (N, n).
         remarks: Reasons for its grade.

@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import argparse
 import os
-import re
 import resource
 import shlex
-from collections.abc import Callable, Sequence
-from datetime import date
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,9 +23,7 @@ from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 
 OK, WARN, NO = "ok", "WARN", "NO"
 ELBOW_FLIP = 1.5  # [m/s] of the elbow that a flip needs
-OLD = 90  # days after which a measurement is old: cables stretch, grease ages
 MEMLOCK = 512e6  # [B] of locked memory that the controller needs
-MEASURED = re.compile(r"^# Measured by .* on (\d{4}-\d{2}-\d{2})", re.MULTILINE)
 
 
 class Row(NamedTuple):
@@ -39,11 +35,11 @@ class Row(NamedTuple):
     then: str = ""
 
 
-def doctor(devices: Devices, today: date | None = None) -> int:
+def doctor(devices: Devices) -> int:
     """Print the rows and what comes next; returns 0 if nothing is missing, else 1."""
     setup = devices.parameters()
     words = shlex.join(devices.words)
-    rows = [*machine(), *described(setup), *measured(setup, devices.config, today or date.today())]
+    rows = [*machine(), *described(setup), *measured(setup)]
     for number, row in enumerate(rows, start=1):
         print(f"{number:2d} {row.name:12s} {row.verdict:4s}  {row.text}")
     missing = [row for row in rows if row.verdict == NO]
@@ -99,7 +95,7 @@ def described(setup: overlay.Setup) -> list[Row]:
     return rows
 
 
-def measured(setup: overlay.Setup, config: Sequence[str], today: date) -> list[Row]:
+def measured(setup: overlay.Setup) -> list[Row]:
     """What was measured on this arm."""
     params, cameras = TorqueControllerParams.of_setup(setup), setup["pancake_tracker"]
     frame = np.array(cameras["world_to_base"])
@@ -108,19 +104,13 @@ def measured(setup: overlay.Setup, config: Sequence[str], today: date) -> list[R
     friction = np.array(params.coulomb_friction)
     loads = not (np.allclose(params.torque_scales, 1.0) and np.allclose(params.payload, 0.0))
     largest = f"largest {np.rad2deg(np.abs(zeros).max()):.1f} degrees"
-    rows = [
+    return [
         _row("frame", known, "of the cameras, in world_to_base"),
         _row("zeros", bool(zeros.any()), largest if zeros.any() else "of the joints"),
         _row("friction", bool(np.any(friction >= 0.0)), "of the joints"),
         _row("loop delay", params.loop_delay > 0.0, f"{params.loop_delay * 1e3:.0f} ms"),
+        _row("motors, tool", loads, "torque constants, payload, tilt"),
     ]
-    rows.append(_row("motors, tool", loads, "torque constants, payload, tilt"))
-    for name in config:
-        if found := MEASURED.search(overlay.find(name).read_text()):
-            age = (today - date.fromisoformat(found[1])).days
-            text = f"measured {found[1]}, {age} days ago, in {name}"
-            rows.append(Row("age", OK if age <= OLD else WARN, text))
-    return rows
 
 
 def _row(name: str, done: bool, text: str) -> Row:

@@ -112,12 +112,7 @@ def check(setup: overlay.Setup) -> None:
 
 @dataclass(frozen=True)
 class Launcher:
-    """Running nodes of a plan.
-
-    Attributes:
-        plan: The plan.
-        processes: Its processes that have been started.
-    """
+    """Running nodes of a plan."""
 
     plan: Plan
     processes: Processes

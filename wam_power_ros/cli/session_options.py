@@ -27,12 +27,6 @@ class SessionOptions:
     """What a person asks of a session; None or empty for what is not asked.
 
     Attributes:
-        task: Name of the skill to learn.
-        learner: Name of the learning algorithm.
-        preset: Name of the settings of the task.
-        trials: Budget of rollouts.
-        minutes: Budget of time.
-        seed: Seed of exploration and simulation.
         demonstrations: Number of demonstrations to record.
         bags: Demonstrations to learn from instead.
         origin: Session whose policy is where this one begins.

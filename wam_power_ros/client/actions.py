@@ -82,13 +82,7 @@ class Goal:
 
 
 class Action:
-    """Client of one action.
-
-    Args:
-        link: Link in whose namespace the server runs.
-        kind: Type of the action.
-        name: Name of the action.
-    """
+    """Client of one action."""
 
     def __init__(self, link: Link, kind: Any, name: str) -> None:  # noqa: ANN401 - any action
         self._link, self._kind, self._name = link, kind, name

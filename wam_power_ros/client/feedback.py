@@ -23,11 +23,7 @@ SERVICES = {  # kind of feedback, or stop -> service and its data
 
 
 class Feedback:
-    """Gives feedback to the learner.
-
-    Args:
-        link: Link in whose namespace the learner runs.
-    """
+    """Gives feedback to the learner."""
 
     def __init__(self, link: Link) -> None:
         self._link = link
@@ -59,11 +55,6 @@ class Feedback:
 
         The arm is set to gravity compensation only after the learner has reported that it is paused
         and no trial is under way; from then on it sends nothing until it continues.
-
-        Args:
-            robot: The arm.
-            lead: See `Robot.teach`.
-            notify: Called with each progress message.
 
         Returns:
             Answer of the learner to the demonstration.

@@ -51,7 +51,6 @@ class Link:
     """Calls services and waits for conditions; a context manager, which ends its thread.
 
     Attributes:
-        node: The node.
         appear_timeout: Time for a service to appear [s of wall time].
 
     Args:
@@ -208,10 +207,6 @@ class Link:
             parameter_overrides=[Parameter("start_type_description_service", value=False)],
         )
 
-    def has_reader(self, topic: str) -> bool:
-        """Whether a node subscribes to a topic now."""
-        return not self._ended and bool(self.node.count_subscribers(topic))
-
     # Services
 
     def prepare(self, *names: str, data: Data = None) -> None:
@@ -229,15 +224,6 @@ class Link:
         else:
             self._ready_times.setdefault(name, time.monotonic())
         return ready
-
-    def wait_for(self, name: str) -> None:
-        """Wait for a service of type Trigger, however long it takes to appear.
-
-        Raises:
-            ExternalShutdownException: The node is being ended.
-        """
-        self.prepare(name)
-        self.until(lambda: self.offers(name), f"service {self._full(name)}", math.inf)
 
     def _discovered(self, name: str) -> bool:
         """Whether a service is available and has had the time to discover its client."""

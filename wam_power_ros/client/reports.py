@@ -14,15 +14,11 @@ class ControllerReports:
     """Subscribes to the diagnostics.
 
     Attributes:
-        count: Number of reports received.
         mode: Mode of the controller; "" before the first report.
         text: Summary, such as a fault; "" before the first report.
         refusal: Last refusal of the controller; "" for none.
         fault: Latched fault; None without one.
         last_stop: Id of the last stop by a person; "" for none.
-
-    Args:
-        link: Link in whose namespace the controller runs.
     """
 
     def __init__(self, link: Link) -> None:

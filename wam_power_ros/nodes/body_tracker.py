@@ -17,7 +17,6 @@ import time
 from typing import NamedTuple
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry, Path
 from rclpy.clock import Clock, ClockType
@@ -28,7 +27,7 @@ from sensor_msgs.msg import PointCloud2
 from wam_power_ros.learning.rollout import BodyPath
 from wam_power_ros.params.body_tracker_params import BodyTrackerParams
 from wam_power_ros.ros import endpoints, interface, node_runner, pose_messages
-from wam_power_ros.ros.diagnostics import component, diagnostics_message
+from wam_power_ros.ros.diagnostics import Diagnostics
 from wam_power_ros.tracking.tracker import (
     OFFSET_WINDOW,
     ClockOffset,
@@ -81,9 +80,7 @@ class BodyTracker(Node):
             Odometry, interface.body_topic(params.body, "state"), interface.STATE_OUT
         )
         self._paths = publish(Path, interface.rollout_topic(params.body), interface.LATCHED)
-        self._diagnostics = publish(
-            DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
-        )
+        self._diagnostics = Diagnostics(self, params.body, "motion capture")
         self._source = self.resolve_topic_name(params.markers_topic or params.pose_topic)
         self._message_type, self._qos = PoseStamped, interface.MOCAP_BEST_EFFORT
         self._read, self._add = pose_messages.pose, self._tracker.add
@@ -247,16 +244,7 @@ class BodyTracker(Node):
             "unmatched publishers": self._unmatched,
             "last problem": self._problem,
         }
-        self._diagnostics.publish(
-            diagnostics_message(
-                self.get_clock().now().to_msg(),
-                component(self, self._params.body),
-                "motion capture",
-                level,
-                text,
-                values,
-            )
-        )
+        self._diagnostics.publish(level, text, values)
 
 
 def main() -> int:

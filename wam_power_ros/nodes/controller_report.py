@@ -43,13 +43,7 @@ class Condition:
 
 
 class ControllerReport:
-    """Logs changes and refusals, and publishes diagnostics.
-
-    Args:
-        node: Node of the loop.
-        params: Its parameters.
-        preparation: Process that logs and publishes.
-    """
+    """Logs changes and refusals, and publishes diagnostics."""
 
     def __init__(
         self, node: Node, params: TorqueControllerParams, preparation: Preparation

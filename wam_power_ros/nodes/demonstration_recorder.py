@@ -22,7 +22,6 @@ from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Literal
 
-from diagnostic_msgs.msg import DiagnosticArray
 from pydantic import Field
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
@@ -39,7 +38,7 @@ from wam_power_ros.learning.policy import DURATION_MAX, check_id
 from wam_power_ros.params.node_params import Names, Params
 from wam_power_ros.params.resources import robot_description
 from wam_power_ros.ros import interface, node_runner, scheduling
-from wam_power_ros.ros.diagnostics import component, diagnostics_message
+from wam_power_ros.ros.diagnostics import Diagnostics
 from wam_power_ros.ros.outcomes import Answer, Code, fill
 from wam_power_ros.ros.raw_subscriptions import RawTopics
 
@@ -121,9 +120,7 @@ class DemonstrationRecorder(Node):
             topics[interface.CLOCK] = ()
         self._topics = RawTopics(self, topics, self._on_message)
         self.create_subscription(Policy, interface.POLICY, self._on_policy, interface.LATCHED)
-        self._diagnostics = self.create_publisher(
-            DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
-        )
+        self._diagnostics = Diagnostics(self, "bag", "disk")
         self.create_service(SetBool, interface.RECORD, self._on_record)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(DISK_CHECK_PERIOD, self._check_disk, clock=steady)
@@ -312,8 +309,7 @@ class DemonstrationRecorder(Node):
         values["unmatched publishers"] = unmatched
         values["waiting for the disk"] = recording.waiting if recording else 0
         values["real-time scheduling"] = self._granted.scheduling
-        name, now = component(self, "bag"), self.get_clock().now().to_msg()
-        self._diagnostics.publish(diagnostics_message(now, name, "disk", level, text, values))
+        self._diagnostics.publish(level, text, values)
 
     def close(self) -> None:
         """Finish the bag before the process ends."""

@@ -40,10 +40,6 @@ class Demonstrations:
     ) -> tuple[list[str], list[Demonstration], list[Policy]]:
         """Usable bags, their demonstrations, and the policies that are fitted to them.
 
-        Args:
-            settings: Settings of the session.
-            bags: Paths of the bags.
-
         Raises:
             ValueError: Nothing can be learnt from any of them.
         """

@@ -22,7 +22,6 @@ from pathlib import Path as FilePath
 from typing import Any
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
 from pydantic import Field, model_validator
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException
@@ -54,7 +53,7 @@ from wam_power_ros.practice.session import Session, read, read_policy
 from wam_power_ros.practice.session_log import KIND_NAMES, Event, Line, Pause, Record, Trial
 from wam_power_ros.practice.settings import SessionSettings, preset
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.diagnostics import LEARNER_STATE, component, diagnostics_message
+from wam_power_ros.ros.diagnostics import LEARNER_STATE, Diagnostics
 from wam_power_ros.ros.node_runner import (
     end,
     interrupt_on_signals,
@@ -149,8 +148,7 @@ class Learner(Node):
         names = params.joint_names
         self._rollouts = Rollouts(self._link, settings, self._kind.body, names)
         self._markers = Markers(self, params.base_frame, self._kind.body, self._arm.region)
-        qos = interface.DIAGNOSTICS_QOS
-        self._diagnostics = self.create_publisher(DiagnosticArray, interface.DIAGNOSTICS, qos)
+        self._diagnostics = Diagnostics(self, "session", self._kind.body)
         self.create_timer(1.0, self._report, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _report(self) -> None:
@@ -170,10 +168,8 @@ class Learner(Node):
         records = [line for line in log if isinstance(line, Record)]
         resets = [record.clock.get("reset") or {} for record in records]
         helped = sum(reset.get("by") == "person" for reset in resets)
-        now, name = self.get_clock().now().to_msg(), component(self, "session")
         values = {LEARNER_STATE: state, "rollouts": len(records), "put back by a person": helped}
-        message = diagnostics_message(now, name, self._kind.body, level, text, values)
-        self._diagnostics.publish(message)
+        self._diagnostics.publish(level, text, values)
 
     # Requests of a person
 

@@ -32,14 +32,7 @@ BODY_PERIOD = 0.5  # between two messages for the body alone [s of wall time]
 
 
 class Markers:
-    """Publishes the markers of one arm.
-
-    Args:
-        node: Node that publishes them.
-        base_frame: Frame of the arm's base, without its namespace.
-        body: Name of the tracked body, "" for none.
-        region: Guarded region, None for none.
-    """
+    """Publishes the markers of one arm."""
 
     def __init__(self, node: Node, base_frame: str, body: str, region: Region | None) -> None:
         self._frame = interface.frame(node.get_namespace(), base_frame)

@@ -18,12 +18,7 @@ STOPPED = "stopped by a person"
 
 
 def attempt(core: Controller | None, request: Callable[[Controller], None]) -> Answer:
-    """Make a request to the controller; the answer says why it refuses.
-
-    Args:
-        core: Controller, None when it is not active.
-        request: Makes the request; raises ControllerError when it is refused.
-    """
+    """Make a request to the controller; the answer says why it refuses, by a ControllerError."""
     if core is None:
         return NOT_ACTIVE
     try:
@@ -49,11 +44,6 @@ class MotionRequests:
     Attributes:
         last_stop: Id of the last act by which a person ended a movement or took the arm, its time
             [ns of wall time]; "" before the first.
-
-    Args:
-        joint_names: Names of the joints, for the summary of a replay.
-        active: Returns the controller, None when it is not active.
-        replies: How to reply.
     """
 
     def __init__(

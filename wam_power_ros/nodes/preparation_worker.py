@@ -62,9 +62,6 @@ class PreparationWorker(Node):
 
     Attributes:
         ended: True once the torque controller has ended or closed its end of the channel.
-
-    Args:
-        channel: Connection to the torque controller.
     """
 
     def __init__(self, channel: Channel) -> None:

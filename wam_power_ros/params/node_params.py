@@ -139,10 +139,6 @@ class Params(BaseModel):
     def of_values(cls: type[P], owner: str, values: Mapping[str, object]) -> P:
         """Check values read from YAML for a node; parameters that ROS itself defines are ignored.
 
-        Args:
-            owner: Name of the node, for messages.
-            values: Values by name of the parameter.
-
         Raises:
             ValueError: As for `of`.
         """

@@ -85,13 +85,7 @@ class Action:
             self.under_way[id].publish_feedback(feedback)
 
     def finish(self, id: str, answer: Answer, **more: Any) -> bool:  # noqa: ANN401 - of the result
-        """End a goal; returns False if none of this id is under way.
-
-        Args:
-            id: Id of the goal.
-            answer: Its outcome.
-            more: Other fields of the result.
-        """
+        """End a goal; returns False if none of this id is under way."""
         handle = self.under_way.pop(id, None)
         if handle is None:
             return False

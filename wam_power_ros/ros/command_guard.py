@@ -25,10 +25,6 @@ class CommandGuard:
 
     Attributes:
         foreign: True if another publisher has sent a command since the last `begin`.
-
-    Args:
-        node: Node that sends.
-        publisher: Its publisher on the command topic.
     """
 
     def __init__(self, node: Node, publisher: Publisher) -> None:

@@ -9,6 +9,8 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
+from wam_power_ros.ros import interface
+
 FAULT_KIND = "fault kind"  # key that only the status of a controller has
 LAST_STOP = "last stop by a person"  # key of its id, "" before the first
 # Key that only the status of a learner has: "practises", "paused", or what it waits for, the
@@ -32,16 +34,7 @@ def of_controller(namespace: str, status: DiagnosticStatus) -> dict[str, str] | 
 def diagnostics_message(
     now: Time, name: str, hardware_id: str, level: str, text: str, values: Mapping[str, object]
 ) -> DiagnosticArray:
-    """Message with one status (REP-107).
-
-    Args:
-        now: Stamp.
-        name: Name of node and component, see `component`.
-        hardware_id: Name of the device.
-        level: "ok", "warn", "error" or "stale".
-        text: Summary for a person.
-        values: Values by name, written as text.
-    """
+    """Message with one status (REP-107); `level` is "ok", "warn", "error" or "stale"."""
     status = DiagnosticStatus(
         level=getattr(DiagnosticStatus, level.upper()),
         name=name,
@@ -52,3 +45,18 @@ def diagnostics_message(
     message = DiagnosticArray(status=[status])
     message.header.stamp = now
     return message
+
+
+class Diagnostics:
+    """Publishes the status of a part of a node."""
+
+    def __init__(self, node: Node, part: str, hardware_id: str) -> None:
+        self._node, self._of = node, (component(node, part), hardware_id)
+        self._publisher = node.create_publisher(
+            DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
+        )
+
+    def publish(self, level: str, text: str, values: Mapping[str, object]) -> None:
+        """Publish as `diagnostics_message` has it, with the time of the node."""
+        now = self._node.get_clock().now().to_msg()
+        self._publisher.publish(diagnostics_message(now, *self._of, level, text, values))

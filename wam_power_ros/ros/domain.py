@@ -110,12 +110,7 @@ def hold(domain: int, namespace: str = "") -> ExitStack | None:
 
 
 def lock_files(domain: int, namespace: str = "") -> list[tuple[Path, bool]]:
-    """Files that a holder of a domain locks, and whether holders beside it may lock each as well.
-
-    Args:
-        domain: Number of the domain.
-        namespace: Namespace to hold; empty for the whole domain.
-    """
+    """Files that a holder of a domain locks, and whether others beside it may lock each as well."""
     name = namespace.strip("/").replace("/", "__")
     own = [(_lock_file(f"{domain}_{name}"), False)] if name else []
     return [(_lock_file(domain), bool(name)), *own]

@@ -53,12 +53,6 @@ def unmatched_subscriptions(
 ) -> tuple[list[str], int]:
     """Describe the subscriptions of other nodes that receive nothing from a publisher.
 
-    Args:
-        node: Node of the publisher.
-        topic: Topic, relative or resolved.
-        kind: Full name of the message type that is published.
-        qos: QoS of the publisher.
-
     Returns:
         One sentence each, with both sides, and the number of the other nodes' subscriptions that
         match.

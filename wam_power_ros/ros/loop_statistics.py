@@ -11,11 +11,7 @@ CAPACITY = 4096  # cycles between two reports; further ones are not counted
 
 
 class LoopStatistics:
-    """Arrivals and departures of the cycles since the last report.
-
-    Args:
-        period_ns: Loop period [ns].
-    """
+    """Arrivals and departures of the cycles since the last report."""
 
     def __init__(self, period_ns: int) -> None:
         self._period_ns = period_ns

@@ -126,11 +126,7 @@ def wider_reach(environment: Mapping[str, str]) -> str | None:
 
 
 def bound_addresses(process: str = "self") -> list[str]:
-    """Addresses `ip:port` to which UDP sockets of a process are bound.
-
-    Args:
-        process: Process id, or "self".
-    """
+    """Addresses `ip:port` to which UDP sockets of a process, an id or "self", are bound."""
     inodes = set()
     for file in Path("/proc").glob(f"{process}/fd/*"):
         with suppress(OSError):

@@ -106,7 +106,6 @@ class Ended:
     """End of a rollout.
 
     Attributes:
-        policy_id: Id of the policy.
         start_ns: Stamp of the start [ns], which the paths have as theirs.
         fault: Fault that ended it, None without one.
         region: Name of the guarded region that ended it, "" if none did.

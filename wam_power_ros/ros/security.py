@@ -16,10 +16,6 @@ from wam_power_ros.ros import network
 def check_keystore(environment: Mapping[str, str], arguments: Sequence[str]) -> None:
     """Check that a process has its keys if security is enforced.
 
-    Args:
-        environment: Environment of the process.
-        arguments: Its command line, which names its enclave.
-
     Raises:
         ValueError: The keystore or the enclave is missing; the message names it.
     """

@@ -20,10 +20,6 @@ class SimulationGuard:
     """Looks who publishes the joint states that a controller in simulation answers.
 
     A stand-in is recognised by the name of its node, as `hardware_sim.driver_watch` does.
-
-    Args:
-        node: Node of the controller.
-        topic: Topic of its joint states.
     """
 
     def __init__(self, node: Node, topic: str) -> None:
@@ -42,11 +38,7 @@ class SimulationGuard:
         )
 
     def other_clock(self, simulated: bool) -> str:
-        """Say that stand-in and controller follow different clocks; empty if they do not.
-
-        Args:
-            simulated: Whether the controller follows simulated time (lockstep).
-        """
+        """Say that stand-in and controller follow different clocks; empty if they do not."""
         published = bool(self._node.count_publishers(self._clock))
         if published and not simulated:
             return (

@@ -40,10 +40,6 @@ class StateGuard:
     of another one. A killed driver stays announced for 20 s, but sends nothing, so that its
     successor is followed. A middleware that does not number messages (such as Cyclone DDS) hides a
     second publisher.
-
-    Args:
-        node: Node that subscribes to the topic.
-        topic: The topic.
     """
 
     def __init__(self, node: Node, topic: str) -> None:

@@ -61,15 +61,8 @@ class View(Node):
     """Subscribes to the topics of a session and calls its services, through its link.
 
     Attributes:
-        link: Link of the node.
-        state: Newest message of each kind.
         urdf: Text of the arm's URDF, "" until it is received.
         model_joint_names: Names of the joints in the URDF.
-
-    Args:
-        controller: Parameters of the controller.
-        body: Name of the tracked body, "" for none.
-        namespace: Namespace of the nodes of the session.
     """
 
     def __init__(self, controller: Mapping[str, Any], body: str, namespace: str = "") -> None:

@@ -41,13 +41,8 @@ class Page:
     """One page, the same in every browser that opens it.
 
     Attributes:
-        server: Server of the page.
         skeleton: Drawn arm, None before the first.
         terms: Text below the learning curve.
-
-    Args:
-        server: An open server.
-        title: Title of the panel.
     """
 
     def __init__(self, server: viser.ViserServer, title: str) -> None:
@@ -148,12 +143,7 @@ class Page:
             self._state.content = text
 
     def add_legend(self, body: str, policies: bool = True) -> None:
-        """Add a panel with a checkbox for each kind of drawing, and its colour.
-
-        Args:
-            body: Name of the tracked body, "" for none.
-            policies: True if there are policies to draw.
-        """
+        """Add a panel with a checkbox for each kind of drawing, and its colour."""
         executed = lambda: [self._node("/executed"), self._node("/trail")]  # noqa: E731
         kinds = {"executed": ("executed path (orange)", executed)}
         if policies:

@@ -22,7 +22,6 @@ class Player:
 
     Attributes:
         movement: Shown movement, None before the first.
-        playing: True while it plays.
         stale: True before the first movement, and if something else was drawn over it.
         on_choice: Called when a person chooses or plays a movement; until then the newest one, the
             first of the list, is chosen.

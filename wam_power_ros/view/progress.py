@@ -53,12 +53,6 @@ class Progress:
 
     Attributes:
         bags: Entry of a rollout with a bag -> path of the bag, newest first.
-        records: Rollouts of the session.
-
-    Args:
-        page: Page to show it on.
-        folder: Folder of the session.
-        task: Task of the session.
     """
 
     def __init__(self, page: Page, folder: Path, task: Task) -> None:

@@ -29,9 +29,6 @@ class Movement:
     """A recorded movement.
 
     Attributes:
-        name: Name of the movement.
-        urdf: Text of the arm's URDF.
-        joint_names: Names of the joints in the URDF.
         t: Time since the first state [s], strictly increasing. Shape (T,).
         q: Joint angles [rad]. Shape (T, n).
         body: Name of the tracked body, "" for none.

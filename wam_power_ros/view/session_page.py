@@ -60,10 +60,6 @@ def parameters(folder: Path) -> overlay.Setup:
 class SessionPage:
     """Page of one session: drawings, playback, progress and buttons.
 
-    Args:
-        server: An open server.
-        folder: Folder of the session.
-
     Raises:
         ValueError: The session cannot be read.
     """

@@ -26,11 +26,6 @@ CHECK_PERIOD = 1.0  # [s] between checks whether the session runs
 def of_bag(server: viser.ViserServer, bag: Path, ready: Callable[[], object]) -> None:
     """Show a bag until interrupted.
 
-    Args:
-        server: An open server.
-        bag: Folder of the bag.
-        ready: Called when the page can be opened.
-
     Raises:
         ValueError: The bag cannot be read.
     """
