@@ -18,7 +18,7 @@ from wam_power_ros.arm_identity import ArmIdentity
 from wam_power_ros.bags import layout
 from wam_power_ros.bags.bag import Bag
 from wam_power_ros.bags.layout import TYPES
-from wam_power_ros.bags.reader import read_demonstration
+from wam_power_ros.bags.reader import read_demonstration, read_states
 from wam_power_ros.bags.writer import BagWriter
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.demonstration import from_joint_samples, rotation_from
@@ -83,7 +83,7 @@ def test_a_bag_of_another_recorder_reads_the_same(
     if qos == "another":  # as in bags of rosbag2, which notes in one what discovery told later
         metadata = tmp_path / "old/metadata.yaml"
         metadata.write_text(metadata.read_text().replace("depth: 10", "depth: 0"))
-    _, back = read_demonstration(tmp_path / "old", NAMES, "/wam/joint_states")
+    back = read_states(Bag(tmp_path / "old"), NAMES, "/wam/joint_states").q
     np.testing.assert_array_equal(back, q)
 
 
@@ -162,9 +162,9 @@ def test_states_of_before_a_simulated_reset_are_another_movement(
 def test_a_wrong_topic_or_type_is_named_with_what_there_is(tmp_path: Path) -> None:
     path = demonstration(tmp_path / "demo", random_q(3))
     with pytest.raises(ValueError, match=r"no topic /joints; it has \['/joint_states'"):
-        read_demonstration(path, NAMES, "/joints")
+        read_states(Bag(path), NAMES, "/joints")
     with pytest.raises(ValueError, match="is of type"):
-        read_demonstration(path, NAMES, "/robot_description")
+        read_states(Bag(path), NAMES, "/robot_description")
     with pytest.raises(ValueError, match=r"no metadata\.yaml"):
         read_demonstration(tmp_path, NAMES)
     with pytest.raises(ValueError, match="there is no such folder"):

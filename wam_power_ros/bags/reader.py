@@ -39,13 +39,10 @@ class States:
 
 
 def read_demonstration(
-    path: Path | str,
-    joint_names: Sequence[str],
-    topic: str | None = None,
-    arm: ArmIdentity | None = None,
+    path: Path | str, joint_names: Sequence[str], arm: ArmIdentity | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Stamps (M,) [ns] and joint angles (M, n) [rad] of a bag, as `read_states` reads them."""
-    states = read_states(Bag(path), joint_names, topic, arm)
+    states = read_states(Bag(path), joint_names, arm=arm)
     return states.stamps, states.q
 
 

@@ -20,10 +20,10 @@ def page(title: str, body: Sequence[str]) -> str:
     return PAGE.substitute(title=escape(title), body="\n".join(part for part in body if part))
 
 
-def section(title: str, text: Sequence[str] = (), content: str = "", level: int = 2) -> str:
+def section(title: str, text: Sequence[str] = (), content: str = "") -> str:
     """HTML of a titled section: paragraphs, then `content`, which is HTML."""
     return (
-        f'<section id="{anchor(title)}"><h{level}>{escape(title)}</h{level}>'
+        f'<section id="{anchor(title)}"><h2>{escape(title)}</h2>'
         f"{paragraphs(text)}{content}</section>"
     )
 

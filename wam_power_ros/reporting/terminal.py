@@ -53,19 +53,16 @@ def spark(values: Sequence[float], width: int = 60) -> str:
     return "".join(BARS[round((len(BARS) - 1) * v / top)] if top > 0 else BARS[0] for v in shown)
 
 
-def rollout_table(
-    records: Sequence[Record], outcome: Outcome, shown: int = ROLLOUTS_SHOWN, width: int = 160
-) -> Table:
+def rollout_table(records: Sequence[Record], outcome: Outcome, width: int = 160) -> Table:
     """Table of the newest rollouts: return and its terms, best measured return, outcome.
 
     Args:
         records: Rollouts, oldest first.
         outcome: Outcome of a rollout in a few words.
-        shown: Maximum number of rollouts in the table.
         width: Columns of the terminal. If it is too narrow for the outcome, terms are omitted,
             last first.
     """
-    newest, bests, best = records[-shown:], [], 0.0
+    newest, bests, best = records[-ROLLOUTS_SHOWN:], [], 0.0
     for record in records:
         better = record.ret is not None and record.ret > best
         best = max(best, record.ret or 0.0)  # as measured: ratings are shown beside the returns
@@ -81,7 +78,7 @@ def rollout_table(
     for name in ["return", *terms, "best"]:
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("outcome", no_wrap=True, overflow="ellipsis")
-    for record, (top, better) in zip(newest, bests[-shown:], strict=True):
+    for record, (top, better) in zip(newest, bests[-ROLLOUTS_SHOWN:], strict=True):
         table.add_row(
             str(record.number),
             Text(KIND_NAMES[record.kind], style=STYLES.get(record.kind, "")),
