@@ -110,7 +110,7 @@ BUDGET = {
     "params": 1133,
     "ros": 2486,
     "client": 1449,
-    "nodes": 3289,  # actions, and the question for another set-up; JSON is gone from ros/
+    "nodes": 3333,  # actions, and the question for another set-up; JSON is gone from ros/
     "console": 983,
     "view": 1402,
     "reporting": 987,
