@@ -115,7 +115,7 @@ BUDGET = {
     "view": 1402,
     "reporting": 987,
     "in_process": 412,
-    "cli": 2779,
+    "cli": 2781,
     "hardware_sim": 3032,
     "launch": 161,
     "wam_power_interfaces": 160,  # its build without ROS

@@ -141,9 +141,12 @@ def test_a_log_shows_every_rollout_once_on_a_line_of_its_own() -> None:
     assert all(f"return {record.ret:.3f}" in line for record, line in zip(records, lines, strict=1))
 
 
-def test_a_terminal_shows_the_newest_rollouts_and_the_best_return_so_far() -> None:
+def test_a_terminal_shows_the_newest_rollouts_and_the_best_return_so_far(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     records = some_records(40)
-    table = terminal.rollout_table(records, OUTCOME, shown=5)
+    monkeypatch.setattr(terminal, "ROLLOUTS_SHOWN", 5)
+    table = terminal.rollout_table(records, OUTCOME)
     numbers, bests = (list(table.columns[place].cells) for place in (0, -2))
     assert numbers == ["36", "37", "38", "39", "40"]
     assert bests[-1] == f"{max(record.ret or 0.0 for record in records):.3f}"

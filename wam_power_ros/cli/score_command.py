@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from wam_power_ros import installed
 from wam_power_ros.cli.parser import add_command, preset_option
 from wam_power_ros.cli.session_options import DEFAULT_TASK
 
@@ -33,6 +34,7 @@ def score(recorded: Sequence[Path], task: str | None, preset: str) -> int:
     """Score bags or sessions."""
     from wam_power_ros.practice.session import Session
 
+    installed.task_type(task or DEFAULT_TASK)  # an unknown name is refused before a bag is read
     failed = 0
     for path in recorded:
         if Session.exists(path):

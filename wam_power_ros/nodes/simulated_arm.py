@@ -17,7 +17,7 @@ from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 # Parameters of a controller on which no rollout depends: devices, names, the machine.
 ELSEWHERE = {"autostart", "simulation", "realtime_priority", "hardware_id", "state_topic"}
 ELSEWHERE |= {"velocity_topic", "command_topic", "command_type", "effort", "allow_no_realtime"}
-ELSEWHERE |= {"idle_service", "urdf", "base_frame", "state_timeout", "hold_to_run"}
+ELSEWHERE |= {"idle_service", "urdf", "base_frame", "state_timeout", "hold_to_run", "move_speed"}
 
 
 class SimulatedArm:
