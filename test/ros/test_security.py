@@ -90,6 +90,7 @@ def test_the_recorder_only_listens_and_the_learner_only_proposes() -> None:
         f"/{interface.LEARNER_MARKERS}",
     }
     assert ("action", "execute") not in learner
+    assert "/torque_controller/get_parameters" in learner["service", "request"]  # asked later
     assert {name.split("/")[1] for name in learner["service", "reply"]} == {"learner"}
 
 
