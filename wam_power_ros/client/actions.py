@@ -29,14 +29,10 @@ class Goal:
     """
 
     def __init__(self, link: Link, what: str, sent: Future) -> None:
-        self._link, self.what, self._sent = link, what, sent
+        self._link, self.what, self._sent, self._asked_at = link, what, sent, time.monotonic()
         self.result: Any = None
         self.answer: Answer | None = None
-        self._asked_at = time.monotonic()
-        sent.add_done_callback(self._accepted)
-
-    def _accepted(self, sent: Future) -> None:
-        self._ask()
+        sent.add_done_callback(lambda _: self._ask())
 
     def _ask(self) -> None:
         self._asked_at = time.monotonic()

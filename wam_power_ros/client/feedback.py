@@ -39,8 +39,8 @@ class Feedback:
             ServiceError: The learner does not appear or does not answer.
         """
         if kind == "demonstration":
-            request = AddDemonstration.Request(bag=str(bag.resolve()))
-            name, data = interface.ADD_DEMONSTRATION, request
+            data = AddDemonstration.Request(bag=str(bag.resolve()))
+            name = interface.ADD_DEMONSTRATION
         else:
             name, data = SERVICES[kind]
         answer = self._link.call(name, data)

@@ -237,10 +237,14 @@ class Robot:
         return Action(self.link, Replay, interface.REPLAY_MOVEMENT)
 
     @cached_property
-    def scene(self) -> tuple[Action, Action]:
-        """Actions of a simulated scene: reset and demonstrate."""
-        reset = Action(self.link, ResetScene, interface.RESET_SCENE)
-        return reset, Action(self.link, Demonstrate, interface.DEMONSTRATE)
+    def scene_reset(self) -> Action:
+        """Reset of a simulated scene."""
+        return Action(self.link, ResetScene, interface.RESET_SCENE)
+
+    @cached_property
+    def demonstrator(self) -> Action:
+        """Person of a simulated scene, who guides the arm."""
+        return Action(self.link, Demonstrate, interface.DEMONSTRATE)
 
     @cached_property
     def _rollouts(self) -> Rollouts:
@@ -296,11 +300,11 @@ class Robot:
 
     def put_back(self) -> None:
         """Put arm and body of a simulation to the start of the next demonstration."""
-        self.scene[0].send().done()
+        self.scene_reset.send().done()
 
     def demonstrate(self) -> None:
         """Let the simulated demonstrator guide the arm."""
-        self.scene[1].send().done(MOVE_TIMEOUT)
+        self.demonstrator.send().done(MOVE_TIMEOUT)
 
 
 @contextmanager

@@ -74,7 +74,7 @@ class View(Node):
         self.link = link = Link(self, APPEAR_TIMEOUT)
         self._feedback = Feedback(link)
         self._robot = Robot(link, controller["state_topic"], body=body)
-        self._scene = self._robot.scene  # made early, so that it is discovered
+        self._scene, _ = self._robot.scene_reset, self._robot.demonstrator  # early: discovery
         self._newest = [(link.newest(JointState, controller["state_topic"]), self._on_joints)]
         if body:
             states = link.newest(Odometry, interface.body_topic(body, "state"))
@@ -129,7 +129,7 @@ class View(Node):
         """
 
         def teach() -> Answer:
-            simulated = self.link.until(lambda: self._scene[0].offered, timeout=2.0 * DISCOVERY)
+            simulated = self.link.until(lambda: self._scene.offered, timeout=2.0 * DISCOVERY)
             return self._feedback.teach(self._robot, None if simulated else lead, notify)
 
         return self._answered(teach)
