@@ -140,6 +140,7 @@ def test_a_drifting_zero_does_not_lead_a_held_arm_away_after_its_fault(
         Cell("smooth bump", 5, "rollout early", "drawn 5"),  # states not believed: 13.6 before
         Cell("soft drift +0.3", 3, "guided", "drawn 5"),
         Cell("drift +0.3", 3, "replay", "model"),  # believed, and the arm follows the drift: 4.8
+        Cell("sign", 1, "sweep", "model"),  # carried by what is usual, without the fault: 2.8
     ],
     ids=str,
 )
