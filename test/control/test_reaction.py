@@ -112,6 +112,12 @@ def test_a_mass_on_the_tool_is_recognized_by_the_fall_of_the_arm(mass: float) ->
 
 
 @pytest.mark.requirement("S-133")
+@pytest.mark.parametrize("mass", [-4.5, -0.15, 0.5, 5.0])
+def test_a_mass_too_heavy_for_a_tool_or_too_light_to_tell_is_not_recognized(mass: float) -> None:
+    assert PayloadCheck(MODEL).torque(fall(mass)) is None
+
+
+@pytest.mark.requirement("S-133")
 @pytest.mark.parametrize("joint", [1, 3])
 def test_a_joint_that_runs_away_is_no_mass(joint: int) -> None:
     t = 0.002 * np.arange(60)
@@ -200,6 +206,14 @@ def test_an_arm_that_was_followed_in_its_fall_counts_as_having_rested() -> None:
     assert not reaction.rested
     reaction.follow(HOME, np.zeros(MODEL.n))
     assert reaction.rested
+
+
+def test_a_reported_speed_is_measured_over_the_last_four_states() -> None:
+    reaction = Reaction(MODEL, MODEL.gravity)
+    for k in range(20):
+        at = HOME + 0.5 * 10.0 * (0.002 * k) ** 2 * np.eye(7)[3]
+        reaction.record(state(k, at), STILL, [0.0] * 7)
+    np.testing.assert_allclose(reaction.reported()[3], 10.0 * 0.002 * (19 - 2))
 
 
 def held(course: np.ndarray, torque: np.ndarray) -> Reaction:

@@ -191,6 +191,7 @@ def test_the_bound_on_a_jump_grows_with_the_time_between_states() -> None:
         states.take(stamp * MS, Q + size * step, ZERO, restart=False)
         assert states.counters["jumps"] == jumps
         assert (states.fault and states.fault.kind) == (FaultKind.JUMP if jumps else None)
+        assert states.fault is None or states.fault.text.startswith("joint 3 jumped")
         states.take(states.last.stamp_ns + 2 * MS, states.last.q, ZERO, restart=False)
         assert states.fault is None  # the fault belongs to one state only
 
