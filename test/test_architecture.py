@@ -91,14 +91,14 @@ ALLOWED["nodes"] = {*BELOW, "client"} - {"reporting"}
 ALLOWED["console"] = {*BELOW, "client"} - {"reporting"}
 ALLOWED["hardware_sim"] = BELOW - {"bags", "practice", "conformance", "reporting"}
 ALLOWED["in_process"] = {*BELOW, "hardware_sim"} - {"ros"}
-ALLOWED["cli"] = {*BELOW, "nodes", "console", "view", "hardware_sim"}
+ALLOWED["cli"] = {*BELOW, "nodes", "console", "view", "hardware_sim", "in_process"}
 ALLOWED["robot"] = {"client", "cli"}
 ALLOWED["reproduction"] = ALLOWED["in_process"] | {"in_process"}
 ALLOWED["benchmark"] = {*ALLOWED}
 # Lines that a folder may have, docstrings and blanks included. Needing more is a reason to look for
 # what can go; where nothing can, the commit that raises a figure says why.
 BUDGET = {
-    "ground": 1447,  # the modules of wam_power_ros/ itself; a learner is also found by its class
+    "ground": 1465,  # the modules of wam_power_ros/ itself; what is missing is named with its extra
     "learning": 2353,
     "control": 4980,  # with waypoints of other programs: FollowJointTrajectory
     "commissioning": 1221,
@@ -114,8 +114,8 @@ BUDGET = {
     "console": 983,
     "view": 1402,
     "reporting": 987,
-    "in_process": 412,
-    "cli": 2781,
+    "in_process": 509,  # a session on disk without nodes
+    "cli": 2830,  # learn --in-process
     "hardware_sim": 3032,
     "launch": 161,
     "wam_power_interfaces": 160,  # its build without ROS

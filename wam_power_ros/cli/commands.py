@@ -20,6 +20,7 @@ from wam_power_ros.cli.launcher import (
     Launcher,
     UsageError,
     domain_environment,
+    folder_lock,
     interrupt,
     launch,
     learner_is_running,
@@ -41,6 +42,7 @@ from wam_power_ros.cli.session_options import (
     existing_session,
     learner_parameters,
     method_words,
+    settings_of,
     with_origin,
 )
 from wam_power_ros.console import prompt
@@ -92,7 +94,12 @@ def teach(
 
 
 def learn(
-    asked: SessionOptions, session: Path | None, resume: bool, devices: Devices, bell: bool
+    asked: SessionOptions,
+    session: Path | None,
+    resume: bool,
+    devices: Devices,
+    bell: bool,
+    in_process: bool = False,
 ) -> int:
     """Start or resume a session, run it to its end and write its report."""
     from wam_power_ros.practice.session import Session, read
@@ -114,6 +121,9 @@ def learn(
 
     try:
         parameters = devices.parameters(task, seed, folder)
+        if in_process:
+            print(text)
+            return _learn_in_process(folder, asked, seed, task, parameters, devices)
         given = learner_parameters(folder, asked, seed, task)
         parameters = parameters.changed({LEARNER: given})
         also = (TRACKER, LEARNER)
@@ -127,7 +137,7 @@ def learn(
             _follow(folder, launcher.processes, practising, bell)
     except KeyboardInterrupt:
         print("\nStopped.")
-        _print_how_to_go_on(folder, asked, devices)
+        _print_how_to_go_on(folder, asked, devices, ["--in-process"] * in_process)
         return INTERRUPTED
     except ProcessError as error:  # the advice comes last, below the end of the log
         print(f"wam-power: {pasteable(str(error))}", file=sys.stderr, flush=True)
@@ -137,13 +147,39 @@ def learn(
     return report(folder)
 
 
-def _print_how_to_go_on(folder: Path, asked: SessionOptions, devices: Devices) -> None:
+def _learn_in_process(
+    folder: Path,
+    asked: SessionOptions,
+    seed: int,
+    task: str,
+    parameters: overlay.Setup,
+    devices: Devices,
+) -> int:
+    """Teach and learn in simulation without nodes, and write the report."""
+    from wam_power_ros.in_process import learn as in_process
+    from wam_power_ros.reporting import terminal
+
+    if asked.bags or asked.origin or not devices.stand_ins:
+        raise UsageError("--in-process records its own demonstrations by stand-ins: omit it here")
+    with folder_lock(folder), terminal.Display() as display:
+        for file, text in plan_of(folder, parameters, stand_ins=True).written.items():
+            file.write_text(text, encoding="utf-8")
+        settings, count = settings_of(task, asked), asked.demonstrations
+        for session in in_process.run(folder, parameters, settings, seed, count):
+            display.show(session.log, session.header.settings, session.task)
+    _print_summary(session)
+    return report(folder)
+
+
+def _print_how_to_go_on(
+    folder: Path, asked: SessionOptions, devices: Devices, also: Sequence[str] = ()
+) -> None:
     """Print what a session that was stopped has on disk, and the command that goes on with it."""
     from wam_power_ros.bags import series
     from wam_power_ros.practice.session import Session, read
     from wam_power_ros.reporting.terminal import counted
 
-    words, where = ["learn", "--session", str(short_path(folder))], short_path(folder)
+    words, where = ["learn", "--session", str(short_path(folder)), *also], short_path(folder)
     if not Session.exists(folder):  # the options are not on disk yet
         words += asked.words
     try:
@@ -377,12 +413,8 @@ def view(path: Path | None, address: str, port: int) -> int:
     from wam_power_ros.practice.session import Session
 
     print("Preparing the page …", file=sys.stderr, flush=True)
-    try:
-        from wam_power_ros.view import guarded_server, viewer
-    except ImportError as error:
-        raise UsageError(
-            f"the page needs viser ({error}): pip install 'viser>=1.1.1,<1.2'"
-        ) from None
+    from wam_power_ros.view import guarded_server, viewer
+
     signal.signal(signal.SIGTERM, interrupt)
     if path is not None:
         check_name(path)

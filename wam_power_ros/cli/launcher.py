@@ -13,6 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from datetime import datetime
+from importlib.util import find_spec
 from pathlib import Path
 from types import FrameType
 from typing import IO
@@ -140,6 +141,8 @@ def launch(plan: Plan, text: str = "") -> Iterator[Launcher]:
         UsageError: Another session or learner uses the folder, or its disk is nearly full.
         DomainError: Another session holds the robot's DDS domain, or ROS_DOMAIN_ID is invalid.
     """
+    if find_spec("rclpy") is None:  # before a node fails for it
+        raise ModuleNotFoundError(name="rclpy")
     check_space(plan.folder, plan.parameters[RECORDER]["free_to_start"])
     files = plan.written
     with ExitStack() as stack:

@@ -41,14 +41,12 @@ from wam_power_ros.cli.parser import (
 from wam_power_ros.cli.processes import ProcessError
 from wam_power_ros.cli.session_options import SessionOptions
 from wam_power_ros.durable_files import explained
-from wam_power_ros.entry import INTERRUPTED
+from wam_power_ros.entry import INTERRUPTED, missing
 from wam_power_ros.params import overlay
 
-COMMAND_LINE = "wam-power"  # the only executable that is not a node
-NODES = {  # executable -> entry point, as setup.py declares them
-    entry.name: entry
-    for entry in metadata.distribution("wam_power_ros").entry_points.select(group="console_scripts")
-    if entry.name != COMMAND_LINE
+COMMAND_LINE = "wam-power"
+NODES = {  # executable of `ros2 run` -> entry point, as setup.py declares them
+    entry.name: entry for entry in metadata.entry_points(group="wam_power_ros.nodes")
 }
 
 
@@ -64,6 +62,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         command, values = _command(options)
         return int(command(**values) or 0)
+    except ModuleNotFoundError as error:
+        print(f"{COMMAND_LINE}: {missing(error)}", file=sys.stderr)
+        return 2
     except (UsageError, ProcessError, OSError, ValueError) as error:
         text = explained(error) if isinstance(error, OSError) else pasteable(str(error))
         print(f"{COMMAND_LINE}: {text}", file=sys.stderr)
@@ -124,6 +125,11 @@ def _parser() -> argparse.ArgumentParser:
     learn.add_argument("--session", type=Path, help="folder; resumed if it holds a session")
     learn.add_argument(
         "--resume", action="store_true", help="resume --session, or the newest session"
+    )
+    learn.add_argument(
+        "--in-process",
+        action="store_true",
+        help="simulate arm, controller and cameras in this process: without ROS, and faster",
     )
     _arm_options(learn)
 
