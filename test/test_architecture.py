@@ -98,8 +98,8 @@ ALLOWED["benchmark"] = {*ALLOWED}
 # Lines that a folder may have, docstrings and blanks included. Needing more is a reason to look for
 # what can go; where nothing can, the commit that raises a figure says why.
 BUDGET = {
-    "ground": 1465,  # the modules of wam_power_ros/ itself; what is missing is named with its extra
-    "learning": 2353,
+    "ground": 1474,  # the modules of wam_power_ros/ itself; what is missing is named with its extra
+    "learning": 2457,  # fit, path and practise of positions
     "control": 4980,  # with waypoints of other programs: FollowJointTrajectory
     "commissioning": 1221,
     "tracking": 610,
