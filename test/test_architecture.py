@@ -116,7 +116,7 @@ BUDGET = {
     "reporting": 987,
     "in_process": 412,
     "cli": 2781,
-    "hardware_sim": 3032,
+    "hardware_sim": 2975,
     "launch": 161,
     "wam_power_interfaces": 160,  # its build without ROS
     "examples": 377,
