@@ -198,9 +198,9 @@ def _print_command(purpose: str, words: Sequence[str]) -> None:
 
 def replay(bag: Path, speed: float, folder: Path | None, devices: Devices) -> int:
     """Repeat a recorded movement with the arm."""
-    from wam_power_ros import arm_identity
     from wam_power_ros.bags import reader
     from wam_power_ros.bags.bag import Bag
+    from wam_power_ros.console import replay as replaying
     from wam_power_ros.control import replay_trajectory
 
     if bag.is_file() and bag.suffix == ".json":
@@ -208,23 +208,15 @@ def replay(bag: Path, speed: float, folder: Path | None, devices: Devices) -> in
     folder = (folder or Path("replays") / timestamp()).resolve()
     parameters = devices.parameters(folder=folder).changed({RECORDER: {"stem": "replay"}})
     arm = parameters.arm()
-    identity = arm and arm.identity()
-    states = reader.read_states(Bag(bag), parameters.joint_names, arm=identity)
+    states = reader.read_states(Bag(bag), parameters.joint_names, arm=arm and arm.identity())
     for remark in states.remarks:
         print(f"{bag}: {remark.text}")
-    replay_trajectory.movement(states.stamps, states.q, speed)
+    movement = replay_trajectory.movement(states.stamps, states.q, speed)
     signal.signal(signal.SIGTERM, interrupt)
-    with launch(plan_of(folder, parameters, devices.stand_ins, secure=secured())) as launcher:
-        replaying = launcher.script(
-            "replay",
-            bag=str(bag.resolve()),
-            speed=speed,
-            joint_names=parameters.joint_names,
-            arm=arm_identity.to_json(identity),
-            person=not devices.stand_ins,
-            running=False,
-        )
-        return _end_of_motion(launcher, replaying)
+    plan = plan_of(folder, parameters, devices.stand_ins, secure=secured())
+    with launch(plan) as launcher, launcher.robot() as robot:
+        name, person = bag.resolve().name, not devices.stand_ins
+        return replaying.replay(robot, name, *movement, speed, person)
 
 
 def run_policy(

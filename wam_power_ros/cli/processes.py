@@ -14,7 +14,8 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -37,7 +38,7 @@ def full_disk(folder: Path) -> str:
 
 
 class ProcessError(RuntimeError):
-    """A process ended that should still run; the message has the end of its log."""
+    """A process ended that should still run, with the end of its log, or it does not answer."""
 
 
 @dataclass(frozen=True)
@@ -133,6 +134,32 @@ class Processes:
         for running in self._running:
             if running is not but and running.process.poll() is not None:
                 raise running.error()
+
+    @contextmanager
+    def watched(self, fail: Callable[[ProcessError], object]) -> Iterator[None]:
+        """Raise in the main thread once a process ends, even while it waits for a person's input.
+
+        Args:
+            fail: Called before, so that what is cleaned up waits for no answer of that process.
+
+        Raises:
+            ProcessError: A process has ended.
+        """
+
+        def check(*_: object) -> None:
+            try:
+                self.check()
+            except ProcessError as error:
+                signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+                fail(error)
+                raise
+
+        before = signal.signal(signal.SIGCHLD, check)
+        try:
+            check()  # what ended before
+            yield
+        finally:
+            signal.signal(signal.SIGCHLD, before)
 
     @property
     def stopped(self) -> list[str]:
