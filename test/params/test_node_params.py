@@ -15,7 +15,6 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from hardware_sim.settings import ArmSimParams, OptitrackSimParams
-from wam_power_ros.console.run_policy import RunPolicyParams
 from wam_power_ros.console.teach import TeachParams
 from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorderParams
 from wam_power_ros.nodes.learner import LearnerParams
@@ -160,7 +159,6 @@ PARAMS = (
     LearnerParams,
     BodyTrackerParams,
     DemonstrationRecorderParams,
-    RunPolicyParams,
     TeachParams,
 )
 

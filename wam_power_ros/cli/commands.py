@@ -223,47 +223,30 @@ def run_policy(
     policy: Path, rollouts: int, task: str | None, folder: Path | None, devices: Devices
 ) -> int:
     """Execute a saved policy with the arm, as often as asked."""
+    from wam_power_ros.console import run_policy as running
     from wam_power_ros.practice.session import Session, read, read_policy
 
     if policy.is_dir():
         policy = policy / "policy.json"
     beside = policy.resolve().parent
-    of_session = Session.exists(beside)
-    name = task or (read(beside).header.settings.task if of_session else DEFAULT_TASK)
-    used = str(beside) if of_session and name == read(beside).header.settings.task else ""
+    session = read(beside) if Session.exists(beside) else None
+    name = task or (session.header.settings.task if session else DEFAULT_TASK)
     folder = (folder or Path("runs") / timestamp()).resolve()
-    parameters = devices.parameters(name, folder=folder)
+    parameters = devices.parameters(name, folder=folder).changed(
+        {LEARNER: {"record_rollouts": True}}
+    )
     if (arm := parameters.arm()) is None:
         raise UsageError("the set-up has no URDF file of the arm: choose one with --config")
-    read_policy(policy, arm.identity())
-    learner = parameters[LEARNER]
-    settings = ("scene_reset", "reset_faults", "service_timeout", "rollout_timeout", "patience")
-    model = ("urdf", "model_joint_names", "tool_frame")
+    saved = read_policy(policy, arm.identity())
+    scoring, unscored = running.task_of(session, name)
     signal.signal(signal.SIGTERM, interrupt)
     plan = plan_of(folder, parameters, devices.stand_ins, also=[TRACKER], secure=secured())
-    with launch(plan) as launcher:
-        running = launcher.script(
-            "run_policy",
-            policy=str(policy.resolve()),
-            rollouts=rollouts,
-            session=used,
-            task=name,
-            person=not devices.stand_ins,
-            record_rollouts=True,
-            **{key: learner[key] for key in (*settings, *model)},
-        )
-        status = _end_of_motion(launcher, running)
+    with launch(plan) as launcher, launcher.robot() as robot:
+        if unscored:
+            print(f"No returns: {unscored}")
+        status = running.run(robot, saved, scoring, rollouts, person=not devices.stand_ins)
     print(f"Bags: {short_path(folder / 'bags')}")
     return status
-
-
-def _end_of_motion(launcher: Launcher, script: Running) -> int:
-    """Exit status of a script that moves the arm, which it stops at Ctrl-C before the nodes end."""
-    while True:
-        try:
-            return launcher.processes.wait(script)
-        except KeyboardInterrupt:
-            script.process.send_signal(signal.SIGINT)
 
 
 def enable() -> int:
