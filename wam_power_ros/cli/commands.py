@@ -280,22 +280,14 @@ def _record_demonstrations(launcher: Launcher, folder: Path, wanted: int, bell: 
 
 def _teach(launcher: Launcher, file: Path, count: int, bell: bool, review: bool) -> None:
     """Record demonstrations and add them to a series."""
+    from wam_power_ros.console.teach import record_series
     from wam_power_ros.reporting.terminal import counted
 
-    plan = launcher.plan
-    teacher = "the simulated demonstrator" if plan.stand_ins else "a person"
-    print(f"Teaching: {counted(count, 'demonstration')} by {teacher}")
-    teaching = launcher.script(
-        "teach",
-        demonstrations=count,
-        series=str(file),
-        person=not plan.stand_ins,
-        review=review,
-        bell=bell,
-        body=plan.parameters["pancake_tracker"]["body"],
-        state_topic=plan.parameters["torque_controller"]["state_topic"],
-    )
-    launcher.processes.finish(teaching)
+    person = not launcher.plan.stand_ins
+    teacher = "a person" if person else "the simulated demonstrator"
+    print(f"Teaching: {counted(count, 'demonstration')} by {teacher}", flush=True)
+    with launcher.robot() as robot:
+        record_series(robot, file, count, person=person, review=review, bell=bell)
 
 
 def _follow(folder: Path, processes: Processes, learner: Running, bell: bool) -> None:
