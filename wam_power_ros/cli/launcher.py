@@ -27,7 +27,6 @@ from wam_power_ros.cli.plan import (
     TRACKER,
     Plan,
     overrides,
-    script,
 )
 from wam_power_ros.cli.processes import ProcessError, Processes, Running
 from wam_power_ros.console.prompt import ask, show
@@ -128,17 +127,9 @@ class Launcher:
         (planned,) = (process for process in self.plan.processes if process.name == name)
         return self.processes.start(name, [*planned.command, *overrides(f"{name}:", parameters)])
 
-    def script(self, name: str, **parameters: object) -> Running:
-        """Start a script of `console`, which uses this terminal."""
-        command = script(name, secured(), **parameters)
-        return self.processes.start(name, command, interactive=True)
-
     @contextmanager
     def robot(self) -> Iterator[Robot]:
         """Connect this process to the nodes; the first SIGINT or SIGTERM interrupts, others do not.
-
-        A command imports its part of `console` first: the import of rclpy may execute the program
-        anew, which must not happen when nodes run.
 
         Raises:
             ProcessError: A node has ended, or a service does not appear, answer in time or agree.
@@ -178,6 +169,9 @@ def launch(plan: Plan, text: str = "") -> Iterator[Launcher]:
         UsageError: Another session or learner uses the folder, or its disk is nearly full.
         DomainError: Another session holds the robot's DDS domain, or ROS_DOMAIN_ID is invalid.
     """
+    # First, because an import of rclpy may execute the program anew.
+    from wam_power_ros.console.activation import activate
+
     check_space(plan.folder, plan.parameters[RECORDER]["free_to_start"])
     files = plan.written
     with ExitStack() as stack:
@@ -204,7 +198,8 @@ def launch(plan: Plan, text: str = "") -> Iterator[Launcher]:
             if process.name != LEARNER:
                 launcher.node(process.name)
         if not plan.stand_ins:
-            launcher.processes.finish(launcher.script("activation"))
+            with launcher.robot() as robot:
+                activate(robot.link)
         yield launcher
 
 

@@ -2,8 +2,8 @@
 """Processes of the nodes of one session: start them, watch them, always end them.
 
 Each has its own process group, so that Ctrl-C in the terminal reaches only the parent, which ends
-them in order. If the parent is killed, the kernel sends them a signal: SIGTERM, because Python may
-lose a SIGINT while it starts; one that reads the terminal gets SIGINT, which interrupts reading.
+them in order. If the parent is killed, the kernel sends them SIGTERM, because Python may lose a
+SIGINT while it starts.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
+LIBC = ctypes.CDLL(None)  # loaded before a process is forked, when other threads may load, too
 PR_SET_PDEATHSIG = 1
 TAIL_LINES = 15  # of a log, shown when a process dies
 
@@ -86,20 +86,19 @@ class Processes:
         self._environment = {**os.environ, "PYTHONUNBUFFERED": "1", **environment}
         self._running: list[Running] = []
 
-    def start(self, name: str, command: Sequence[str], interactive: bool = False) -> Running:
-        """Start a command; its output goes to a log, or to the terminal if `interactive`."""
+    def start(self, name: str, command: Sequence[str]) -> Running:
+        """Start a command; its output goes to a log."""
         self._logs.mkdir(parents=True, exist_ok=True)
         log = self._logs / f"{name}.log"
-        at_death = signal.SIGINT if interactive else signal.SIGTERM
         with log.open("ab") as output:
             process = subprocess.Popen(
                 command,
                 env=self._environment,
-                stdin=None if interactive else subprocess.DEVNULL,
-                stdout=None if interactive else output,
-                stderr=None if interactive else output,
-                start_new_session=not interactive,
-                preexec_fn=partial(_end_with_parent, at_death) if sys.platform == "linux" else None,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=output,
+                start_new_session=True,
+                preexec_fn=_end_with_parent if sys.platform == "linux" else None,
             )
         self._running.append(Running(name, process, log))
         return self._running[-1]
@@ -110,20 +109,12 @@ class Processes:
         Raises:
             ProcessError: It failed, or another one ended.
         """
-        if self.wait(running):
-            raise running.error()
-
-    def wait(self, running: Running) -> int:
-        """Wait for a process that ends by itself and reports its own errors; return its status.
-
-        Raises:
-            ProcessError: Another process ended.
-        """
         while (status := running.process.poll()) is None:
             self.check(but=running)
             time.sleep(0.05)
         self._running.remove(running)
-        return status
+        if status:
+            raise running.error()
 
     def check(self, but: Running | None = None) -> None:
         """Check that no process has ended, whatever its exit status, except one that may end.
@@ -186,5 +177,5 @@ class Processes:
         self.stop()
 
 
-def _end_with_parent(number: signal.Signals) -> None:
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, number)
+def _end_with_parent() -> None:
+    LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
