@@ -79,4 +79,4 @@ def main() -> int:
         with Link(node, log_period=LOG_AFTER) as link:
             return replay_running(link, asked.bag, asked.speed)
 
-    return run_script(lambda: Node("replaying"), work)
+    return run_script(lambda: Node("robot"), work)
