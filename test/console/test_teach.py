@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -40,7 +40,7 @@ def teach(
     switched: list[bool],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-) -> Teach:
+) -> Iterator[Teach]:
     """Function that teaches three takes, with what a person types; returns the bags that are kept.
 
     The demonstrator, controller and recorder are the test's own.
@@ -73,7 +73,7 @@ def teach(
         record_series(robot, file, 3, person=person, review=True, bell=True)
         return [bag.name for bag in series.read(file)]
 
-    return run
+    yield run  # until then the recorder lives
 
 
 class Interrupted(io.StringIO):

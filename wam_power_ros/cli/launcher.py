@@ -139,7 +139,7 @@ class Launcher:
         from wam_power_ros.ros.node_runner import interrupt_on_signals
         from wam_power_ros.ros.outcomes import ServiceError
 
-        plan, processes = self.plan, self.processes
+        plan = self.plan
         where = session_domain(plan.folder), plan.namespace, plan.stand_ins
         with ExitStack() as stack:
             for number in SIGNALS:
@@ -151,7 +151,7 @@ class Launcher:
             try:
                 robot = stack.enter_context(connected(plan.parameters, *where))
                 robot.link.log_period = LOG_AFTER
-                with processes.watched(robot.link.fail):
+                with self.processes.watched(robot.link.fail):
                     yield robot
             except ServiceError as error:
                 raise ProcessError(str(error)) from None

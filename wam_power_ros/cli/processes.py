@@ -13,7 +13,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -104,16 +103,14 @@ class Processes:
         return self._running[-1]
 
     def finish(self, running: Running) -> None:
-        """Wait for a process that ends by itself, while the others keep running.
+        """Wait for a process that ends by itself.
 
         Raises:
-            ProcessError: It failed, or another one ended.
+            ProcessError: It failed.
         """
-        while (status := running.process.poll()) is None:
-            self.check(but=running)
-            time.sleep(0.05)
+        failed = running.process.wait()
         self._running.remove(running)
-        if status:
+        if failed:
             raise running.error()
 
     def check(self, but: Running | None = None) -> None:

@@ -57,10 +57,7 @@ class Link:
     """
 
     def __init__(
-        self,
-        node: Node,
-        appear_timeout: float = TIMEOUT,
-        log_period: float = LOG_PERIOD,
+        self, node: Node, appear_timeout: float = TIMEOUT, log_period: float = LOG_PERIOD
     ) -> None:
         self.node = node
         self.appear_timeout, self.log_period = appear_timeout, log_period
@@ -94,7 +91,6 @@ class Link:
     def fail(self, error: Exception) -> None:
         """Let every wait raise an error from now on, as when a node has ended."""
         self._error = error
-        self.notify()
 
     def schedule(self, work: Callable[[], object]) -> Future:
         """Let short work be done by the thread that dispatches the callbacks.

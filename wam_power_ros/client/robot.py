@@ -27,10 +27,8 @@ from wam_power_ros.client.reports import ControllerReports
 from wam_power_ros.client.rollouts import Executed, Ready, Rollouts, RolloutSettings
 from wam_power_ros.control import replay_trajectory
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.control.corrections import Corrections
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.params import overlay
-from wam_power_ros.params.resources import robot_description
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.joint_messages import JointMovement, JointStateReader, movement_message
 from wam_power_ros.ros.node_runner import participant
@@ -338,10 +336,7 @@ def connected(
     setup: overlay.Setup, domain: int | None, namespace: str = "", on_loopback: bool = False
 ) -> Iterator[Robot]:
     """Connect to the nodes of a set-up; see `node_runner.participant` for the arguments."""
-    controller, context, arm = setup["torque_controller"], Context(), None
-    if urdf := controller["urdf"]:
-        model = controller["model_joint_names"], controller["tool_frame"], ()
-        arm = Arm(robot_description(urdf), *model, Corrections.of_parameters(controller))
+    controller, context = setup["torque_controller"], Context()
     make = lambda: rclpy.create_node("robot", namespace=namespace, context=context)  # noqa: E731
     with participant(make, domain, context, on_loopback) as node, Link(node) as link:
         yield Robot(
@@ -349,7 +344,7 @@ def connected(
             controller["state_topic"],
             controller["joint_names"],
             setup["pancake_tracker"]["body"],
-            arm,
+            setup.arm(),
             RolloutSettings.of(setup["learner"]),
             float(controller["settle_time"]),
         )

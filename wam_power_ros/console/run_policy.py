@@ -16,6 +16,7 @@ from wam_power_ros.learning.policy import Policy
 from wam_power_ros.practice.session import Session
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import interface
+from wam_power_ros.ros.outcomes import ServiceError
 from wam_power_ros.tasks.task import Pose, Task
 
 
@@ -56,15 +57,18 @@ def run(robot: Robot, policy: Policy, task: Task | None, rollouts: int, person: 
             done = robot.rollout(policy, lambda state: task.ready(state, tool) if task else "")
             faults += done.rollout.fault is not None
             show(f"{number} of {rollouts}: {outcome(task, policy, done)}")
+        status = 1 if faults else 0
     except Stopped:
         robot.link.sleep(SETTLE_TIME)
         robot.link.call(interface.RECORD, False)  # answers that there is none if it had not begun
         show("Stopped: the arm holds.")
-        return INTERRUPTED
-    finally:
-        if person:
-            ask("The arm holds. Support it, then press Enter to let it go: ")
-    return 1 if faults else 0
+        status = INTERRUPTED
+    except ServiceError as error:
+        show(str(error))
+        status = 1
+    if person:
+        ask("The arm holds. Support it, then press Enter to let it go: ")
+    return status
 
 
 def outcome(task: Task | None, policy: Policy, done: Executed) -> str:
