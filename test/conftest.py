@@ -38,7 +38,8 @@ from wam_power_interfaces.action import (
 )
 from wam_power_interfaces.msg import Policy as PolicyMessage
 from wam_power_ros import rotations
-from wam_power_ros.client.link import DISCOVERY
+from wam_power_ros.client.link import DISCOVERY, Link
+from wam_power_ros.client.robot import Robot
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.policy import Basis, Policy, to_json
 from wam_power_ros.ros import interface, network
@@ -272,6 +273,20 @@ def probe(domain_id: int) -> Iterator[Probe]:
     probe = Probe(domain_id)
     yield probe
     probe.close()
+
+
+@pytest.fixture
+def server(probe: Probe) -> Iterator[Node]:
+    """A node, dispatched by a thread, for the services and actions that a test offers."""
+    with Link(rclpy.create_node("server", context=probe.context)) as link:
+        yield link.node
+
+
+@pytest.fixture
+def robot(probe: Probe) -> Iterator[Robot]:
+    """An arm of the nodes of a test."""
+    with Link(rclpy.create_node("robot", context=probe.context)) as link:
+        yield Robot(link)
 
 
 @functools.cache

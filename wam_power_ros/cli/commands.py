@@ -234,9 +234,9 @@ def _print_command(purpose: str, words: Sequence[str]) -> None:
 
 def replay(bag: Path, speed: float, folder: Path | None, devices: Devices) -> int:
     """Repeat a recorded movement with the arm."""
-    from wam_power_ros import arm_identity
     from wam_power_ros.bags import reader
     from wam_power_ros.bags.bag import Bag
+    from wam_power_ros.console import replay as replaying
     from wam_power_ros.control import replay_trajectory
 
     if bag.is_file() and bag.suffix == ".json":
@@ -244,70 +244,45 @@ def replay(bag: Path, speed: float, folder: Path | None, devices: Devices) -> in
     folder = (folder or Path("replays") / timestamp()).resolve()
     parameters = devices.parameters(folder=folder).changed({RECORDER: {"stem": "replay"}})
     arm = parameters.arm()
-    identity = arm and arm.identity()
-    states = reader.read_states(Bag(bag), parameters.joint_names, arm=identity)
+    states = reader.read_states(Bag(bag), parameters.joint_names, arm=arm and arm.identity())
     for remark in states.remarks:
         print(f"{bag}: {remark.text}")
-    replay_trajectory.movement(states.stamps, states.q, speed)
+    movement = replay_trajectory.movement(states.stamps, states.q, speed)
     signal.signal(signal.SIGTERM, interrupt)
-    with launch(plan_of(folder, parameters, devices.stand_ins, secure=secured())) as launcher:
-        replaying = launcher.script(
-            "replay",
-            bag=str(bag.resolve()),
-            speed=speed,
-            joint_names=parameters.joint_names,
-            arm=arm_identity.to_json(identity),
-            person=not devices.stand_ins,
-            running=False,
-        )
-        return _end_of_motion(launcher, replaying)
+    plan = plan_of(folder, parameters, devices.stand_ins, secure=secured())
+    with launch(plan) as launcher, launcher.robot() as robot:
+        name, person = bag.resolve().name, not devices.stand_ins
+        return replaying.replay(robot, name, *movement, speed, person)
 
 
 def run_policy(
     policy: Path, rollouts: int, task: str | None, folder: Path | None, devices: Devices
 ) -> int:
     """Execute a saved policy with the arm, as often as asked."""
+    from wam_power_ros.console import run_policy as running
     from wam_power_ros.practice.session import Session, read, read_policy
 
     if policy.is_dir():
         policy = policy / "policy.json"
     beside = policy.resolve().parent
-    of_session = Session.exists(beside)
-    name = task or (read(beside).header.settings.task if of_session else DEFAULT_TASK)
-    used = str(beside) if of_session and name == read(beside).header.settings.task else ""
+    session = read(beside) if Session.exists(beside) else None
+    name = task or (session.header.settings.task if session else DEFAULT_TASK)
     folder = (folder or Path("runs") / timestamp()).resolve()
-    parameters = devices.parameters(name, folder=folder)
+    parameters = devices.parameters(name, folder=folder).changed(
+        {LEARNER: {"record_rollouts": True}}
+    )
     if (arm := parameters.arm()) is None:
         raise UsageError("the set-up has no URDF file of the arm: choose one with --config")
-    read_policy(policy, arm.identity())
-    learner = parameters[LEARNER]
-    settings = ("scene_reset", "reset_faults", "service_timeout", "rollout_timeout", "patience")
-    model = ("urdf", "model_joint_names", "tool_frame")
+    saved = read_policy(policy, arm.identity())
+    scoring, unscored = running.task_of(session, name)
     signal.signal(signal.SIGTERM, interrupt)
     plan = plan_of(folder, parameters, devices.stand_ins, also=[TRACKER], secure=secured())
-    with launch(plan) as launcher:
-        running = launcher.script(
-            "run_policy",
-            policy=str(policy.resolve()),
-            rollouts=rollouts,
-            session=used,
-            task=name,
-            person=not devices.stand_ins,
-            record_rollouts=True,
-            **{key: learner[key] for key in (*settings, *model)},
-        )
-        status = _end_of_motion(launcher, running)
+    with launch(plan) as launcher, launcher.robot() as robot:
+        if unscored:
+            print(f"No returns: {unscored}")
+        status = running.run(robot, saved, scoring, rollouts, person=not devices.stand_ins)
     print(f"Bags: {short_path(folder / 'bags')}")
     return status
-
-
-def _end_of_motion(launcher: Launcher, script: Running) -> int:
-    """Exit status of a script that moves the arm, which it stops at Ctrl-C before the nodes end."""
-    while True:
-        try:
-            return launcher.processes.wait(script)
-        except KeyboardInterrupt:
-            script.process.send_signal(signal.SIGINT)
 
 
 def enable() -> int:
@@ -341,22 +316,14 @@ def _record_demonstrations(launcher: Launcher, folder: Path, wanted: int, bell: 
 
 def _teach(launcher: Launcher, file: Path, count: int, bell: bool, review: bool) -> None:
     """Record demonstrations and add them to a series."""
+    from wam_power_ros.console.teach import record_series
     from wam_power_ros.reporting.terminal import counted
 
-    plan = launcher.plan
-    teacher = "the simulated demonstrator" if plan.stand_ins else "a person"
-    print(f"Teaching: {counted(count, 'demonstration')} by {teacher}")
-    teaching = launcher.script(
-        "teach",
-        demonstrations=count,
-        series=str(file),
-        person=not plan.stand_ins,
-        review=review,
-        bell=bell,
-        body=plan.parameters["pancake_tracker"]["body"],
-        state_topic=plan.parameters["torque_controller"]["state_topic"],
-    )
-    launcher.processes.finish(teaching)
+    person = not launcher.plan.stand_ins
+    teacher = "a person" if person else "the simulated demonstrator"
+    print(f"Teaching: {counted(count, 'demonstration')} by {teacher}", flush=True)
+    with launcher.robot() as robot:
+        record_series(robot, file, count, person=person, review=review, bell=bell)
 
 
 def _follow(folder: Path, processes: Processes, learner: Running, bell: bool) -> None:
