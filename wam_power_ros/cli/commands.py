@@ -426,7 +426,7 @@ def view(path: Path | None, address: str, port: int) -> int:
             time.sleep(1.0)
     is_bag = path is not None and not Session.exists(path) and path.exists()
     folder = path.resolve() if is_bag else existing_session(path)
-    server = guarded_server.open_server(address, port)
+    server = guarded_server.GuardedServer(address, port)
     try:
         host = f"[{address}]" if ":" in address else address
         url = f"http://{host}:{server.get_port()}"
@@ -438,7 +438,7 @@ def view(path: Path | None, address: str, port: int) -> int:
     except KeyboardInterrupt:
         pass
     finally:
-        guarded_server.close(server)
+        server.stop()
     return 0
 
 
