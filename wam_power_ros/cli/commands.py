@@ -222,7 +222,7 @@ def _print_summary(session: Session) -> None:
     """Print how a session practised, and its result."""
     from wam_power_ros.reporting import terminal
 
-    method = terminal.method(session.header.settings, session.task)
+    method = session.header.settings.described(session.task)
     result = terminal.summary(session.records, session.task)
     print(terminal.wrapped(f"{method[0].upper()}{method[1:]}\n{result}"))
 
