@@ -13,7 +13,7 @@ import pytest
 from wam_power_ros.practice import session
 
 ROOT = Path(__file__).resolve().parents[1]
-ABSENT = ("rclpy", "wam_power_interfaces", "sensor_msgs", "viser", "jinja2", "pyarrow", "xacro")
+ABSENT = ("rclpy", "wam_power_interfaces", "sensor_msgs", "viser", "pyarrow", "xacro")
 BUILD = "from setuptools import build_meta as b; import sys; b.build_{}(sys.argv[1])"
 
 

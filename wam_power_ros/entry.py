@@ -21,7 +21,7 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_
 INTERRUPTED = 130  # exit status of a program that is interrupted before its work is done
 REFUSED = 2  # exit status of a node that refuses its parameters
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-EXTRAS = {"viser": "view", "jinja2": "reproduce", "pyarrow": "export"}  # of requirements.txt
+EXTRAS = {"viser": "view", "pyarrow": "export"}  # of requirements.txt
 
 
 def missing(error: ModuleNotFoundError) -> str:

@@ -70,7 +70,7 @@ def body_columns(bag: Bag, stamps: np.ndarray) -> tuple[dict[str, list[Any]], tu
         if not topic.endswith(STATE) or bag.topics[topic].msgtype != ODOMETRY:
             continue
         name = topic.removesuffix(STATE).strip("/").replace("/", ".")
-        poses = {None: (None,) * len(POSE)} | dict(_poses(bag, topic))
+        poses = {None: (None,) * len(POSE)} | dict(body_poses(bag, topic))
         known = np.array(sorted(stamp for stamp in poses if stamp is not None), dtype=np.int64)
         last = np.searchsorted(known, stamps, side="right") - 1
         found = [int(known[index]) if index >= 0 else None for index in last]
@@ -83,10 +83,10 @@ def body_columns(bag: Bag, stamps: np.ndarray) -> tuple[dict[str, list[Any]], tu
     return columns, tuple(remarks)
 
 
-def _poses(bag: Bag, topic: str) -> Iterable[tuple[int, tuple[float, ...]]]:
+def body_poses(bag: Bag, topic: str) -> Iterable[tuple[int, tuple[float, ...]]]:
+    """Stamp [ns], position [m] and quaternion xyzw of each state of a body."""
     for _, _, cdr in bag.messages([topic]):
-        pose = decoded(cdr, ODOMETRY).pose.pose
-        p, o = pose.position, pose.orientation
+        p, o = (pose := decoded(cdr, ODOMETRY).pose.pose).position, pose.orientation
         yield header_stamp(cdr), (p.x, p.y, p.z, o.x, o.y, o.z, o.w)
 
 

@@ -222,7 +222,7 @@ def _print_summary(session: Session) -> None:
     """Print how a session practised, and its result."""
     from wam_power_ros.reporting import terminal
 
-    method = terminal.method(session.header.settings, session.task)
+    method = session.header.settings.described(session.task)
     result = terminal.summary(session.records, session.task)
     print(terminal.wrapped(f"{method[0].upper()}{method[1:]}\n{result}"))
 
@@ -393,7 +393,7 @@ def view(path: Path | None, address: str, port: int) -> int:
             time.sleep(1.0)
     is_bag = path is not None and not Session.exists(path) and path.exists()
     folder = path.resolve() if is_bag else existing_session(path)
-    server = guarded_server.open_server(address, port)
+    server = guarded_server.GuardedServer(address, port)
     try:
         host = f"[{address}]" if ":" in address else address
         url = f"http://{host}:{server.get_port()}"
@@ -405,7 +405,7 @@ def view(path: Path | None, address: str, port: int) -> int:
     except KeyboardInterrupt:
         pass
     finally:
-        guarded_server.close(server)
+        server.stop()
     return 0
 
 
