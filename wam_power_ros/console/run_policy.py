@@ -7,7 +7,7 @@ Nothing is learnt. Ctrl-C stops the arm.
 
 from __future__ import annotations
 
-from wam_power_ros.client.robot import Robot, Stopped
+from wam_power_ros.client.robot import Robot
 from wam_power_ros.client.rollouts import Executed
 from wam_power_ros.console.prompt import ask, show
 from wam_power_ros.console.replay import SETTLE_TIME
@@ -58,7 +58,7 @@ def run(robot: Robot, policy: Policy, task: Task | None, rollouts: int, person: 
             faults += done.rollout.fault is not None
             show(f"{number} of {rollouts}: {outcome(task, policy, done)}")
         status = 1 if faults else 0
-    except Stopped:
+    except KeyboardInterrupt:  # also at a question; `Stopped` is one
         robot.link.sleep(SETTLE_TIME)
         robot.link.call(interface.RECORD, False)  # answers that there is none if it had not begun
         show("Stopped: the arm holds.")
