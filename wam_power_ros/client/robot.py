@@ -189,10 +189,10 @@ class Robot:
                 goal = self._replays.send(movement=movement)
                 try:
                     return str(goal.done(MOVE_TIMEOUT).outcome.text)
-                except ServiceError:  # its process that reads movements may still be starting
-                    code = goal.answer and goal.answer.code
-                    if code is not Code.NOT_ACTIVE or time.monotonic() > deadline:
+                except ServiceError as error:  # its process that reads movements may be starting
+                    if error.answer.code is not Code.NOT_ACTIVE or time.monotonic() > deadline:
                         raise
+                goal = None
                 self.link.sleep(RETRY_PERIOD)
         except KeyboardInterrupt:
             self._stop(self._replays)
