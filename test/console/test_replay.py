@@ -29,7 +29,7 @@ from wam_power_ros.control import replay_trajectory
 from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.action_server import Action
-from wam_power_ros.ros.outcomes import Answer, Code, fill
+from wam_power_ros.ros.outcomes import Answer, Code, ServiceError, fill
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = [f"wam_j{number}" for number in range(1, 8)]
@@ -160,15 +160,23 @@ def test_a_replay_that_is_refused_leaves_no_bag(
     assert ("nothing was recorded" in capsys.readouterr().out) != kept
 
 
-def test_a_controller_that_is_still_starting_is_asked_again(server: Node, robot: Robot) -> None:
-    answers = [Answer(Code.NOT_ACTIVE), Answer(Code.DONE, "followed")]
+@pytest.mark.parametrize("still_active", [True, False])
+def test_only_a_controller_that_is_still_starting_is_asked_again(
+    server: Node, robot: Robot, still_active: bool
+) -> None:
+    """One that was deactivated meanwhile does not move the arm once it is activated again."""
+    answers = [Answer(Code.NOT_ACTIVE, "not active"), Answer(Code.DONE, "followed")]
+    stops = [Answer(Code.DONE), Answer(Code.DONE if still_active else Code.NOT_ACTIVE)]
     Action(server, Replay, interface.REPLAY_MOVEMENT, lambda id, goal: answers.pop(0))
-    server.create_service(
-        Trigger, interface.STOP, lambda _, response: fill(response, Answer(Code.DONE))
-    )
+    server.create_service(Trigger, interface.STOP, lambda _, sent: fill(sent, stops.pop(0)))
     robot.joint_names = NAMES
     t, q = replay_trajectory.movement(*reader.read_demonstration(REACH, NAMES), 1.0)
-    assert robot.follow(t, q) == "followed"
+    if still_active:
+        assert robot.follow(t, q) == "followed"
+    else:
+        with pytest.raises(ServiceError, match="not active"):
+            robot.follow(t, q)
+        assert len(answers) == 1
 
 
 def test_a_node_that_ends_ends_a_replay_with_its_name_at_once(tmp_path: Path) -> None:

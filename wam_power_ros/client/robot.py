@@ -182,18 +182,20 @@ class Robot:
             Stopped: After an interrupt.
         """
         movement, goal = movement_message(self.joint_names, JointMovement(t, q)), None
-        deadline = time.monotonic() + TIMEOUT
         try:
             self.stop()  # succeeds once the controller is active
+            deadline = time.monotonic() + TIMEOUT
             while True:
                 goal = self._replays.send(movement=movement)
                 try:
                     return str(goal.done(MOVE_TIMEOUT).outcome.text)
-                except ServiceError as error:  # its process that reads movements may be starting
+                except ServiceError as error:
                     if error.answer.code is not Code.NOT_ACTIVE or time.monotonic() > deadline:
                         raise
-                goal = None
-                self.link.sleep(RETRY_PERIOD)
+                    goal, active = None, self.link.call(interface.STOP)
+                    if active is None or not active.success:
+                        raise
+                self.link.sleep(RETRY_PERIOD)  # its process that reads movements still starts
         except KeyboardInterrupt:
             self._stop(self._replays)
             if goal is not None:
@@ -340,11 +342,8 @@ def connected(
     make = lambda: rclpy.create_node("robot", namespace=namespace, context=context)  # noqa: E731
     with participant(make, domain, context, on_loopback) as node, Link(node) as link:
         yield Robot(
-            link,
-            controller["state_topic"],
-            controller["joint_names"],
-            setup["pancake_tracker"]["body"],
-            setup.arm(),
+            *(link, controller["state_topic"], controller["joint_names"]),
+            *(setup["pancake_tracker"]["body"], setup.arm()),
             RolloutSettings.of(setup["learner"]),
             float(controller["settle_time"]),
         )
