@@ -5,7 +5,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-from benchmark.hidden_arm import StandIn
 from benchmark.lab import Driver, Lab
 
 
@@ -17,7 +16,7 @@ def main(folder: Path) -> int:
     """Cut the network for a second while the arm is held; print the modes of the controller."""
     with Lab(folder).open() as lab:
         lab.controller(priority=0)
-        driver = Driver(lab, StandIn())
+        driver = Driver(lab)
         driver.ready()
         while lab.label != "hold":
             driver.play(0.1)
