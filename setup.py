@@ -57,8 +57,6 @@ setup(
     long_description_content_type="text/markdown",
     license="Apache-2.0",
     author="The wam_power_ros developers",
-    maintainer="wam_power_ros maintainers",
-    maintainer_email="wam_power_ros@users.noreply.github.com",
     keywords=[
         "robot learning",
         "reinforcement learning",
@@ -67,13 +65,12 @@ setup(
         "ROS 2",
     ],
     classifiers=[
-        "Development Status :: 4 - Beta",
+        "Development Status :: 3 - Alpha",
         "Intended Audience :: Science/Research",
         "Operating System :: POSIX :: Linux",
         "Programming Language :: Python :: 3",
         *(f"Programming Language :: Python :: 3.{minor}" for minor in range(10, 14)),
         "Topic :: Scientific/Engineering :: Artificial Intelligence",
-        "Typing :: Typed",
     ],
     python_requires=">=3.10,<3.14",
     packages=find_packages(include=[NAME, f"{NAME}.*", "hardware_sim", "hardware_sim.*"]),
