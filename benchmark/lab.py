@@ -24,9 +24,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from benchmark.false_states import Falsifier, N, Reading
-from benchmark.loop import MOMENTS, Outcome, outcome
+from benchmark.loop import MOMENTS, Outcome, Plant, outcome
 from benchmark.nodes import JOINTS, PERIOD_NS, environment, node_command, taught
-from benchmark.plant import Plant
 from wam_power_interfaces.action import ExecutePolicy, MoveToStart
 from wam_power_interfaces.msg import Policy as PolicyMessage
 from wam_power_ros.cli.processes import Processes, Running
@@ -135,9 +134,8 @@ class Driver:
         published_ns: Time at which it was published [ns, steady clock].
     """
 
-    def __init__(self, lab: Lab) -> None:
-        self._lab, self.policy = lab, taught()
-        self.plant = Plant(q=self.policy.q_start)
+    def __init__(self, lab: Lab, plant: Plant) -> None:
+        self._lab, self.plant, self.policy = lab, plant, taught()
         self._write = joint_messages.JointStateWriter(JOINTS)
         self.falsify: Falsifier = lambda state: state
         self.speeds: list[float] = []

@@ -4,31 +4,42 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from benchmark.false_states import PERIOD, Falsifier, Reading
-from benchmark.nodes import JOINTS, PERIOD_NS, taught
-from benchmark.plant import HOME, NOMINAL, Plant
-from hardware_sim.hidden_arm import HiddenArm
-from wam_power_ros.control.arm import Arm
+from benchmark.nodes import PERIOD_NS, taught
 from wam_power_ros.control.controller import Controller
-from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.modes import ControllerError, Mode
-from wam_power_ros.control.safety import REST_SPEED, limits_of
+from wam_power_ros.control.safety import REST_SPEED
 from wam_power_ros.faults import Fault, FaultKind
-from wam_power_ros.params.resources import share
 
 STALE_PERIODS = 3  # [periods] of silence until the controller uses its model
 LOST_PERIODS = 10  # [periods] of silence until it is a fault
 SPEED_MARGIN = 0.5  # [m/s] allowed increase of the tool's peak speed by false states
 REST_TICKS = 250  # [periods] from the fault to rest: 0.5 s
+TRAVEL_MAX = 0.05  # [m] largest travel of the tool after a fault
 AFTER = 10.0  # [s] of observation
 MOMENTS = {"early": 0.10, "upwards": 0.25, "late": 0.40}  # as shares of the rollout's movement
 PHASES = (*MOMENTS, "move", "hold", "teaching")
 A_FAULT = Fault(FaultKind.OVERLOAD, "a fault that has nothing to do with the states")
+
+
+class Plant(Protocol):
+    """An arm that keeps the last torque."""
+
+    def step(self, tau: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """Let a torque act for a period; returns reported q and qd."""
+
+    def tool_position(self) -> np.ndarray:
+        """Position of the tool [m]. Shape (3,)."""
+
+    def tool_speed(self) -> float:
+        """Speed of the tool [m/s]."""
+
+    def let_go(self) -> None:
+        """Whoever guides or pushes the tool lets it go."""
 
 
 class Outcome(NamedTuple):
@@ -68,9 +79,9 @@ def stopped(found: Outcome, nominal: float) -> bool:
     return found.peak <= nominal + SPEED_MARGIN and rested
 
 
-def controller_of(arm: Arm, **limits: float) -> Controller:
-    """Controller with the default settings, but for some limits."""
-    return Controller(arm, ControllerSettings(limits=limits_of(arm, **limits)))
+def acceptable(found: Outcome, nominal: float) -> bool:
+    """Whether the arm was stopped, and stays where it was stopped."""
+    return stopped(found, nominal) and found.travel < TRAVEL_MAX
 
 
 class Loop:
@@ -82,15 +93,10 @@ class Loop:
             `play` and after each period.
     """
 
-    def __init__(
-        self,
-        hidden: HiddenArm,
-        make: Callable[[Arm], Controller] = controller_of,
-        q: np.ndarray = HOME,
-    ) -> None:
-        self.plant, self.policy = Plant(hidden, q), taught()
-        self.controller = make(Arm(share("urdf/wam7.urdf").read_text(), JOINTS))
-        self.controller.load(self.policy)
+    def __init__(self, plant: Plant, controller: Controller) -> None:
+        self.plant, self.controller = plant, controller
+        self.policy = taught()
+        controller.load(self.policy)
         self.falsify: Falsifier = lambda state: state
         self.speeds: list[float] = []
         self.path: list[np.ndarray] = []
@@ -156,43 +162,3 @@ class Loop:
         except ControllerError:
             return False
         return True
-
-
-FAST = partial(controller_of, teaching_tool_speed=4.0)  # an arm may be guided as fast as a toss
-
-
-def held(hidden: HiddenArm = NOMINAL, make: Callable[[Arm], Controller] = FAST) -> Loop:
-    """An arm that is held at the start of the policy."""
-    loop = Loop(hidden, make, taught().q_start)
-    loop.hold(0.3)
-    return loop
-
-
-def begin(loop: Loop, phase: str, rng: np.random.Generator | None = None) -> None:
-    """Bring a held arm to a moment of a phase: of `PHASES`, or with a generator to a drawn one.
-
-    Raises:
-        ControllerError: A fault has ended it before.
-    """
-    core, plant = loop.controller, loop.plant
-
-    def drawn(low: float, high: float, usual: float) -> float:
-        return usual if rng is None else float(rng.uniform(low, high))
-
-    loop.play(0.5)
-    if phase in MOMENTS:
-        core.move_to_start()
-        while not core.ready and core.latched is None:
-            loop.play(PERIOD)
-        core.execute()
-        loop.play(drawn(0.02, 0.95, MOMENTS[phase]) * loop.policy.basis.duration)
-    elif phase in ("move", "teaching"):
-        core.set_gravity_compensation(True)
-        plant.guide(0 if rng is None else int(rng.integers(100)))
-        loop.play(drawn(0.2, 1.2, 0.4))
-    if phase == "move":
-        plant.let_go()
-        core.set_gravity_compensation(False)
-        loop.play(1.0)
-        core.move_to_start()
-        loop.play(drawn(0.05, 0.4, 0.3))

@@ -16,12 +16,31 @@ import sys
 import numpy as np
 
 from benchmark.false_states import ALL_FALSE_STATES
-from benchmark.loop import SPEED_MARGIN, Outcome, begin, held
+from benchmark.hidden_arm import held
+from benchmark.loop import SPEED_MARGIN, Loop, Outcome
 from benchmark.terminal import options, table_head, table_row
 from wam_power_ros.control.safety import REST_SPEED
 
 WATCH_TICKS = 600  # [periods] of observation after false states began
-PHASES = {"rollout": "early", "move": "move", "teaching": "teaching"}  # phases of `begin`
+PHASES = ("rollout", "move", "teaching")
+
+
+def begin(loop: Loop, phase: str, rng: np.random.Generator) -> None:
+    """Bring a held arm to a random moment of a phase."""
+    core = loop.controller
+    if phase == "rollout":
+        core.execute()
+        loop.play(rng.uniform(0.02, 0.95 * loop.policy.basis.duration))
+        return
+    core.set_gravity_compensation(True)
+    loop.plant.guide(int(rng.integers(100)))
+    loop.play(rng.uniform(0.2, 1.2))
+    if phase == "move":
+        loop.plant.let_go()
+        core.set_gravity_compensation(False)
+        loop.play(1.0)
+        core.move_to_start()
+        loop.play(rng.uniform(0.05, 0.4))
 
 
 def inject(name: str, phase: str, rng: np.random.Generator) -> Outcome:
@@ -31,7 +50,7 @@ def inject(name: str, phase: str, rng: np.random.Generator) -> Outcome:
         Outcome, whose peak is that of the first 1.2 s; `rest` is 0 without a fault.
     """
     loop = held()
-    begin(loop, PHASES[phase], rng)
+    begin(loop, phase, rng)
     loop.falsify = ALL_FALSE_STATES[name]()
     found = loop.observe(3.2, lambda at: at is None and len(loop.speeds) > WATCH_TICKS)
     peak = max(loop.speeds[1 : WATCH_TICKS + 1])

@@ -4,32 +4,166 @@
     python -m benchmark.reaction_matrix [--modes hold ...] [--kinds ...] [--arms model ...] [--bad]
     python -m benchmark.reaction_matrix --cells 400 --seed 1     # draws some; 0: all
 
-Controller and arm are in one process. Each cell is a kind of false state (or a change of the arm in
-true states), a joint, a mode and an arm. It is compared with the same run without it, and with a
-fault of true states at the same moment.
+Controller and arm are in one process. The arm is a plant of this file's own: MuJoCo's reading of
+the URDF, which keeps the last torque, and on which a torque acts after 4 ms. Each cell is a kind of
+false state (or a change of the arm in true states), a joint, a mode and an arm. It is compared with
+the same run without it, and with a fault of true states at the same moment.
 """
 
 from __future__ import annotations
 
 import itertools
 import sys
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache, partial
 from typing import NamedTuple
+from xml.etree import ElementTree
 
 import joblib
+import mujoco
 import numpy as np
 
-from benchmark.false_states import FALSIFIED, NO_JOINT, OF_JOINT, PERIOD
+from benchmark.false_states import FALSIFIED, NO_JOINT, OF_JOINT, PERIOD, N
 from benchmark.loop import A_FAULT, AFTER, Loop, Outcome
-from benchmark.plant import ARMS, HOME, Plant
+from benchmark.nodes import JOINTS
 from benchmark.terminal import options, table_head, table_row
+from hardware_sim.hidden_arm import HiddenArm
+from wam_power_ros.control.arm import Arm
+from wam_power_ros.control.controller import Controller
+from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.joint_references import interpolated
 from wam_power_ros.control.modes import ControllerError, Mode
+from wam_power_ros.control.safety import limits_of
+from wam_power_ros.params.resources import share
 
+SUBSTEPS, DELAY = 2, 2  # physics steps, periods until a torque acts
+TOOL = "pan"
+FILTER = 180.0  # [rad/s] of the reported speeds, as of libbarrett
+RESOLUTION = 1e-5  # [rad] of the encoders
 UNFOUND = 15.0  # [s] of observation without a fault
 SPEED_MARGIN, WAY_MARGIN, WAY_BEFORE = 0.1, 0.02, 0.3  # [m/s], [m], [m]
 HAND = 35.0  # [N] of a hand that presses and lets go at the fault
+HOME = np.array([0.0, 0.349, 0.0, 2.129, 0.0, -0.471, 0.0])  # [rad]
+
+
+def drawn(seed: int) -> HiddenArm:
+    """Deviations of a laboratory's first day."""
+    rng = np.random.default_rng([seed, 0x5AFE])
+    return HiddenArm(
+        payload=0.6 * rng.uniform(-0.2, 0.2),
+        motors=rng.uniform(0.95, 1.05, N),
+        friction=2.0 ** rng.uniform(-1.0, 1.0, N),
+        links=rng.uniform(0.95, 1.05, N),
+        zeros=np.deg2rad(rng.uniform(1.0, 3.0, N)) * rng.choice([-1.0, 1.0], N),
+    )
+
+
+ARMS = {
+    "model": HiddenArm(),
+    "+0.5 kg": HiddenArm(payload=0.5),
+    "-0.5 kg": HiddenArm(payload=-0.5),
+    "motor 2 at 70 %": HiddenArm(motors=np.array([1.0, 0.7] + [1.0] * 5)),
+    "friction halved": HiddenArm(friction=0.5),
+    **{f"drawn {k}": drawn(k) for k in range(6)},
+}
+
+
+class Plant:
+    """The arm: MuJoCo's own reading of the URDF.
+
+    Attributes:
+        model: MuJoCo's model; may be changed while it runs.
+        motors: True torque over commanded one. Shape (n,).
+        hand: Force on the tool [N] by time [s] and position of the tool [m]; None: no hand.
+        seconds: Time since the beginning [s].
+        driver: Share of g(q) that the driver adds.
+    """
+
+    def __init__(self, hidden: HiddenArm) -> None:
+        tree = ElementTree.fromstring(share("urdf/wam7.urdf").read_text())
+        compiler = ElementTree.SubElement(ElementTree.SubElement(tree, "mujoco"), "compiler")
+        compiler.set("fusestatic", "false")
+        spec = mujoco.MjSpec.from_string(ElementTree.tostring(tree, encoding="unicode"))
+        links, friction, motors = (
+            np.ones(N) * share for share in (hidden.links, hidden.friction, hidden.motors)
+        )
+        for row, name in enumerate(JOINTS):
+            joint, dynamics = spec.joint(name), tree.find(f"./joint[@name='{name}']/dynamics")
+            joint.armature = float(dynamics.get("armature"))
+            joint.frictionloss = float(dynamics.get("friction")) * friction[row]
+            joint.solimp_friction = [0.99, 0.999, 0.001, 0.5, 2.0]
+            joint.parent.mass *= links[row]
+        for geom in spec.geoms:
+            geom.contype = geom.conaffinity = 0
+            geom.mass = 0.0
+        spec.option.timestep = PERIOD / SUBSTEPS
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        self.model = spec.compile()
+        self.data = mujoco.MjData(self.model)
+        self.tool = self.model.body(TOOL).id
+        self.model.body_mass[self.tool] += hidden.payload
+        self.motors = motors
+        self.hand: Callable[[float, np.ndarray], np.ndarray] | None = None
+        self.seconds = 0.0
+        self.driver = 0.0
+        self._zeros = hidden.zeros
+        self._acting = deque([np.zeros(N)] * DELAY)
+        self.place(HOME)
+
+    def place(self, q: np.ndarray) -> None:
+        """Put the resting arm to a reported posture, carried by what holds it."""
+        self.data.qpos[:], self.data.qvel[:] = q - self._zeros, 0.0
+        mujoco.mj_forward(self.model, self.data)
+        self._acting = deque([self.data.qfrc_bias / self.motors] * DELAY)
+        self._reported = self._read()
+        self._speed = np.zeros(N)
+
+    def _read(self) -> np.ndarray:
+        q = self.data.qpos + self._zeros
+        return np.round(q / RESOLUTION) * RESOLUTION
+
+    def step(self, tau: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """Let a torque act, two periods later, for a period; returns reported q and qd."""
+        if tau is not None:
+            self._acting.append(np.array(tau))
+            self._acting.popleft()
+        data, hand = self.data, self.hand
+        force = np.zeros(3) if hand is None else hand(self.seconds, self.tool_position())
+        for _ in range(SUBSTEPS):
+            data.qfrc_applied[:] = self.motors * self._acting[0] + self.driver * data.qfrc_bias
+            data.xfrc_applied[self.tool, :3] = force
+            mujoco.mj_step(self.model, data)
+        q, before = self._read(), self._reported
+        keep = np.exp(-FILTER * PERIOD)
+        self._speed = keep * self._speed + (1.0 - keep) * (q - before) / PERIOD
+        self._speed[np.abs(self._speed) < 1e-4] = 0.0
+        self._reported = q
+        self.seconds += PERIOD
+        return q.copy(), self._speed.copy()
+
+    def let_go(self) -> None:
+        """See `loop.Plant`."""
+        self.hand = None
+
+    def tool_position(self) -> np.ndarray:
+        """Position of the tool [m]. Shape (3,)."""
+        return self.data.xpos[self.tool].copy()
+
+    def tool_speed(self) -> float:
+        """Speed of the tool [m/s]."""
+        velocity = np.zeros(6)
+        mujoco.mj_objectVelocity(
+            self.model, self.data, mujoco.mjtObj.mjOBJ_XBODY, self.tool, velocity, 0
+        )
+        return float(np.linalg.norm(velocity[3:]))
+
+
+def loop_of(arm: str) -> Loop:
+    """An arm of `ARMS` with its controller."""
+    model = Arm(share("urdf/wam7.urdf").read_text(), JOINTS)
+    controller = Controller(model, ControllerSettings(limits=limits_of(model)))
+    return Loop(Plant(ARMS[arm]), controller)
 
 
 def _guide(plant: Plant) -> None:
@@ -41,8 +175,7 @@ def _guide(plant: Plant) -> None:
         way = 0.12 * (1.0 - np.cos(2.5 * (t - begun)))
         velocity, last[0] = (position - last[0]) / PERIOD, position
         pull = 600.0 * (start + way * np.array([0.3, 0.5, 1.0]) - position) - 30.0 * velocity
-        pull *= min(1.0, 80.0 / max(float(np.linalg.norm(pull)), 1e-9))
-        return np.append(pull, np.zeros(3))
+        return pull * min(1.0, 80.0 / max(float(np.linalg.norm(pull)), 1e-9))
 
     plant.hand = hand
 
@@ -50,8 +183,7 @@ def _guide(plant: Plant) -> None:
 def _press(loop: Loop) -> None:
     """A hand that presses the tool down, rising within 0.3 s."""
     begun = loop.plant.seconds
-    push = np.array([0.0, 0.0, -HAND, 0.0, 0.0, 0.0])
-    loop.plant.hand = lambda t, _: push * min((t - begun) / 0.3, 1.0)
+    loop.plant.hand = lambda t, _: np.array([0.0, 0.0, -HAND]) * min((t - begun) / 0.3, 1.0)
 
 
 def _waves(loop: Loop, rate: float, size: float) -> None:
@@ -154,7 +286,7 @@ def good(found: Outcome) -> bool:
 @cache
 def nominal(mode: str, arm: str) -> tuple[np.ndarray, np.ndarray, str]:
     """Path (k, 3) [m] and speeds (k,) [m/s] of the tool in a mode; why it was not reached."""
-    loop, why = Loop(ARMS[arm]), ""
+    loop, why = loop_of(arm), ""
     try:
         begin(loop, mode)
     except ControllerError as error:
@@ -171,7 +303,7 @@ def run(cell: Cell) -> Outcome:
     nominal_path, nominal_speeds, why = nominal(cell.mode, cell.arm)
     if why:
         return Outcome(None, None, 0.0, 0.0, 0.0, 0.0, unreached=f"not reached: {why}")
-    loop = Loop(ARMS[cell.arm])
+    loop = loop_of(cell.arm)
     begin(loop, cell.mode)
     if cell.kind in OF_JOINT:
         loop.falsify = OF_JOINT[cell.kind](cell.joint)
@@ -201,7 +333,7 @@ def run(cell: Cell) -> Outcome:
 @cache
 def _true_stop(mode: str, arm: str, at: int) -> float:
     """Way of the tool after a fault of true states, so many periods into a mode [m]."""
-    loop = Loop(ARMS[arm])
+    loop = loop_of(arm)
     begin(loop, mode)
     loop.play(at * PERIOD)
     loop.controller.fault(A_FAULT)

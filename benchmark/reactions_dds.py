@@ -27,6 +27,7 @@ import numpy as np
 from lifecycle_msgs.msg import Transition
 
 from benchmark.false_states import FALSE_STATES, OF_JOINT, Falsifier
+from benchmark.hidden_arm import StandIn
 from benchmark.lab import ARM, WATCH_TIME, Driver, Lab, inject
 from benchmark.loop import AFTER, PHASES, Outcome, stopped
 from benchmark.terminal import options, table_head, table_row
@@ -63,7 +64,7 @@ def told(good: bool, *cells: object) -> Line:
 def started(lab: Lab) -> Driver:
     """An arm, and a controller that is started for it."""
     lab.controller()
-    return Driver(lab)
+    return Driver(lab, StandIn())
 
 
 def observed(driver: Driver, found: Outcome) -> Outcome:
@@ -98,7 +99,7 @@ def stale(lab: Lab) -> Iterator[Line]:
 
 def ended(lab: Lab) -> Iterator[Line]:
     """The controller is ended or deactivated in a rollout; its last torque must hold the arm."""
-    driver, rng = Driver(lab), np.random.default_rng(21)
+    driver, rng = Driver(lab, StandIn()), np.random.default_rng(21)
     for how in (signal.SIGTERM, signal.SIGINT, None):
         rests, wrong = [], []
         for _ in range(ENDS):

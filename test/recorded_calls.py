@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmark.false_states import ALL_FALSE_STATES, PERIOD, Falsifier
-from benchmark.loop import PHASES, Loop, begin, held
+from benchmark.hidden_arm import KNOWN, NOMINAL, begin, draw, held
+from benchmark.loop import PHASES, Loop
 from benchmark.nodes import JOINTS, taught
-from benchmark.plant import ARMS, NOMINAL
 from hardware_sim.hidden_arm import HiddenArm
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller import Controller
@@ -184,8 +184,8 @@ def drives(every: int = 1) -> Iterator[Drive]:
     )
     rows: list[tuple[Callable[[Loop], None], dict[str, Any], HiddenArm]] = [
         (whole, {}, NOMINAL),
-        (partial(begin, phase="hold"), {}, ARMS["+0.5 kg"]),
-        (whole, {}, ARMS["drawn 0"]),
+        (partial(begin, phase="hold"), {}, KNOWN["payload of 0.5 kg"]),
+        (whole, {}, draw(9001)),
         (rollout, {"law": "virtual_mass"}, NOMINAL),
         (pulled, {"driver_compensates_gravity": True}, NOMINAL),
         (rollout, {"limits": near}, NOMINAL),

@@ -3,23 +3,14 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
-
 import numpy as np
 import pytest
 
 from benchmark.false_states import OF_JOINT
-from benchmark.loop import A_FAULT, begin, held, stopped
-from benchmark.plant import ARMS
-from hardware_sim.hidden_arm import HiddenArm
-from wam_power_ros.control.modes import ControllerError, Mode
+from benchmark.hidden_arm import KNOWN, begin, draw, held
+from benchmark.loop import A_FAULT, acceptable
+from wam_power_ros.control.modes import Mode
 from wam_power_ros.faults import FaultKind
-
-# Deviations, each far larger than what a laboratory should accept, and those of a first day.
-UNLIKE = {
-    **{name: ARMS[name] for name in ("model", "+0.5 kg", "motor 2 at 70 %", "drawn 0", "drawn 1")},
-    "base tilted 10 degrees": HiddenArm(tilt=np.deg2rad([0.0, 10.0])),
-}
 
 
 @pytest.mark.requirement("S-121")
@@ -34,12 +25,11 @@ def test_states_that_agree_with_each_other_and_are_false_end_in_a_stop(
     name: str, phase: str
 ) -> None:
     true, loop = held(), held()
-    begin(true, phase)
-    begin(loop, phase)
+    assert begin(true, phase) == begin(loop, phase) == ""
     loop.falsify = OF_JOINT[name](1)
     outcome = loop.observe(3.0)
     assert outcome.fault is not None
-    assert stopped(outcome, true.observe(1.2).peak) and outcome.travel < 0.05, outcome
+    assert acceptable(outcome, true.observe(1.2).peak), outcome
 
 
 @pytest.mark.requirement("S-44", "S-121")
@@ -55,24 +45,23 @@ def test_a_jump_of_an_arm_that_nobody_holds_moves_nothing(joint: int, size: floa
 
 
 @pytest.mark.requirement("S-122")
-@pytest.mark.parametrize("arm", UNLIKE)
+@pytest.mark.parametrize("arm", [*KNOWN, 9100, 9101], ids=str)
 @pytest.mark.parametrize("phase", ["upwards", "hold"])
-def test_an_arm_that_is_not_its_model_stays_where_a_fault_stopped_it(arm: str, phase: str) -> None:
-    loop = held(UNLIKE[arm])
-    with suppress(ControllerError):  # the fault of an arm that does not get there counts, too
-        begin(loop, phase)
+def test_an_arm_that_is_not_its_model_stays_where_a_fault_stopped_it(
+    arm: str | int, phase: str
+) -> None:
+    hidden = draw(arm) if isinstance(arm, int) else KNOWN[arm]
+    loop = held(hidden)
+    begin(loop, phase)  # the fault of an arm that does not get there counts, too
     loop.controller.fault(A_FAULT)
     outcome = loop.observe(4.0)
-    if (arm, phase) == ("+0.5 kg", "upwards"):  # it swings once more, as docs/safety.md says
-        assert max(loop.speeds[350:]) < 0.05 and outcome.travel < 0.05 and loop.reset(), outcome
-        return
     assert outcome.rest < 0.05 and outcome.travel < 0.02 and loop.reset(), outcome
 
 
 @pytest.mark.requirement("S-126")
-@pytest.mark.parametrize("arm", ["base tilted 10 degrees", "drawn 0", "drawn 1", "drawn 2"])
-def test_an_arm_that_is_not_its_model_stays_under_gravity_compensation(arm: str) -> None:
-    loop = held(UNLIKE.get(arm) or ARMS[arm])
+@pytest.mark.parametrize("arm", ["base tilted 10 degrees", 9100, 9101, 9102], ids=str)
+def test_an_arm_that_is_not_its_model_stays_under_gravity_compensation(arm: str | int) -> None:
+    loop = held(draw(arm) if isinstance(arm, int) else KNOWN[arm])
     loop.play(1.0)
     loop.controller.set_gravity_compensation(True)
     at = loop.plant.tool_position()

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+from benchmark.hidden_arm import StandIn
 from benchmark.lab import Driver, Lab
 
 
@@ -16,7 +17,7 @@ def main(folder: Path) -> int:
     """Cut the network for a second while the arm is held; print the modes of the controller."""
     with Lab(folder).open() as lab:
         lab.controller(priority=0)
-        driver = Driver(lab)
+        driver = Driver(lab, StandIn())
         driver.ready()
         while lab.label != "hold":
             driver.play(0.1)

@@ -21,6 +21,7 @@ from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
 from benchmark.false_states import FALSE_STATES
+from benchmark.hidden_arm import StandIn
 from benchmark.lab import Driver, Lab, inject
 from wam_power_ros.control.safety import REST_SPEED
 from wam_power_ros.faults import FaultKind
@@ -38,7 +39,7 @@ def lab(tmp_path: Path) -> Iterator[Lab]:
 def test_an_arm_that_keeps_the_last_torque_is_stopped_when_its_states_turn_false(
     lab: Lab, kind: str
 ) -> None:
-    driver = Driver(lab)
+    driver = Driver(lab, StandIn())
     outcomes = []
     for _ in range(3):  # on a busy processor it brakes late or not at all
         controller = lab.controller(priority=0)
@@ -53,7 +54,7 @@ def test_an_arm_that_keeps_the_last_torque_is_stopped_when_its_states_turn_false
 @pytest.mark.requirement("S-05")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_controller_that_is_ended_in_a_rollout_stops_the_arm_first(lab: Lab, number: int) -> None:
-    driver = Driver(lab)
+    driver = Driver(lab, StandIn())
     seen = []
     for _ in range(10):  # on a busy processor it brakes late or not at all
         controller = lab.controller(priority=0)
