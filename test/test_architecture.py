@@ -112,11 +112,11 @@ BUDGET = {
     "ros": 2486,
     "client": 1448,
     "nodes": 3333,  # actions, and the question for another set-up; JSON is gone from ros/
-    "console": 790,
+    "console": 797,  # a person supports the arm, however a movement ended
     "view": 1179,
     "reporting": 840,
-    "in_process": 509,  # a session on disk without nodes
-    "cli": 2823,  # learn --in-process
+    "in_process": 514,  # a session on disk without nodes
+    "cli": 2821,  # learn --in-process
     "hardware_sim": 2975,
     "launch": 161,
     "wam_power_interfaces": 160,  # its build without ROS

@@ -4,14 +4,18 @@
 from itertools import islice
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from wam_power_ros.cli import main
+from wam_power_ros.control.arm import Arm
 from wam_power_ros.in_process import learn
+from wam_power_ros.learning.demonstration import Demonstration
 from wam_power_ros.params import overlay
 from wam_power_ros.practice import session
 from wam_power_ros.practice.session import Session
 from wam_power_ros.practice.settings import preset
+from wam_power_ros.tasks.flip.task import Flip
 
 
 def rows(folder: Path) -> list[str]:
@@ -50,6 +54,26 @@ def test_demonstrations_that_leave_no_rollout_are_refused_before_they_are_record
     with pytest.raises(ValueError, match="a budget of 2 rollouts"):
         next(learn.run(tmp_path, overlay.setup(task="flip"), settings, 0, 2))
     assert not Session.exists(tmp_path)
+
+
+def test_a_demonstration_without_a_movement_is_left_out_and_the_others_keep_their_numbers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read, count = Flip.demonstration_of, iter(range(9))
+
+    def second_only(arm: Arm, *recorded: np.ndarray) -> Demonstration:
+        if next(count) != 1:
+            raise ValueError("no movement")
+        return read(arm, *recorded)
+
+    monkeypatch.setattr(Flip, "demonstration_of", second_only)
+    setup, settings = overlay.setup(task="flip"), preset("flip", budget=4)
+    begun = next(learn.run(tmp_path, setup, settings, 0, 3))
+    assert [policy.id for policy in begun.candidates] == ["demonstration-2"]
+    begun.close()
+    with pytest.raises(ValueError, match="no demonstration can be reproduced: no movement"):
+        next(learn.run(tmp_path / "none", setup, settings, 0, 1))
+    assert not Session.exists(tmp_path / "none")
 
 
 @pytest.mark.parametrize("words", [["--config", "wam_can"], ["--bags", "bags/demo_1"]])

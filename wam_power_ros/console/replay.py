@@ -13,7 +13,7 @@ from contextlib import nullcontext
 import numpy as np
 
 from wam_power_ros.client.robot import Robot, Stopped
-from wam_power_ros.console.prompt import ask, show
+from wam_power_ros.console.prompt import ask, let_go_after, show
 from wam_power_ros.control import replay_trajectory
 from wam_power_ros.entry import INTERRUPTED
 from wam_power_ros.ros.outcomes import Answer, Code, ServiceError
@@ -53,29 +53,28 @@ def replay(
     """
     movement = f"{name} at {speed:g} times its speed, {t[-1]:.1f} s"
     robot.stop()  # succeeds once the controller is active
-    if person:
-        ask(f"The arm will move to the start of {movement}. Press Enter: ")
-    show(f"Replaying {movement}; Ctrl-C stops the arm")
-    with nullcontext() if running else robot.record() as bag:
-        try:
-            answer = Answer(Code.DONE, robot.follow(t, q))
-        except Stopped as stopped:
-            answer = stopped.answer or Answer(Code.STOPPED, "stopped")
-            robot.link.sleep(SETTLE_TIME)
-        except ServiceError as error:
-            answer = error.answer or Answer(Code.UNKNOWN, str(error))
-    show(with_possible_speed(answer, speed))
-    moved = answer.code not in NO_MOTION_CODES
-    if bag and moved:
-        show(f"recorded: {bag}")
-    elif bag:
-        shutil.rmtree(bag)
-    if not moved:
-        show("The arm has not moved; nothing was recorded.")
-    if answer.code is Code.STOPPED:
-        show("Stopped: the arm holds.")
-    if person and not running:
-        ask("The arm holds. Support it, then press Enter to let it go: ")
+    with let_go_after(person and not running):
+        if person:
+            ask(f"The arm will move to the start of {movement}. Press Enter: ")
+        show(f"Replaying {movement}; Ctrl-C stops the arm")
+        with nullcontext() if running else robot.record() as bag:
+            try:
+                answer = Answer(Code.DONE, robot.follow(t, q))
+            except Stopped as stopped:
+                answer = stopped.answer or Answer(Code.STOPPED, "stopped")
+                robot.link.sleep(SETTLE_TIME)
+            except ServiceError as error:
+                answer = error.answer or Answer(Code.UNKNOWN, str(error))
+        show(with_possible_speed(answer, speed))
+        moved = answer.code not in NO_MOTION_CODES
+        if bag and moved:
+            show(f"recorded: {bag}")
+        elif bag:
+            shutil.rmtree(bag)
+        if not moved:
+            show("The arm has not moved; nothing was recorded.")
+        if answer.code is Code.STOPPED:
+            show("Stopped: the arm holds.")
     if answer.success:
         return 0
     return INTERRUPTED if answer.code is Code.STOPPED else 1

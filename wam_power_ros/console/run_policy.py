@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from wam_power_ros.client.robot import Robot
 from wam_power_ros.client.rollouts import Executed
-from wam_power_ros.console.prompt import ask, show
+from wam_power_ros.console.prompt import ask, let_go_after, show
 from wam_power_ros.console.replay import SETTLE_TIME
 from wam_power_ros.entry import INTERRUPTED
 from wam_power_ros.learning.policy import Policy
@@ -48,27 +48,25 @@ def run(robot: Robot, policy: Policy, task: Task | None, rollouts: int, person: 
     robot.stop()  # succeeds once the controller is active
     show(f"Executing {policy.id}, {policy.basis.duration:.1f} s; Ctrl-C stops the arm")
     faults = 0
-    try:
-        for number in range(1, rollouts + 1):
-            if person:
-                place = f"Put the {task.body} in its place. " if task and task.body else ""
-                question = f"{place}The arm will move to the start of {policy.id} and execute "
-                ask(f"{question}it ({number} of {rollouts}). Press Enter: ")
-            done = robot.rollout(policy, lambda state: task.ready(state, tool) if task else "")
-            faults += done.rollout.fault is not None
-            show(f"{number} of {rollouts}: {outcome(task, policy, done)}")
-        status = 1 if faults else 0
-    except KeyboardInterrupt:  # also at a question; `Stopped` is one
-        robot.link.sleep(SETTLE_TIME)
-        robot.link.call(interface.RECORD, False)  # answers that there is none if it had not begun
-        show("Stopped: the arm holds.")
-        status = INTERRUPTED
-    except ServiceError as error:
-        show(str(error))
-        status = 1
-    if person:
-        ask("The arm holds. Support it, then press Enter to let it go: ")
-    return status
+    with let_go_after(person):
+        try:
+            for number in range(1, rollouts + 1):
+                if person:
+                    place = f"Put the {task.body} in its place. " if task and task.body else ""
+                    question = f"{place}The arm will move to the start of {policy.id} and execute "
+                    ask(f"{question}it ({number} of {rollouts}). Press Enter: ")
+                done = robot.rollout(policy, lambda state: task.ready(state, tool) if task else "")
+                faults += done.rollout.fault is not None
+                show(f"{number} of {rollouts}: {outcome(task, policy, done)}")
+        except KeyboardInterrupt:  # also at a question; `Stopped` is one
+            robot.link.sleep(SETTLE_TIME)
+            robot.link.call(interface.RECORD, False)  # answers that there is none if there is none
+            show("Stopped: the arm holds.")
+            return INTERRUPTED
+        except ServiceError as error:
+            show(str(error))
+            return 1
+    return 1 if faults else 0
 
 
 def outcome(task: Task | None, policy: Policy, done: Executed) -> str:

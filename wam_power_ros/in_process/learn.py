@@ -13,6 +13,7 @@ import numpy as np
 from wam_power_ros import installed
 from wam_power_ros.arm_identity import refusal
 from wam_power_ros.in_process.environment import Environment
+from wam_power_ros.learning.demonstration import Demonstration
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.params.overlay import Setup
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
@@ -75,23 +76,27 @@ def _taught(
     """
     kind, arm, world = installed.task_type(settings.task), environment.arm, environment.world
     settings.check(count)
-    movements, candidates, refused = [], [], []
+    read: dict[int, Demonstration] = {}
+    candidates: dict[tuple[int, ...], Policy] = {}
+    refused = []
     for number in range(count):  # as the stand-in of a graph of nodes draws them
         script = world.scene.script(np.random.default_rng((seed, number)))
         recorded = environment.demonstrate(script, f"demonstration-{number}")
-        movements.append(kind.demonstration_of(arm, *recorded))
-    context = kind.context_of(movements, region)
-    task = settings.make_task(context)
-    for number, group in enumerate([movements] if kind.single_policy else [[m] for m in movements]):
         try:
-            policy = kind.policy_of(group, f"demonstration-{number + 1}")
+            read[number + 1] = kind.demonstration_of(arm, *recorded)
         except ValueError as error:
             refused.append(str(error))
-            continue
-        if fault := environment.infeasible(reproduction_of(policy, task)):
-            refused.append(f"would end in a fault: {fault.text}")
-        else:
-            candidates.append(replace(policy, arm=arm.identity()))
+    for group in [tuple(read)] if kind.single_policy and read else [(each,) for each in read]:
+        movements = [read[number] for number in group]
+        try:
+            policy = kind.policy_of(movements, f"demonstration-{group[0]}")
+            task = settings.make_task(kind.context_of(movements, region))
+            if fault := environment.infeasible(reproduction_of(policy, task)):
+                raise ValueError(f"would end in a fault: {fault.text}")
+            candidates[group] = replace(policy, arm=arm.identity())
+        except ValueError as error:
+            refused.append(str(error))
     if not candidates:
         raise ValueError(f"no demonstration can be reproduced: {'; '.join(refused)}")
-    return candidates, context
+    used = [read[number] for group in candidates for number in group]
+    return [*candidates.values()], kind.context_of(used, region)
