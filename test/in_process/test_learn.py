@@ -9,7 +9,9 @@ import pytest
 
 from wam_power_ros.cli import main
 from wam_power_ros.control.arm import Arm
+from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.in_process import learn
+from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.learning.demonstration import Demonstration
 from wam_power_ros.params import overlay
 from wam_power_ros.practice import session
@@ -74,6 +76,27 @@ def test_a_demonstration_without_a_movement_is_left_out_and_the_others_keep_thei
     with pytest.raises(ValueError, match="no demonstration can be reproduced: no movement"):
         next(learn.run(tmp_path / "none", setup, settings, 0, 1))
     assert not Session.exists(tmp_path / "none")
+
+
+def test_the_demonstrations_are_those_of_the_stand_in_of_the_nodes(tmp_path: Path) -> None:
+    setup, settings = overlay.setup(task="flip"), preset("flip", budget=4)
+    begun = next(learn.run(tmp_path, setup, settings, 5, 2))
+    environment = Environment.of(setup)
+    for number, policy in enumerate(begun.candidates):
+        script = environment.world.scene.script(np.random.default_rng((5, number)))
+        recorded = environment.demonstrate(script, f"demonstration-{number}")
+        movement = Flip.demonstration_of(environment.arm, *recorded)
+        fitted = Flip.policy_of([movement], policy.id)
+        np.testing.assert_array_equal(policy.attractors, fitted.attractors)
+
+
+def test_a_demonstration_whose_reproduction_would_fault_is_not_learnt_from(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fault = Fault(FaultKind.JOINT_SPEED, "joint 4 too fast")
+    monkeypatch.setattr(Environment, "infeasible", lambda *_: fault)
+    with pytest.raises(ValueError, match="would end in a fault: joint 4 too fast"):
+        next(learn.run(tmp_path, overlay.setup(task="flip"), preset("flip", budget=4), 0, 1))
 
 
 @pytest.mark.parametrize("words", [["--config", "wam_can"], ["--bags", "bags/demo_1"]])
