@@ -11,15 +11,20 @@ machine would continue differently.
 
 from __future__ import annotations
 
-import importlib
+import importlib.util
 import os
 import signal
 import sys
+import warnings
 from functools import partial
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 INTERRUPTED = 130  # exit status of a program that is interrupted before its work is done
 REFUSED = 2  # exit status of a node that refuses its parameters
+OTHER_PYTHON = (
+    "build and run with the Python that `make venv` has filled, .venv/bin/python -m colcon build "
+    "(docs/ros2.md), or install the module into this one"
+)
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 EXTRAS = {"viser": "view", "pyarrow": "export"}  # of requirements.txt
 
@@ -32,21 +37,21 @@ def missing(error: ModuleNotFoundError) -> str:
     if package == "rclpy" or package.endswith(("_msgs", "_srvs")):
         how = "source a ROS 2 Jazzy, or pip install 'wam_power_ros[ros]'"
         return f"{package} is not installed: {how}. Without ROS: wam-power learn --in-process"
-    if package not in EXTRAS:
+    if package in (__package__, "hardware_sim"):
         raise error
+    if package not in EXTRAS:
+        return f"{sys.executable} has no module {package!r}: {OTHER_PYTHON}"
     return f"{package} is not installed: pip install 'wam_power_ros[{EXTRAS[package]}]'"
 
 
 def start(module: str, interrupted: int = 0) -> int:
-    """Import a module and call its `main`.
-
-    Args:
-        module: Name of the module.
-        interrupted: Exit status after SIGINT or SIGTERM during the import.
-
-    Returns:
-        Exit status.
-    """
+    """Exit status of the `main` of a module; `interrupted` after a signal during the import."""
+    if unloadable := missing_middleware():
+        sys.stderr.write(f"{unloadable}\n")
+        return REFUSED
+    if "error" in os.environ.get("PYTHONWARNINGS", ""):  # rclpy itself warns
+        warnings.simplefilter("default")
+        del os.environ["PYTHONWARNINGS"]  # of child processes, too
     os.environ |= ONE_THREAD
     before = {number: signal.getsignal(number) for number in SIGNALS}
     for number in SIGNALS:
@@ -60,6 +65,25 @@ def start(module: str, interrupted: int = 0) -> int:
     for number in SIGNALS:
         signal.signal(number, before[number])
     return main()
+
+
+def missing_middleware() -> str:
+    """Why the middleware that RMW_IMPLEMENTATION names cannot be loaded; empty if it can.
+
+    ROS would end the process while it is imported, without the name of the variable.
+    """
+    name, get = os.environ.get("RMW_IMPLEMENTATION", ""), os.environ.get
+    prefixes = [sys.prefix, *get("AMENT_PREFIX_PATH", "").split(os.pathsep)]
+    folders = [os.path.join(prefix, "lib") for prefix in filter(None, prefixes)]
+    folders += get("LD_LIBRARY_PATH", "").split(os.pathsep)
+    if (
+        not name
+        or not importlib.util.find_spec("rclpy")
+        or any(os.path.exists(f"{folder}/lib{name}.so") for folder in folders)
+    ):
+        return ""
+    package = f"ros-{get('ROS_DISTRO', 'jazzy')}-{name.replace('_', '-')}"
+    return f"RMW_IMPLEMENTATION={name}: not installed; apt install {package}, or unset the variable"
 
 
 torque_controller = partial(start, "wam_power_ros.nodes.torque_controller")

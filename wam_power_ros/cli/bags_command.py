@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from wam_power_ros import installed
 from wam_power_ros.cli.launcher import UsageError, pasteable, short_path, task_stems
 from wam_power_ros.cli.node_log import progress_messages
-from wam_power_ros.cli.parser import add_command, config_option
+from wam_power_ros.cli.parser import add_command, config_option, task_option
 from wam_power_ros.cli.session_options import DEFAULT_TASK
 from wam_power_ros.durable_files import check_name, printable
 from wam_power_ros.params import overlay
@@ -65,8 +65,8 @@ def add_to(subparsers: argparse._SubParsersAction) -> None:
     help_joints = "names of the arm's joints in that bag, base to tip"
     imported.add_argument("--joints", nargs="+", default=[], metavar="NAME", help=help_joints)
     imported.add_argument("--topic", default="", help="of the joint states (default: the only one)")
-    help_task = f"of the demonstration (default: {DEFAULT_TASK})"
-    imported.add_argument("--task", default=DEFAULT_TASK, help=help_task)
+    task_option(imported)
+    imported.set_defaults(task=DEFAULT_TASK)
     help_reception = "use the times of reception, where the stamps of the driver are wrong"
     imported.add_argument("--by-reception", action="store_true", help=help_reception)
     imported.add_argument("--output", type=Path, help="new bag (default: TASK_NAME)")

@@ -230,7 +230,7 @@ def _print_command(purpose: str, words: Sequence[str]) -> None:
     print(f"{purpose}\n  {program_command()} {shlex.join(words)}")
 
 
-def replay(bag: Path, speed: float, folder: Path | None, devices: Devices) -> int:
+def replay(bag: Path, speed: float, task: str | None, folder: Path | None, devices: Devices) -> int:
     """Repeat a recorded movement with the arm."""
     from wam_power_ros.bags import reader
     from wam_power_ros.bags.bag import Bag
@@ -240,7 +240,8 @@ def replay(bag: Path, speed: float, folder: Path | None, devices: Devices) -> in
     if bag.is_file() and bag.suffix == ".json":
         raise UsageError(f"{bag} is not a bag; to execute a policy: wam-power run-policy {bag}")
     folder = (folder or Path("replays") / timestamp()).resolve()
-    parameters = devices.parameters(folder=folder).changed({RECORDER: {"stem": "replay"}})
+    parameters = devices.parameters(task or "", folder=folder)
+    parameters = parameters.changed({RECORDER: {"stem": "replay"}})
     arm = parameters.arm()
     states = reader.read_states(Bag(bag), parameters.joint_names, arm=arm and arm.identity())
     for remark in states.remarks:

@@ -23,6 +23,10 @@ PR_SET_PDEATHSIG = 1
 TAIL_LINES = 15  # of a log, shown when a process dies
 
 
+LOG_FORM = {  # that `node_log` reads, whatever the terminal has
+    "RCUTILS_CONSOLE_OUTPUT_FORMAT": "[{severity}] [{time}] [{name}]: {message}",
+    "RCUTILS_COLORIZED_OUTPUT": "0",
+}
 MEMORY = " (by a person, or by the kernel for lack of memory: see `dmesg`)"
 SPACE_MIN = 1e6  # free bytes of a disk, below which nothing can be logged
 
@@ -82,7 +86,7 @@ class Processes:
     def __init__(self, logs: Path, environment: Mapping[str, str]) -> None:
         """Logs go to `logs`/<name>.log, appended; `environment` is added to this process's own."""
         self._logs = logs
-        self._environment = {**os.environ, "PYTHONUNBUFFERED": "1", **environment}
+        self._environment = {**os.environ, "PYTHONUNBUFFERED": "1", **LOG_FORM, **environment}
         self._running: list[Running] = []
 
     def start(self, name: str, command: Sequence[str]) -> Running:

@@ -206,6 +206,6 @@ def _check_new(folder: Path, task: str, asked: SessionOptions, devices: Devices)
         bag = Bag(path)
         reader.read_states(bag, setup.joint_names, arm=arm and arm.identity())
         tasks_of_bag = tasks.get(bag.kind, {task})
-        if task not in tasks_of_bag:
+        if task not in tasks_of_bag and bag.kind != setup["demonstration_recorder"]["stem"]:
             listed = ", ".join(tasks_of_bag)
             raise UsageError(f"{path} is a demonstration of {listed}, not of {task}: use --task")

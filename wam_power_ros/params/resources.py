@@ -18,9 +18,6 @@ _LEVELS = 4  # folders above a xacro file in which packages are looked for
 def share(relative: str) -> Path:
     """Return the existing path of a file or folder that comes with the package.
 
-    Args:
-        relative: Path below the checkout or the share folder, e.g. `"config/learner.yaml"`.
-
     Raises:
         FileNotFoundError: There is no such file or folder; the message lists the searched folders.
     """

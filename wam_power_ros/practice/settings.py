@@ -173,7 +173,9 @@ def preset(
     kind = installed.task_type(task)
     name = name or next(iter(kind.presets))
     if name not in kind.presets:
-        raise ValueError(f"preset {name!r} of {task!r} is not one of {', '.join(kind.presets)}")
+        hint = installed.did_you_mean(name, kind.presets)
+        known = ", ".join(kind.presets)
+        raise ValueError(f"preset {name!r} of {task!r} is not one of {known}{hint}")
     values = dict(kind.presets[name])
     errors = kind.learns_from_errors()
     learning = {"name": "model_based" if errors else "power", **values.pop("learner", {})}
