@@ -21,20 +21,17 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_
 INTERRUPTED = 130  # exit status of a program that is interrupted before its work is done
 REFUSED = 2  # exit status of a node that refuses its parameters
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-EXTRAS = {"viser": "view", "pyarrow": "export"}  # of requirements.txt
 
 
-def missing(error: ModuleNotFoundError) -> str:
-    """One line: what is not installed, and how to install it; else the error is raised again."""
+def missing(error: ImportError) -> str:
+    """One line: what cannot be imported, and the extra that brings it; raises any other error."""
     package = (error.name or "").partition(".")[0]
-    if package == "wam_power_interfaces":
-        return f"{package} is not installed: pip install ./{package} in the repository, or colcon"
-    if package == "rclpy" or package.endswith(("_msgs", "_srvs")):
-        how = "source a ROS 2 Jazzy, or pip install 'wam_power_ros[ros]'"
-        return f"{package} is not installed: {how}. Without ROS: wam-power learn --in-process"
-    if package not in EXTRAS:
-        raise error
-    return f"{package} is not installed: pip install 'wam_power_ros[{EXTRAS[package]}]'"
+    if package == "viser":
+        return f'{error}: pip install "wam_power_ros[view]"'
+    if package == "rclpy" or package.endswith(("_interfaces", "_msgs", "_srvs")):
+        ours = 'pip install "wam_power_ros[ros]" and, in a checkout, ./wam_power_interfaces'
+        return f"{error}: source ROS 2, or {ours}. Without ROS: wam-power learn --in-process"
+    raise error
 
 
 def start(module: str, interrupted: int = 0) -> int:
@@ -54,7 +51,7 @@ def start(module: str, interrupted: int = 0) -> int:
             signal.signal(number, lambda *_: os._exit(interrupted))
     try:
         main = importlib.import_module(module).main
-    except ModuleNotFoundError as error:
+    except ImportError as error:
         sys.stderr.write(f"{missing(error)}\n")
         return REFUSED
     for number in SIGNALS:

@@ -104,6 +104,11 @@ def learn(
     """Start or resume a session, run it to its end and write its report."""
     from wam_power_ros.practice.session import Session, read
 
+    if in_process and (asked.bags or asked.origin or not devices.stand_ins):
+        raise UsageError(
+            "--in-process simulates arm and demonstrations: it takes no --bags, no --from, and "
+            "--config only with --simulate"
+        )
     if resume:
         folder = existing_session(session)
     else:
@@ -123,7 +128,7 @@ def learn(
         parameters = devices.parameters(task, seed, folder)
         if in_process:
             print(text)
-            return _learn_in_process(folder, asked, seed, task, parameters, devices)
+            return _learn_in_process(folder, asked, seed, task, parameters)
         given = learner_parameters(folder, asked, seed, task)
         parameters = parameters.changed({LEARNER: given})
         also = (TRACKER, LEARNER)
@@ -148,19 +153,12 @@ def learn(
 
 
 def _learn_in_process(
-    folder: Path,
-    asked: SessionOptions,
-    seed: int,
-    task: str,
-    parameters: overlay.Setup,
-    devices: Devices,
+    folder: Path, asked: SessionOptions, seed: int, task: str, parameters: overlay.Setup
 ) -> int:
     """Teach and learn in simulation without nodes, and write the report."""
     from wam_power_ros.in_process import learn as in_process
     from wam_power_ros.reporting import terminal
 
-    if asked.bags or asked.origin or not devices.stand_ins:
-        raise UsageError("--in-process records its own demonstrations by stand-ins: omit it here")
     with folder_lock(folder), terminal.Display() as display:
         for file, text in plan_of(folder, parameters, stand_ins=True).written.items():
             file.write_text(text, encoding="utf-8")
