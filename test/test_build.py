@@ -90,6 +90,7 @@ def test_colcon_builds_links_and_tests_this_package(tmp_path: Path) -> None:
     config = install / "wam_power_ros/share/wam_power_ros/config/learner.yaml"
     assert config.resolve() == ROOT / "config/learner.yaml"
     assert (install / "wam_power_ros/lib/wam_power_ros/learner").is_file()
+    assert not (install / "wam_power_ros/bin").exists()
     chosen = ("--pytest-args", "test/test_rotations.py")
     run(*colcon, "test", *where, "--install-base", install, *chosen, folder=tmp_path)
     results = ("test-result", "--test-result-base", tmp_path / "build")

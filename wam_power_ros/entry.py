@@ -26,22 +26,21 @@ OTHER_PYTHON = (
     "(docs/ros2.md), or install the module into this one"
 )
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-EXTRAS = {"viser": "view", "pyarrow": "export"}  # of requirements.txt
 
 
-def missing(error: ModuleNotFoundError) -> str:
-    """One line: what is not installed, and how to install it; else the error is raised again."""
+def missing(error: ImportError) -> str:
+    """One line: what cannot be imported, and the extra that brings it; raises any other error."""
     package = (error.name or "").partition(".")[0]
-    if package == "wam_power_interfaces":
-        return f"{package} is not installed: pip install ./{package} in the repository, or colcon"
-    if package == "rclpy" or package.endswith(("_msgs", "_srvs")):
-        how = "source a ROS 2 Jazzy, or pip install 'wam_power_ros[ros]'"
-        return f"{package} is not installed: {how}. Without ROS: wam-power learn --in-process"
     if package in (__package__, "hardware_sim"):
         raise error
-    if package not in EXTRAS:
-        return f"{sys.executable} has no module {package!r}: {OTHER_PYTHON}"
-    return f"{package} is not installed: pip install 'wam_power_ros[{EXTRAS[package]}]'"
+    if package == "viser":
+        return f'{error}: pip install "wam_power_ros[view]"'
+    if package == "rclpy" or package.endswith(("_interfaces", "_msgs", "_srvs")):
+        ours = 'pip install "wam_power_ros[ros]" and, in a checkout, ./wam_power_interfaces'
+        return f"{error}: source ROS 2, or {ours}. Without ROS: wam-power learn --in-process"
+    if not isinstance(error, ModuleNotFoundError):
+        raise error
+    return f"{sys.executable} has no module {package!r}: {OTHER_PYTHON}"
 
 
 def start(module: str, interrupted: int = 0) -> int:
@@ -59,7 +58,7 @@ def start(module: str, interrupted: int = 0) -> int:
             signal.signal(number, lambda *_: os._exit(interrupted))
     try:
         main = importlib.import_module(module).main
-    except ModuleNotFoundError as error:
+    except ImportError as error:
         sys.stderr.write(f"{missing(error)}\n")
         return REFUSED
     for number in SIGNALS:

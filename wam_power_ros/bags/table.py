@@ -106,7 +106,7 @@ def check_new(path: Path) -> None:
             import pyarrow.parquet  # noqa: F401
         except ImportError:
             raise ValueError(
-                f"{path}: Parquet needs pyarrow: pip install pyarrow; or name a .csv file"
+                'Parquet needs pyarrow: pip install "wam_power_ros[export]"; or name a .csv file'
             ) from None
 
 

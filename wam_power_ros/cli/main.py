@@ -72,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         command, values = _command(options)
         return int(command(**values) or 0)
-    except ModuleNotFoundError as error:
+    except ImportError as error:
         print(f"{COMMAND_LINE}: {missing(error)}", file=sys.stderr)
         return 2
     except (UsageError, ProcessError, OSError, ValueError) as error:
