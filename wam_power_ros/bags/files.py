@@ -61,6 +61,11 @@ class Topic:
     counted: int = 0
 
     @property
+    def foreign(self) -> bool:
+        """Whether its messages are not of one type of ROS 2, and are not read."""
+        return " " in self.msgtype
+
+    @property
     def latched(self) -> bool:
         """Whether late subscribers receive the last messages."""
         return bool(self.offered) and all(
