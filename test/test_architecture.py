@@ -107,7 +107,7 @@ BUDGET = {
     "tasks": 3067,  # what follows from the errors of any task is written here once
     "practice": 2060,  # refusals by a person and pauses are in its log
     "conformance": 1123,
-    "bags": 2305,
+    "bags": 2433,  # of which 136 read the tables of other programs
     "params": 1133,
     "ros": 2486,
     "client": 1448,
@@ -116,7 +116,7 @@ BUDGET = {
     "view": 1179,
     "reporting": 840,
     "in_process": 509,  # a session on disk without nodes
-    "cli": 2823,  # learn --in-process
+    "cli": 2820,  # learn --in-process
     "hardware_sim": 2975,
     "launch": 161,
     "wam_power_interfaces": 160,  # its build without ROS

@@ -12,12 +12,10 @@ import numpy as np
 
 from wam_power_ros.bags import layout, reader
 from wam_power_ros.bags.bag import Bag
-from wam_power_ros.bags.layout import JOINT_STATE, STATES, TYPES
+from wam_power_ros.bags.layout import JOINT_STATE, STAMP_END, STATES, TYPES
 from wam_power_ros.bags.quality import Remark
 from wam_power_ros.bags.reader import States
 from wam_power_ros.bags.writer import BagWriter
-
-STAMP_END = 2**31 * 1_000_000_000  # of a header [ns]
 
 
 def import_bag(
