@@ -233,9 +233,6 @@ def read(file: Path) -> Setup:
     """Read a set-up that was written with `text`, such as `logs/parameters.yaml` of a session.
 
     Parameters that it lacks, because an older version wrote it, are those of the nodes' own files.
-
-    Raises:
-        ValueError: As for `parameter_file.of_nodes`.
     """
     return Setup(_own()).changed(parameter_file.of_nodes(file))
 
@@ -245,12 +242,7 @@ def _own() -> Parameters:
 
 
 def text(setup: Setup, namespace: str = "") -> str:
-    """Write a set-up as the text of one parameter file for all nodes.
-
-    Args:
-        setup: Parameters by node.
-        namespace: Namespace of the nodes, such as `/left`; empty to match any namespace.
-    """
+    """Write a set-up as one parameter file, for all nodes or a namespace such as `/left`."""
     above = namespace or "/**"
     nodes = {f"{above}/{node}": {"ros__parameters": values} for node, values in setup.items()}
     return yaml.dump(nodes, Dumper=_Plain, sort_keys=False, width=1000)
