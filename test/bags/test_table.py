@@ -46,6 +46,17 @@ def test_a_table_is_read_bit_for_bit(time: str, form: str, delimiter: str, tmp_p
     np.testing.assert_array_equal(states.stamps, 10**9 + 4_000_000 * np.arange(60))
 
 
+def test_rows_of_other_devices_and_decimal_commas_are_read(tmp_path: Path) -> None:
+    lines = [";".join(("", "time", "imu", *NAMES))]
+    for number, (t, q) in enumerate(zip(T.tolist(), Q.tolist(), strict=True)):
+        lines.append(
+            ";".join(map(repr, (number, t, *q))).replace(";", ";;", 2).replace(";;", ";", 1)
+        )
+        lines.append(f"{number};{t + 0.001!r};0.5" + ";" * len(NAMES))
+    (file := tmp_path / "t.csv").write_text("\n".join(lines).replace(".", ","))
+    np.testing.assert_array_equal(read_states(bag_of(file), NAMES).q, Q)
+
+
 @pytest.mark.parametrize("suffix", table.TABLES)
 def test_an_exported_bag_comes_back_bit_for_bit(suffix: str, tmp_path: Path) -> None:
     if suffix == ".parquet" and importlib.util.find_spec("pyarrow") is None:

@@ -181,8 +181,8 @@ def _of_same_joints(
             rows = {}
         elif stamp_ns in rows or stamp_ns < newest - LATE_MAX:
             raise ValueError(
-                f"stamp {stamp_ns} follows {newest}; stamps must increase. If the driver's clock "
-                "is wrong, use the times of reception: wam-power bags import BAG --by-reception"
+                f"stamp {stamp_ns} follows {newest}; stamps must increase. Two publishers: record "
+                "one. A wrong clock: wam-power bags import BAG --by-reception"
             )
         late += stamp_ns < newest
         newest = max(newest, stamp_ns)

@@ -217,11 +217,12 @@ def _written(columns: Sequence[tuple[str, Sequence[Any]]], to: Path) -> Path:
     writer = BagWriter(to)
     writer.add(STATES, JOINT_STATE, [qos(reliable=True, latched=False)])
     of, none = TYPES.types, np.zeros(0)
-    names = [name for name, _ in angles]
+    names = np.array([name for name, _ in angles])
     for stamp, q in zip(stamps, np.column_stack([q for _, q in angles]), strict=True):
         time = of["builtin_interfaces/msg/Time"](*divmod(stamp, 1_000_000_000))
         header = of["std_msgs/msg/Header"](stamp=time, frame_id="")
-        state = of[JOINT_STATE](header, name=names, position=q, velocity=none, effort=none)
+        there = ~np.isnan(q)  # rows of other devices have no angle of the arm
+        state = of[JOINT_STATE](header, names[there].tolist(), q[there], none, none)
         writer.write(STATES, stamp, bytes(TYPES.serialize_cdr(state, JOINT_STATE)))
     return writer.close({})
 
@@ -260,6 +261,8 @@ def _read_csv(path: Path) -> list[tuple[str, Sequence[Any]]]:
         delimiter = max(",;\t", key=file.readline().count)
         file.seek(0)
         rows = [row for row in csv.reader(file, delimiter=delimiter) if row]
+    if delimiter == ";":  # of a program that writes decimal commas
+        rows = [[cell.replace(",", ".") for cell in row] for row in rows]
     if len(rows) < 2:
         raise ValueError("a table needs a row of names, and a row for each state")
     for number, row in enumerate(rows, 1):
