@@ -44,6 +44,8 @@ def test_no_head_and_no_outcome_is_cut_at_any_width(practice: Practice, width: i
     assert "…" not in text.getvalue()
     head, *rows = text.getvalue().splitlines()
     assert {"#", "kind", "return", "best", "outcome"} <= set(head.split())
+    signs = [rows.pop().strip()] if width == 80 else []
+    assert signs == ["no room for landing, caught"] * (width == 80)
     assert len(rows) == len(practice.records)
     for record, row in zip(practice.records, rows, strict=True):
         assert "a pancake on the floor" in row and f"{record.ret:.3f}" in row

@@ -213,9 +213,9 @@ def _checked_stamps(stamps_ns: Sequence[int] | np.ndarray) -> np.ndarray:
         raise ValueError(f"stamp {stamps[at + 1]} follows {stamps[at]}; stamps must increase")
     at = int(np.argmax(steps))
     if steps[at] > GAP_MAX * 1e9:
-        raise ValueError(
-            f"gap of {steps[at] * 1e-9} s after stamp {stamps[at]}; at most {GAP_MAX} s allowed"
-        )
+        when = f"{(stamps[at] - stamps[0]) * 1e-9:.3f} s after the first state"
+        how = "if a part is enough: wam-power bags import BAG --part START END"
+        raise ValueError(f"gap of {steps[at] * 1e-9} s, {when}; at most {GAP_MAX} s allowed; {how}")
     return stamps
 
 

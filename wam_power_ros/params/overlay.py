@@ -251,9 +251,6 @@ def read(file: Path) -> Setup:
     """Read a set-up that was written with `text`, such as `logs/parameters.yaml` of a session.
 
     Parameters that it lacks, because an older version wrote it, are those of the nodes' own files.
-
-    Raises:
-        ValueError: As for `parameter_file.of_nodes`.
     """
     return Setup(_own()).changed(parameter_file.of_nodes(file))
 

@@ -158,11 +158,10 @@ class TorqueControllerParams(Params, MotionSettings):
 
     @classmethod
     def of(cls, node: Node) -> Self:
-        """Read the parameters of `node`, see `Params.of`.
+        """Read the parameters as `Params.of`; simulated time would disable a real arm's watchdog.
 
         Raises:
-            ValueError: As for `Params.of`, or a real arm has simulated time, which would disable
-                the watchdog for its states.
+            ValueError: As for `Params.of`, or a real arm has simulated time.
         """
         params = super().of(node)
         if not params.simulation and node.get_parameter("use_sim_time").value:

@@ -52,10 +52,7 @@ def spark(values: Sequence[float], width: int = 60) -> str:
 
 
 def rollout_table(records: Sequence[Record], outcome: Outcome, width: int = 160) -> Table:
-    """Table of the newest rollouts: return and its terms, best measured return, outcome.
-
-    If a terminal of `width` columns is too narrow for the outcome, terms are omitted, last first.
-    """
+    """Newest rollouts: return, its terms, those that `width` has no room for by name, outcome."""
     newest, bests, best = records[-ROLLOUTS_SHOWN:], [], 0.0
     for record in records:
         better = record.ret is not None and record.ret > best
@@ -67,6 +64,8 @@ def rollout_table(records: Sequence[Record], outcome: Outcome, width: int = 160)
     while terms and sum(max(len(term), 5) + 1 for term in terms) > room:
         terms.pop()
     table = Table(box=None, pad_edge=False, header_style="bold", padding=(0, 1, 0, 0))
+    if hidden := term_names(records)[len(terms) :]:
+        table.caption, table.caption_justify = f"no room for {', '.join(hidden)}", "left"
     table.add_column("#", justify="right", no_wrap=True)
     table.add_column("kind", no_wrap=True)
     for name in ["return", *terms, "best"]:

@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from wam_power_ros import rotations
+from wam_power_ros.control.urdf_checks import parsed
 
 
 class Skeleton:
@@ -17,7 +18,6 @@ class Skeleton:
 
     Attributes:
         joint_names: Moving joints, base to tip; others stay at zero.
-        tool: Link at the tip.
         shapes: Shapes of the links, each fixed to the frame `parentJoint`. Meshes are left out.
 
     Args:
@@ -30,7 +30,7 @@ class Skeleton:
 
     def __init__(self, urdf: str, joint_names: Sequence[str] | None = None) -> None:
         try:
-            tree = ElementTree.fromstring(urdf)
+            tree = parsed(urdf)
             for link in tree.iter("link"):
                 for visual in link.findall("visual"):
                     if visual.find("geometry/mesh") is not None:
@@ -38,7 +38,7 @@ class Skeleton:
             text = ElementTree.tostring(tree, encoding="unicode")
             self._model = model = pin.buildModelFromXML(text)
             self._visual = pin.buildGeomFromUrdfString(model, text, pin.GeometryType.VISUAL)
-        except (ValueError, RuntimeError, ElementTree.ParseError) as error:
+        except (ValueError, RuntimeError) as error:
             raise ValueError(f"the robot description is no URDF: {error}") from None
         known = [name for name in model.names if name != "universe"]
         self.joint_names = tuple(known if joint_names is None else joint_names)
