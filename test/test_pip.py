@@ -15,6 +15,7 @@ from wam_power_ros.practice import session
 ROOT = Path(__file__).resolve().parents[1]
 ABSENT = ("rclpy", "wam_power_interfaces", "sensor_msgs", "viser", "pyarrow", "xacro")
 BUILD = "from setuptools import build_meta as b; import sys; b.build_{}(sys.argv[1])"
+pytestmark = pytest.mark.long
 
 
 def run(*words: object, cwd: Path, **more: str) -> subprocess.CompletedProcess[str]:
