@@ -397,6 +397,17 @@ def processes(domain_id: int, tmp_path: Path) -> Iterator[Processes]:
     processes.close()
 
 
+@pytest.fixture(scope="module")
+def shared_nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Probe, Processes]]:
+    """A probe and node processes that the tests of a module share, in a domain of their own."""
+    with private_domain() as domain, ExitStack() as ends:
+        probe = Probe(domain)
+        ends.callback(probe.close)
+        processes = Processes(domain, tmp_path_factory.mktemp("processes"))
+        ends.callback(processes.close)
+        yield probe, processes
+
+
 @pytest.fixture
 def refusal(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

@@ -82,6 +82,7 @@ def test_what_is_needed_is_named_for_rosdep_or_for_pip_and_the_document_agrees()
 
 
 @needs_colcon
+@pytest.mark.long
 def test_colcon_builds_links_and_tests_this_package(tmp_path: Path) -> None:
     colcon = (sys.executable, "-m", "colcon", "--log-base", tmp_path / "log")
     where = ("--base-paths", ROOT, "--build-base", tmp_path / "build")

@@ -28,6 +28,7 @@ from wam_power_ros.practice import session
 ROOT = Path(__file__).resolve().parents[1]
 BUILD = "from setuptools import build_meta as b; import sys; b.build_{}(sys.argv[1])"
 OURS = ("ROS_DISTRO", "PYTHONPATH")  # variables that would change what is built or found
+pytestmark = pytest.mark.long
 
 
 def run(*words: object, cwd: Path, **more: str) -> subprocess.CompletedProcess[str]:

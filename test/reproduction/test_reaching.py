@@ -30,6 +30,7 @@ def test_a_learnt_reach_is_executed_near_its_plan() -> None:
     assert len(result["planned"]) == len(result["executed"])
 
 
+@pytest.mark.long
 def test_the_reaching_chapter_is_made_of_its_quick_jobs() -> None:
     results: dict = {}
     for job in reaching.jobs("quick"):
