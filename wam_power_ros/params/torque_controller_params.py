@@ -14,8 +14,10 @@ from wam_power_ros.control.arm import Arm, guarded_points
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.controller_settings import ControllerSettings, MotionSettings
 from wam_power_ros.control.corrections import Corrections
+from wam_power_ros.control.reference_output import controller_of
 from wam_power_ros.control.safety import limits_of
 from wam_power_ros.faults import Fault
+from wam_power_ros.learning.policy import PERIOD
 from wam_power_ros.params.node_params import Params
 from wam_power_ros.regions import Region, region_of
 
@@ -89,6 +91,10 @@ class TorqueControllerParams(Params, MotionSettings):
     velocity_topic: str
     command_topic: str = Field(min_length=1)
     command_type: Literal["multiarray", "joint_state"]
+    output: Literal["torque", "position", "trajectory"]
+    set_point_period: float = Field(
+        ge=0.0, le=0.02, description="in s: 0 for one to each state; beyond, the arm moves in steps"
+    )
     effort: Literal["torque", "current", "none"]
     allow_no_realtime: bool
     idle_service: str
@@ -232,4 +238,13 @@ class TorqueControllerParams(Params, MotionSettings):
             region=self.region,
             arm=arm.identity(),
         )
-        return Controller(arm, settings, latched)
+        if self.output != "torque":  # the arm carries itself; its model runs at 500 Hz or more
+            settings = settings.model_copy(
+                update={
+                    "period": min(self.period, PERIOD),
+                    "state_period": self.period,
+                    "set_point_period": self.set_point_period or self.period,
+                    "driver_compensates_gravity": False,
+                }
+            )
+        return controller_of(arm, settings, latched)
