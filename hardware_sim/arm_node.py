@@ -15,7 +15,7 @@ import numpy as np
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, String
+from std_msgs.msg import String
 
 from hardware_sim.barrett_services import BarrettServices
 from hardware_sim.scene_services import SceneServices
@@ -91,8 +91,10 @@ class ArmSim(Node):
         self._order = np.array([params.joint_names.index(name) for name in names])
         if params.deactivates:  # like a forwarder of ros2_control, which has these parameters
             self.declare_parameter("joints", list(params.joint_names))
-            self.declare_parameter("interface_name", "effort")
-        message_type = joint_messages.COMMAND_TYPES[params.command_type]
+            kind = "effort" if params.output == "torque" else "position"
+            self.declare_parameter("interface_name", kind)
+        kind = "trajectory" if params.output == "trajectory" else params.command_type
+        message_type = joint_messages.COMMAND_TYPES[kind]
         self.create_subscription(
             message_type, params.command_topic, self._on_torque, interface.COMMAND
         )
@@ -117,6 +119,7 @@ class ArmSim(Node):
                 world.idle = False  # the controller was reset: the arm is active again
             self._still_ticks = 0
             self._scene.change(reading.label, self.stamp_ns)
+        world.guided = self._scene.label == "gravity_compensation"  # its button is held
         world.step(self._barrett.torque(None if reading is None else reading.tau))
         self._barrett.update()
         self._scene.update()
@@ -155,14 +158,14 @@ class ArmSim(Node):
             self._clock_ns = stamp_ns
         self._state_ns = stamp_ns
 
-    def _on_torque(self, message: Float64MultiArray | JointState) -> None:
+    def _on_torque(self, message: joint_messages.Command) -> None:
         try:
             reading = joint_messages.torque(message, self.params.joint_names)
         except ValueError as error:
             self.counters["torques refused"] += 1
             self.get_logger().warning(f"torque refused: {error}", throttle_duration_sec=1.0)
-            torques = message.effort if isinstance(message, JointState) else message.data
-            if self.params.deactivates and len(torques) != self.world.n:
+            fields = [getattr(message, field, ()) for field in ("data", "effort")]
+            if self.params.deactivates and self.world.n not in map(len, fields):
                 self._barrett.deactivated = True
                 self.get_logger().error("deactivated: the arm receives zero torques from now on")
             return

@@ -30,7 +30,7 @@ FAST = ControllerSettings(limits=LIMITS, set_point_period=0.002, move_speed=1.0)
 
 
 class Driver:
-    """Controller and arm: a delay [s], then two low-passes with half of a lag [s]; states at a period [s]."""
+    """Controller, and an arm: a delay, then two low-passes of half a lag [s]."""
 
     def __init__(
         self, period: float = 0.002, set_point: float = 0.0, delay: float = 0.01, lag: float = 0.01
@@ -270,9 +270,7 @@ def test_an_arm_that_does_not_follow_is_a_fault_and_a_reset_brings_the_reference
     assert np.abs(driver.sent[-1] - driver.q).max() < 0.01
 
 
-def test_while_a_person_guides_the_arm_references_stay_near_and_an_arm_that_sags_does_not_sink() -> (
-    None
-):
+def test_references_stay_near_a_guided_arm_and_one_that_sags_does_not_sink() -> None:
     driver = Driver(lag=0.05)
     driver.until(lambda: driver.controller.unexplained.known)
     driver.controller.set_gravity_compensation(True)

@@ -202,6 +202,16 @@ class TorqueControllerParams(Params, MotionSettings):
         return self
 
     @property
+    def message(self) -> str:
+        """Kind of the commands, one of `ros.joint_messages.COMMAND_TYPES`."""
+        return self.output if self.output == "trajectory" else self.command_type
+
+    @property
+    def sent_period(self) -> float:
+        """Time between two positions that are sent [s]; 0 if torques are sent."""
+        return 0.0 if self.output == "torque" else self.set_point_period or self.period
+
+    @property
     def region(self) -> Region | None:
         """Guarded region, None for none."""
         return region_of(self.guarded_region_name, self.guarded_region)
@@ -243,7 +253,7 @@ class TorqueControllerParams(Params, MotionSettings):
                 update={
                     "period": min(self.period, PERIOD),
                     "state_period": self.period,
-                    "set_point_period": self.set_point_period or self.period,
+                    "set_point_period": self.sent_period,
                     "driver_compensates_gravity": False,
                 }
             )
