@@ -35,7 +35,13 @@ def _sent(values: np.ndarray, how: str) -> Sequence[float] | np.ndarray:
     """Values of a joint state as a driver sends them: see config/wam_sim.yaml."""
     if how == "current":
         return values / TORQUE_PER_CURRENT
-    return values if how == "filled" else np.full(len(values), np.nan) if how == "nan" else ()
+    return (
+        values
+        if how in ("filled", "external")
+        else np.full(len(values), np.nan)
+        if how == "nan"
+        else ()
+    )
 
 
 class ArmSim(Node):
@@ -134,7 +140,10 @@ class ArmSim(Node):
         """Current state as a message: the same object every time."""
         sample, order = self.world.joint_state(), self._order
         qd = _sent(sample.qd[order], self.params.velocity)
-        tau = _sent(sample.tau[order], self.params.effort)
+        tau = sample.tau
+        if self.params.effort == "external":
+            tau = tau - self.world.arm.gravity(sample.q)
+        tau = _sent(tau[order], self.params.effort)
         return self._write(self.stamp_ns, sample.q[order], qd, tau)
 
     def publish(self, message: JointState) -> None:

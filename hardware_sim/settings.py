@@ -124,7 +124,7 @@ class ArmSimParams(Params, WorldSettings):
     other_joints: Names
     state_topic: str
     velocity: Sent
-    effort: Literal["current", "filled", "empty", "nan"]
+    effort: Literal["external", "current", "filled", "empty", "nan"]
     state_order: Literal["joint_names", "sorted"]
     velocity_topic: str
     command_topic: str

@@ -126,7 +126,7 @@ def test_a_rollout_by_positions_is_the_simulated_one_at_any_rate_and_delay(
     assert np.ptp(path.position, axis=0).max() > 0.05  # of the arm: it did throw
 
 
-@pytest.mark.requirement("POS-1")
+@pytest.mark.requirement("S-150")
 @settings(max_examples=60)
 @given(st.data())
 def test_no_reference_is_a_step_whatever_is_asked_reported_or_lost(data: st.DataObject) -> None:
@@ -199,7 +199,7 @@ def test_no_reference_is_a_step_whatever_is_asked_reported_or_lost(data: st.Data
     assert np.all(np.abs(np.diff(sent, axis=0)) <= step * (1.0 + 1e-9))
 
 
-@pytest.mark.requirement("POS-1")
+@pytest.mark.requirement("S-150")
 def test_after_a_gap_of_states_the_references_catch_up_without_a_step() -> None:
     driver = Driver(lag=0.05)
     driver.until(lambda: driver.controller.at_rest)
@@ -219,7 +219,7 @@ def controller_period(driver: Driver) -> float:
     return driver.controller.settings.set_point_period
 
 
-@pytest.mark.requirement("POS-2")
+@pytest.mark.requirement("S-151")
 @pytest.mark.parametrize("begun", [0.1, 0.25, 0.4])
 def test_in_a_fault_the_references_come_to_rest_and_stay(begun: float) -> None:
     driver = Driver()
@@ -235,7 +235,7 @@ def test_in_a_fault_the_references_come_to_rest_and_stay(begun: float) -> None:
     assert np.abs(driver.q - driver.sent[-1]).max() < 1e-3
 
 
-@pytest.mark.requirement("POS-2")
+@pytest.mark.requirement("S-151")
 def test_lost_states_are_a_fault_for_which_no_state_is_needed() -> None:
     driver = Driver()
     driver.ready()
@@ -250,7 +250,7 @@ def test_lost_states_are_a_fault_for_which_no_state_is_needed() -> None:
     np.testing.assert_array_equal(driver.sent[-1], driver.sent[-2])
 
 
-@pytest.mark.requirement("POS-3")
+@pytest.mark.requirement("S-152")
 def test_an_arm_that_does_not_follow_is_a_fault_and_a_reset_brings_the_references_back() -> None:
     driver = Driver()
     driver.until(lambda: driver.controller.at_rest)

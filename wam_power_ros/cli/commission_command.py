@@ -62,6 +62,10 @@ def commission(
     setup = devices.parameters(folder=folder)
     setup = setup.changed({RECORDER: {"stem": "commissioning"}, SIMULATION: {"scene": SCENE}})
     controller = TorqueControllerParams.of_setup(setup)
+    if controller.output != "torque":
+        raise UsageError(
+            f"output is {controller.output}: only an arm that takes torques is measured"
+        )
     gravity_added = controller.driver_compensates_gravity
     arm = setup.arm()
     if arm is None:

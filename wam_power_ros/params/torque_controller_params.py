@@ -95,7 +95,7 @@ class TorqueControllerParams(Params, MotionSettings):
     set_point_period: float = Field(
         ge=0.0, le=0.02, description="in s: 0 for one to each state; beyond, the arm moves in steps"
     )
-    effort: Literal["torque", "current", "none"]
+    effort: Literal["torque", "external", "current", "none"]
     allow_no_realtime: bool
     idle_service: str
     urdf: str
