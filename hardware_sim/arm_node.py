@@ -35,13 +35,9 @@ def _sent(values: np.ndarray, how: str) -> Sequence[float] | np.ndarray:
     """Values of a joint state as a driver sends them: see config/wam_sim.yaml."""
     if how == "current":
         return values / TORQUE_PER_CURRENT
-    return (
-        values
-        if how in ("filled", "external")
-        else np.full(len(values), np.nan)
-        if how == "nan"
-        else ()
-    )
+    if how in ("filled", "external"):
+        return values
+    return np.full(len(values), np.nan) if how == "nan" else ()
 
 
 class ArmSim(Node):

@@ -117,4 +117,3 @@ def test_an_interrupted_controller_and_a_dead_driver_leave_references_at_rest(
         assert arm.references()[-1].label == "fault"
     for name, value in figures.items():
         record_property(name, value)
-    print(figures)

@@ -63,9 +63,7 @@ def commission(
     setup = setup.changed({RECORDER: {"stem": "commissioning"}, SIMULATION: {"scene": SCENE}})
     controller = TorqueControllerParams.of_setup(setup)
     if controller.output != "torque":
-        raise UsageError(
-            f"output is {controller.output}: only an arm that takes torques is measured"
-        )
+        raise UsageError(f"output: {controller.output}, but this measures by torques")
     gravity_added = controller.driver_compensates_gravity
     arm = setup.arm()
     if arm is None:

@@ -52,9 +52,8 @@ def doctor(devices: Devices, task: str | None = None) -> int:
         print("Nothing is missing here. What the drivers do is not looked at; ask them once a day:")
         print(f"  {check}")
         return 0
-    print(
-        f"Missing: {', '.join(dict.fromkeys(row.name for row in missing))}. Next, once the drivers conform"
-    )
+    names = ", ".join(dict.fromkeys(row.name for row in missing))
+    print(f"Missing: {names}. Next, once the drivers conform")
     print(f"({check}):")
     print(f"  {program} {missing[0].then} {words}".rstrip())
     return 1

@@ -237,9 +237,8 @@ def velocity_lag(record: ArmRecord, joint: int) -> Row:
 
 def effort(record: ArmRecord, quantity: str = "torque") -> Row:
     """Whether the driver reports the effort that the set-up says; see `gravity`."""
-    unit = {"torque": "N m", "external": "N m without gravity", "current": "A of the motors"}.get(
-        quantity
-    )
+    units = {"torque": "N m", "external": "N m without gravity", "current": "A of the motors"}
+    unit = units.get(quantity)
     row = partial(Row, "effort", f"{unit} in every state" if unit else "none")
     if record.tau is None or not np.isfinite(record.tau).all():
         advice = "without it gravity, joint order and watchdog cannot be checked at rest"
