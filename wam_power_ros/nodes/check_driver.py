@@ -106,8 +106,9 @@ class CheckDriver(Node):
         )
         scheduling.request(arm.realtime_priority)  # as in the controller, to measure its jitter
         self.link = Link(self)
-        self._drop = interface.body_topic(mocap.body, "drop")
-        self.link.prepare(self._drop)
+        self._drop = interface.body_topic(mocap.body, "drop") if mocap.body else ""
+        if self._drop:
+            self.link.prepare(self._drop)
 
     # Callbacks, of the link's thread; messages count only while the check waits
 
