@@ -19,10 +19,12 @@ ITERATIONS, DAMPING = 200, 0.01  # of the inverse kinematics
 def mistakes(setup: overlay.Setup) -> Iterator[str]:
     """Sentences about a set-up, each with the parameter, its value and what is allowed."""
     simulated, controller = setup["wam_sim"], setup["torque_controller"]
-    for node, name, kind in (("learner", "task", "task"), ("wam_sim", "scene", "scene")):
+    scene = None
+    for node, name in (("learner", "task"), ("wam_sim", "scene")):
         try:
-            installed.find(kind, setup[node][name])
+            scene = installed.find(name, setup[node][name])
         except ValueError as error:
+            scene = None
             yield f"{name} of {node}: {error}"
     if (arm := setup.arm()) is None:
         return
@@ -41,7 +43,7 @@ def mistakes(setup: overlay.Setup) -> Iterator[str]:
         if not least <= angle <= most:
             yield f"home of wam_sim: {name} = {angle:g} must be from {least:.2f} to {most:.2f} rad"
     places = {"the tool at home": arm.tool_pose(home)[0]}
-    if simulated["scene"] == "reach":
+    if scene is not None and scene.has_goal:
         places["goal of wam_sim"] = goal = np.array(simulated["goal"], dtype=float)
         if (left := _distance(arm, home, goal)) > NEAR:
             yield f"goal = {goal.tolist()} of wam_sim is {left:.2f} m beyond the reach of the tool"
