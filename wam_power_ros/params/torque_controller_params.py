@@ -182,6 +182,11 @@ class TorqueControllerParams(Params, MotionSettings):
         """Check combinations of parameters, and the stricter bounds on a real arm."""
         require_same_joints(self.joint_names, self.model_joint_names)
         _ = self.corrections  # raises for a list of another length
+        if 0.0 < self.set_point_period < self.period:
+            raise ValueError(
+                f"set_point_period = {self.set_point_period} must be 0 or at least the period of "
+                f"the states, {self.period}: a set point answers a state"
+            )
         if not self.simulation:
             if self.autostart:
                 raise ValueError(
