@@ -36,7 +36,6 @@ class WorldSettings(BaseModel):
         friction_share: Coulomb friction of the joints, relative to the URDF.
         body_mass: Mass of the body, relative to nominal.
         body_size: Radius of the body, relative to nominal.
-        heading: Turn of a demonstrated toss or swing about the vertical, from outward [rad].
         level: True if a demonstrated toss begins with the tool level, the body in its middle.
 
     Raises:
@@ -72,7 +71,6 @@ class WorldSettings(BaseModel):
     spread: Spread = 1.0
     string: Scale = Field(0.4, description="in m")
     pitch_rate: Scale = Field(PITCH_RATE, description="in rad/s: 10 is faster than any wrist")
-    heading: Angle = 0.0
     level: bool = False
 
     @property
@@ -115,8 +113,7 @@ class ArmSimParams(Params, WorldSettings):
     """Parameters of config/wam_sim.yaml, settings of the world included."""
 
     file = "wam_sim.yaml"
-    # Of studies
-    constants: ClassVar = {"friction_share", "body_mass", "body_size", "heading", "level"}
+    constants: ClassVar = {"friction_share", "body_mass", "body_size", "level"}  # of studies
 
     pace: Literal["lockstep", "real_time"]
     seed: int = Field(ge=0, le=2**63 - 1, description="a ROS integer")

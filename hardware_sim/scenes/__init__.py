@@ -98,9 +98,8 @@ class Scene:
         return 0.0
 
     def outward(self, position: np.ndarray) -> float:
-        """Heading away from the base to a whole degree, or as the settings turn it."""
-        away = math.degrees(math.atan2(position[1], position[0]))
-        return math.radians(round(away)) + self.settings.heading
+        """Heading away from the base [rad], to a whole degree."""
+        return math.radians(round(math.degrees(math.atan2(position[1], position[0]))))
 
     def truth(self, log: RolloutLog, now: Snapshot) -> Truth:
         """Outcome of a rollout, from its log and the current state."""
