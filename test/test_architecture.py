@@ -100,11 +100,11 @@ ALLOWED["benchmark"] = {*ALLOWED}
 # what can go; where nothing can, the commit that raises a figure says why.
 BUDGET = {
     "ground": 1528,  # what is missing is named with its remedy; a task may be a class of a file
-    "learning": 2393,  # fit, path and practise of positions
+    "learning": 2412,  # fit, path and practise of positions
     "control": 4965,  # with waypoints of other programs: FollowJointTrajectory
     "commissioning": 1221,
     "tracking": 610,
-    "tasks": 3067,  # what follows from the errors of any task is written here once
+    "tasks": 3206,  # what follows from errors and heading of any task, once
     "practice": 2062,  # refusals by a person and pauses are in its log
     "conformance": 1123,
     "bags": 2436,
@@ -117,11 +117,11 @@ BUDGET = {
     "reporting": 839,
     "in_process": 514,  # a session on disk without nodes
     "cli": 2869,  # learn --in-process
-    "hardware_sim": 2973,
+    "hardware_sim": 3000,
     "launch": 161,
     "wam_power_interfaces": 160,  # its build without ROS
     "examples": 377,
-    "reproduction": 3393,  # learners and the scenario of reaching that only studies use
+    "reproduction": 3406,  # learners and the scenario of reaching that only studies use
     "benchmark": 2745,  # the matrix of the reaction has a plant of its own
 }
 PURE = (
