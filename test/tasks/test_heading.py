@@ -17,7 +17,11 @@ from hardware_sim.settings import WorldSettings
 from hardware_sim.world import World
 from wam_power_ros import rotations
 from wam_power_ros.in_process.environment import Environment
-from wam_power_ros.learning.demonstration import Demonstration, from_joint_samples
+from wam_power_ros.learning.demonstration import (
+    Demonstration,
+    from_joint_samples,
+    from_positions,
+)
 from wam_power_ros.learning.parametrization import Parametrization, seen_from
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Rollout
@@ -132,6 +136,11 @@ def test_demonstrations_in_different_directions_are_refused(kind: type[Task]) ->
 def test_a_tool_that_turns_about_an_axis_far_from_level_is_refused() -> None:
     with pytest.raises(ValueError, match="40 degrees from the horizontal"):
         heading([about(SHOWN[Flip], (math.radians(40.0), 0.0, 0.0))], forward_of_turn)
+
+
+def test_a_tool_that_does_not_turn_has_the_heading_of_the_base() -> None:
+    still = from_positions(SHOWN[Flip].position, SHOWN[Flip].period)
+    assert Flip.context_of([still], None) == {"heading": 0.0}
 
 
 def test_a_swing_in_no_plane_is_refused() -> None:

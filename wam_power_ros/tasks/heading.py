@@ -50,12 +50,16 @@ def heading(
 def forward_of_turn(demonstration: Demonstration) -> np.ndarray:
     """Horizontal unit vector (3,) of a tool whose front edge goes up where it turns fastest.
 
+    It is x for a tool that does not turn.
+
     Raises:
         ValueError: The axis about which it turns is not level.
     """
     turns = rotations.matrix(demonstration.quat_xyzw)
     omega = rotations.log(turns[1:] @ np.swapaxes(turns[:-1], 1, 2))  # (N-1, 3) a period
     axis = (omega * np.linalg.norm(omega, axis=1, keepdims=True)).sum(axis=0)
+    if not axis.any():
+        return np.array([1.0, 0.0, 0.0])
     lean = math.atan2(abs(axis[2]), math.hypot(axis[0], axis[1]))
     if not lean <= LEAN_MAX:
         raise ValueError(
