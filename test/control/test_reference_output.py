@@ -301,6 +301,42 @@ def test_false_states_are_the_same_faults_as_with_torques() -> None:
         driver.controller.execute()
 
 
+@pytest.mark.requirement("S-150")
+def test_after_a_deactivation_in_a_fault_the_references_begin_where_the_arm_is() -> None:
+    driver = Driver()
+    driver.ready()
+    driver.controller.fault(A_TEST)
+    driver.run(0.5)
+    driver.controller.deactivate()
+    driver.guided = True  # another controller moves it
+    for _ in range(1000):
+        driver.q = driver.q + 0.0003
+        driver.tick()
+    assert driver.controller.mode is Mode.FAULT
+    assert np.abs(driver.tick() - driver.q).max() <= SLACK + 1e-9
+    latched = ReferenceController(ARM, driver.controller.settings, A_TEST)
+    for tick in range(1, 150):
+        reference = latched.step(driver.stamp + tick * 2_000_000, driver.q, np.zeros(7))
+        np.testing.assert_array_equal(reference, driver.q)
+    latched.reset()
+
+
+@pytest.mark.requirement("S-150")
+def test_a_model_that_is_nowhere_sends_nothing_that_is_not_finite(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    driver = Driver()
+    driver.ready()
+    driver.controller.execute()
+    driver.run(0.2)
+    monkeypatch.setattr(ARM, "resisted_dynamics", lambda *_: np.full(7, np.nan))
+    driver.run(0.5)
+    assert driver.controller.latched is not None
+    assert driver.controller.latched.kind is FaultKind.COMPUTATION
+    assert np.isfinite(driver.sent).all()
+    np.testing.assert_array_equal(driver.sent[-1], driver.sent[-2])
+
+
 def test_an_exception_leaves_references_that_come_to_rest(monkeypatch: pytest.MonkeyPatch) -> None:
     driver = Driver()
     driver.ready()

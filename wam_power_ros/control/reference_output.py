@@ -14,6 +14,7 @@ from the one before than the speed limits allow in one period.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 
 import numpy as np
@@ -70,6 +71,7 @@ class ReferenceController(Controller):
         self._speed = np.zeros(n)  # with which it moves [rad/s]
         self._step = self.limits.qd_max * settings.set_point_period  # of a set point, at most
         self._offset = np.zeros(n)  # reference minus model, which dwindles [rad]
+        self._silent = True  # nothing has been sent since the last mode in which the arm is held
         self._stopping: Brake | None = None  # in a fault
         self._stopped = 0.0  # time since its beginning [s]
         self._recent = np.empty((max(2, round(FOLLOW_TIME / settings.period)), n))  # of the model
@@ -103,6 +105,11 @@ class ReferenceController(Controller):
 
     def release(self) -> None:
         """Keep the last reference: the driver holds the arm by it."""
+
+    def deactivate(self) -> None:
+        """See `Controller`; in a fault the references then stay near the arm, whoever moves it."""
+        super().deactivate()
+        self._silent = True
 
     def reset(self) -> None:
         """See `Controller`."""
@@ -211,6 +218,8 @@ class ReferenceController(Controller):
             self._followed = False
             model.advance(super().step(self._model_ns, model.q, model.seen))
             self._model_ns += self._period_ns
+            if not math.isfinite(sum(model.q.tolist())):
+                raise ArithmeticError(f"the model is at {model.q.tolist()}")
             self._speed = model.qd
             self._recent[self._count % len(self._recent) if self._count else ...] = model.q
             self._count += 1
@@ -224,18 +233,18 @@ class ReferenceController(Controller):
         settings, last, mode = self.settings, self._reference, self._mode
         if mode is not Mode.INACTIVE and 0 <= self._now_ns - self._sent_ns < self._wait_ns:
             return last
-        self._sent_ns = self._now_ns
         if mode is not Mode.FAULT:
-            self._stopping, self._stopped = None, 0.0
-        if mode is Mode.INACTIVE:  # nothing is sent
-            wanted = last = q
-        elif mode is Mode.FAULT:
+            self._stopping, self._stopped, self._silent = None, 0.0, mode is Mode.INACTIVE
+        if mode is Mode.INACTIVE or not self._sent_ns:  # nothing is sent, or has been
+            last = q
+        self._sent_ns = self._now_ns
+        if mode is Mode.FAULT and not self._silent:
             limits = self.limits
             speed = np.clip(self._speed, -limits.qd_max, limits.qd_max)
             begun = self._stopping or Brake(last, speed, STOP_TIME, limits.q_min, limits.q_max)
             self._stopping, self._stopped = begun, self._stopped + settings.set_point_period
             wanted = begun.at(self._stopped)[0]
-        elif mode is Mode.GRAVITY_COMPENSATION:
+        elif mode in _FOLLOWING:
             wanted = np.clip(last, q - SLACK, q + SLACK)
         else:
             back = settings.move_speed * settings.set_point_period
