@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator
 
 import numpy as np
@@ -19,13 +20,16 @@ ITERATIONS, DAMPING = 200, 0.01  # of the inverse kinematics
 def mistakes(setup: overlay.Setup) -> Iterator[str]:
     """Sentences about a set-up, each with the parameter, its value and what is allowed."""
     simulated, controller = setup["wam_sim"], setup["torque_controller"]
-    scene = None
-    for node, name in (("learner", "task"), ("wam_sim", "scene")):
-        try:
-            scene = installed.find(name, setup[node][name])
-        except ValueError as error:
-            scene = None
-            yield f"{name} of {node}: {error}"
+    try:
+        installed.task_type(setup["learner"]["task"])
+    except ValueError as error:
+        yield f"task of learner: {error}"
+    scene, has_goal = simulated["scene"], False
+    if scene not in installed.names("scene"):
+        yield f"scene = {scene!r} of wam_sim is not one of {', '.join(installed.names('scene'))}"
+    else:
+        with contextlib.suppress(ValueError):  # without MuJoCo, on an arm
+            has_goal = installed.find("scene", scene).has_goal
     if (arm := setup.arm()) is None:
         return
     try:
@@ -43,7 +47,7 @@ def mistakes(setup: overlay.Setup) -> Iterator[str]:
         if not least <= angle <= most:
             yield f"home of wam_sim: {name} = {angle:g} must be from {least:.2f} to {most:.2f} rad"
     places = {"the tool at home": arm.tool_pose(home)[0]}
-    if scene is not None and scene.has_goal:
+    if has_goal:
         places["goal of wam_sim"] = goal = np.array(simulated["goal"], dtype=float)
         if (left := _distance(arm, home, goal)) > NEAR:
             yield f"goal = {goal.tolist()} of wam_sim is {left:.2f} m beyond the reach of the tool"
