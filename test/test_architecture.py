@@ -104,19 +104,19 @@ BUDGET = {
     "control": 4965,  # with waypoints of other programs: FollowJointTrajectory
     "commissioning": 1221,
     "tracking": 610,
-    "tasks": 3210,  # what follows from errors and heading of any task, once
-    "practice": 2130,  # refusals by a person and pauses are in its log
+    "tasks": 3325,  # what follows from errors and heading of any task, once
+    "practice": 2135,  # refusals by a person and pauses are in its log
     "conformance": 1123,
     "bags": 2436,
     "params": 1188,  # what may be set at rest; -p body:=NAME is derived from as a file is
-    "ros": 2519,  # variables of ROS and DDS are named with their remedy
-    "client": 1448,
-    "nodes": 3365,  # actions, and the question for another set-up; JSON is gone from ros/
-    "console": 839,  # a person supports the arm, however a movement ended
+    "ros": 2520,  # variables of ROS and DDS are named with their remedy
+    "client": 1457,
+    "nodes": 3390,  # actions, and the question for another set-up; JSON is gone from ros/
+    "console": 845,  # a person supports the arm, however a movement ended
     "view": 1179,
     "reporting": 839,
-    "in_process": 514,  # a session on disk without nodes
-    "cli": 2902,  # learn --in-process
+    "in_process": 516,  # a session on disk without nodes
+    "cli": 2912,  # learn --in-process
     "hardware_sim": 3000,
     "launch": 161,
     "wam_power_interfaces": 160,  # its build without ROS
