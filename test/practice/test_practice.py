@@ -504,7 +504,9 @@ def test_settings_and_candidates_that_cannot_be_are_refused() -> None:
         ValueError, match="'quick' of 'flip' is not one of model_based, hindsight, "
     ):
         preset("flip", "quick")
-    with pytest.raises(ValueError, match="task 'fly' is not one of ball_in_cup, flip, rated, reach"):
+    with pytest.raises(
+        ValueError, match="task 'fly' is not one of ball_in_cup, flip, rated, reach"
+    ):
         preset("fly")
     with pytest.raises(ValueError, match=r"learner 'genetic' is not one of .*cma_es.*power"):
         preset("flip", "hindsight", learner={"name": "genetic"})
