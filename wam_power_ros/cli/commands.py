@@ -258,12 +258,25 @@ def run_policy(
     policy: Path, rollouts: int, task: str | None, folder: Path | None, devices: Devices
 ) -> int:
     """Execute a saved policy with the arm, as often as asked."""
+    return _run([policy], rollouts, task, folder, devices)
+
+
+def compare(
+    first: Path, second: Path, pairs: int, task: str | None, folder: Path | None, devices: Devices
+) -> int:
+    """Execute two saved policies by turns until it is known which is better."""
+    return _run([first, second], pairs, task, folder, devices)
+
+
+def _run(
+    paths: list[Path], rollouts: int, task: str | None, folder: Path | None, devices: Devices
+) -> int:
     from wam_power_ros.console import run_policy as running
+    from wam_power_ros.practice.comparison import Comparison
     from wam_power_ros.practice.session import Session, read, read_policy
 
-    if policy.is_dir():
-        policy = policy / "policy.json"
-    beside = policy.resolve().parent
+    files = [path / "policy.json" if path.is_dir() else path for path in paths]
+    beside = files[0].resolve().parent
     session = read(beside) if Session.exists(beside) else None
     name = task or (session.header.settings.task if session else DEFAULT_TASK)
     folder = (folder or Path("runs") / timestamp()).resolve()
@@ -272,14 +285,18 @@ def run_policy(
     )
     if (arm := parameters.arm()) is None:
         raise UsageError("the set-up has no URDF file of the arm: choose one with --config")
-    saved = read_policy(policy, arm.identity())
+    saved = [read_policy(file, arm.identity()) for file in files]
     scoring, unscored = running.task_of(session, name)
+    comparison = Comparison() if len(saved) > 1 else None
+    if comparison and unscored:
+        raise UsageError(f"without returns nothing can be compared: {unscored}")
     signal.signal(signal.SIGTERM, interrupt)
     plan = plan_of(folder, parameters, devices.stand_ins, also=[TRACKER], secure=secured())
     with launch(plan) as launcher, launcher.robot() as robot:
         if unscored:
             print(f"No returns: {unscored}")
-        status = running.run(robot, saved, scoring, rollouts, person=not devices.stand_ins)
+        person = not devices.stand_ins
+        status = running.run(robot, saved, scoring, rollouts, person, comparison)
     print(f"Bags: {short_path(folder / 'bags')}")
     return status
 

@@ -52,7 +52,7 @@ NODES = {  # executable of `ros2 run` -> entry point, as setup.py declares them
 
 HEADINGS = {
     "First": ("learn", "teach", "replay", "view", "doctor"),
-    "Session": ("feedback", "stop", "report", "score", "run-policy"),
+    "Session": ("feedback", "stop", "report", "score", "run-policy", "compare"),
     "Arm": ("commission", "enable"),
     "Recordings": ("bags", "play", "recover"),
     "Names, set-ups, nodes": ("list", "config", "run"),
@@ -234,9 +234,25 @@ def _parser() -> argparse.ArgumentParser:
     )
     run_policy.add_argument("policy", type=Path, help="policy.json, or the folder of a session")
     run_policy.add_argument("--rollouts", type=positive, default=1, help="number (default 1)")
-    task_option(run_policy)
-    run_policy.add_argument("--folder", type=Path, help="for the recordings (default: runs/NOW)")
-    _arm_options(run_policy)
+    compare = add(
+        "compare",
+        commands.compare,
+        "say which of two saved policies is better, by as few rollouts as show it",
+        "Execute two policies by turns. A pair is won by the success, of two alike by the higher "
+        "return; it ends once the better policy is known with a probability of error below 5 %.",
+    )
+    for name, default in (
+        ("first", "A; its session, if it is in one, scores both"),
+        ("second", "B"),
+    ):
+        text = f"policy.json or the folder of a session, called {default}"
+        compare.add_argument(name, type=Path, help=text)
+    text = "largest number of pairs of rollouts (default 30); a decision takes at least 8"
+    compare.add_argument("--pairs", type=positive, default=30, help=text)
+    for command in (run_policy, compare):
+        task_option(command)
+        command.add_argument("--folder", type=Path, help="for the recordings (default: runs/NOW)")
+        _arm_options(command)
 
     play = add(
         "play",

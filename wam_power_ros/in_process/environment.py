@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from hardware_sim.demonstrator import Demonstrator, Script
+from hardware_sim.demonstrator import Script
 from hardware_sim.ground_truth import Truth
 from hardware_sim.settings import ArmSimParams, OptitrackSimParams
 from hardware_sim.world import World
@@ -117,7 +117,7 @@ class Environment:
         controller.set_gravity_compensation(True)
         self._tick_for(_STILL)
         world.release()
-        world.attach(Demonstrator(script, *world.tool_pose))
+        world.attach(world.scene.demonstrator(script, *world.tool_pose))
         stamps, q = [], []
         while world.pulled:
             sample = world.joint_state()
