@@ -296,7 +296,7 @@ def test_sessions_of_a_policy_below_the_rate_are_rarely_confirmed_in_any_of_thei
 def test_a_row_of_the_whole_count_confirms_whatever_its_margins() -> None:
     wide = np.array([[3.2], [1.2]] * 15)
     stopping = confirmed(wide)
-    assert stopping.count == 29 and "margins" not in stopping.complete
+    assert stopping.count == 29 and "well inside" not in stopping.complete
 
 
 @pytest.mark.parametrize("expected", [None, 1.0, 0.7])
