@@ -105,6 +105,7 @@ setup(
         "wam_power_ros.tasks": [
             f"ball_in_cup = {NAME}.tasks.ball_in_cup.task:BallInCup",
             f"flip = {NAME}.tasks.flip.task:Flip",
+            f"rated = {NAME}.tasks.rated:Rated",
             f"reach = {NAME}.tasks.reach.task:Reach",
         ],
         "wam_power_ros.learners": [

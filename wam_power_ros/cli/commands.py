@@ -53,6 +53,7 @@ from wam_power_ros.params import overlay, parameter_file
 if TYPE_CHECKING:
     from wam_power_ros.practice.session import Session
 
+RATINGS = tuple("0123456789")  # of a rollout, from worst to as it should be
 NAMESPACE = re.compile(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 
 # On the arm or its stand-in
@@ -102,8 +103,11 @@ def learn(
     in_process: bool = False,
 ) -> int:
     """Start or resume a session, run it to its end and write its report."""
+    from wam_power_ros import installed
     from wam_power_ros.practice.session import Session, read
 
+    if in_process and installed.task_type(asked.task or DEFAULT_TASK).rated:
+        raise UsageError(f"a person rates the task {asked.task}: learn it without --in-process")
     if in_process and (asked.bags or asked.origin or not devices.stand_ins):
         raise UsageError(
             "--in-process simulates arm and demonstrations: it takes no --bags, no --from, and "
@@ -376,17 +380,20 @@ def _follow(folder: Path, processes: Processes, learner: Running, bell: bool) ->
 # Sessions
 
 
-def feedback(kind: str, bag: Path | None, session: Path | None) -> int:
+def feedback(kind: str, given: str | None, session: Path | None) -> int:
     """Pass a person's feedback to the learner of a running session, or stop its arm."""
-    if (kind == "demonstration") != (bag is not None):
-        raise UsageError("a bag is needed for a demonstration, and only for a demonstration")
+    needed = {"demonstration": "a bag", "rate": "a number from 0 to 9"}.get(kind, "nothing")
+    if (given is None) != (needed == "nothing") or (kind == "rate" and given not in RATINGS):
+        raise UsageError(f"{kind} needs {needed} after it, not {given or 'nothing'}")
     folder = existing_session(session)
     if kind != "stop" and not learner_is_running(folder):  # an arm may move without a learner
         raise UsageError(f"no learner is running in {short_path(folder)}")
     from wam_power_ros.console.feedback import give
 
     namespace = parameter_file.namespace(folder / "logs/parameters.yaml")
-    answer = give(kind, bag, namespace, session_domain(folder))
+    value = int(given) / 9.0 if kind == "rate" else None
+    bag = Path(given) if kind == "demonstration" else None
+    answer = give(kind, bag, value, namespace, session_domain(folder))
     print(answer.text if answer.success else f"refused: {answer.text}")
     return 0 if answer.success else 2
 

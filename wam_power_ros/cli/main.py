@@ -174,20 +174,22 @@ def _parser() -> argparse.ArgumentParser:
     feedback = add(
         "feedback",
         commands.feedback,
-        "reward or punish the last rollout, or give a demonstration, during a session",
+        "rate, reward or punish the last rollout, or give a demonstration, during a session",
     )
     feedback.add_argument(
         "kind",
-        choices=("reward", "punish", "demonstration", "pause", "continue"),
-        help="reward or punish: the last finished rollout; demonstration: learn from it if its "
-        "reproduction is better; pause: stop after the current trial, e.g. to teach in between",
+        choices=("rate", "reward", "punish", "demonstration", "pause", "continue"),
+        help="rate: the rollout for whose rating the session waits (task rated); reward or punish: "
+        "the last finished rollout; demonstration: learn from it if its reproduction is better; "
+        "pause: stop after the current trial, e.g. to teach in between",
     )
-    feedback.add_argument("bag", type=Path, nargs="?", help="bag of the demonstration")
+    text = "bag of the demonstration; rating from 0 (worst) to 9 (as it should be)"
+    feedback.add_argument("given", nargs="?", metavar="BAG|RATING", help=text)
     feedback.add_argument("--session", type=Path, help="folder (default: the newest session)")
 
     stop = add(
         "stop",
-        partial(commands.feedback, kind="stop", bag=None),
+        partial(commands.feedback, kind="stop", given=None),
         "stop the arm and pause its session, until wam-power feedback continue",
         "Stop the arm and pause the session. No safety function.",
     )

@@ -116,6 +116,8 @@ class Task:
 
     Attributes:
         name: Name of the task, as in `--task NAME`.
+        rated: Whether a session asks a person to rate each rollout that runs to its end, and
+            learns from that alone.
         body: Name of the tracked rigid body, which its topics contain; "" for none.
         single_policy: Whether one policy is fitted to all demonstrations; otherwise one to each,
             and learning starts from the one that reproduces best.
@@ -143,6 +145,7 @@ class Task:
     """
 
     name: ClassVar[str]
+    rated: ClassVar[bool] = False
     body: ClassVar[str] = ""
     single_policy: ClassVar[bool] = False
     fit_settings: ClassVar[FitSettings] = FIT

@@ -103,9 +103,9 @@ class View(Node):
 
     # Called from the threads of the buttons
 
-    def give(self, kind: str) -> Answer:
+    def give(self, kind: str, value: float | None = None) -> Answer:
         """Give feedback, see `Feedback.give`; the answer says why if it could not be given."""
-        return self._answered(lambda: self._feedback.give(kind))
+        return self._answered(lambda: self._feedback.give(kind, value=value))
 
     def teach(self, lead: Callable[[], object], notify: Callable[[str], object]) -> Answer:
         """Add a demonstration to the session, see `Feedback.teach`.
