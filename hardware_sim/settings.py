@@ -56,6 +56,8 @@ class WorldSettings(BaseModel):
     period: float = Field(PERIOD, ge=0.001, le=0.01, description="in s: 1000 to 100 Hz")
     command_delay_ticks: int = Field(2, ge=0, le=50, description="beyond 0.1 s: unstable")
     driver_compensates_gravity: bool = False
+    output: Literal["torque", "position", "trajectory"] = "torque"
+    servo_lag: float = Field(0.01, ge=0.0, le=0.2, description="in s: of position servos")
     watchdog: bool = True
     wind_sd: Spread = 0.1
     torque_scale_sd: Spread = 0.01
@@ -122,7 +124,7 @@ class ArmSimParams(Params, WorldSettings):
     other_joints: Names
     state_topic: str
     velocity: Sent
-    effort: Literal["current", "filled", "empty", "nan"]
+    effort: Literal["external", "current", "filled", "empty", "nan"]
     state_order: Literal["joint_names", "sorted"]
     velocity_topic: str
     command_topic: str

@@ -18,7 +18,8 @@ PAGES = [
 AS_THEY_ARE = ("docs/decisions", "docs/references.md")  # records of their time; citations
 PROSE = [page for page in PAGES if not page.startswith(AS_THEY_ARE)]
 CODE = re.compile(r"^( *)```.*?^ *```|^<!--.*?-->", re.DOTALL | re.MULTILINE)
-BUDGET = {"use": 12000, "how": 8100, "evidence": 6000}  # words; "how" has the requirements
+# Words; "how" has the requirements. Arms that take positions: a page, three rows, a table.
+BUDGET = {"use": 12390, "how": 8240, "evidence": 6200}
 WORDS, SENTENCES, WIDTH = 25, 5, 200  # of a sentence, a paragraph, a line of a table
 
 

@@ -30,6 +30,7 @@ class Scene:
     Attributes:
         body: Name of the tracked MuJoCo body, on a free joint unless it is mounted; "" for none.
             Topics and services are named after it. A class attribute.
+        has_goal: Whether its demonstrations end at the `goal` of the settings. A class attribute.
         at: Initial position of the body in the frame of the tool [m], three numbers.
         home: Posture of the WAM in which demonstrations begin [rad], shape (7,); that of another
             arm is a parameter of `wam_sim`.
@@ -40,6 +41,7 @@ class Scene:
     """
 
     body: str = ""
+    has_goal: bool = False
     at: tuple[float, float, float] = (0.0, 0.0, 0.0)
     home: np.ndarray = HOME
     home_sd: float = 0.0

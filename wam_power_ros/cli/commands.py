@@ -478,6 +478,7 @@ def _last_error(command: Sequence[str], gl: str) -> str | None:
 def config(devices: Devices, task: str | None) -> None:
     """Print the parameters of every node, once each would accept its own."""
     from hardware_sim.settings import ArmSimParams, OptitrackSimParams
+    from wam_power_ros.cli.set_up_checks import mistakes
     from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorderParams
     from wam_power_ros.nodes.learner import LearnerParams
 
@@ -485,6 +486,8 @@ def config(devices: Devices, task: str | None) -> None:
     stand_ins = (ArmSimParams, OptitrackSimParams) if devices.stand_ins else ()
     for node in (DemonstrationRecorderParams, LearnerParams, *stand_ins):
         node.of_setup(setup)
+    if wrong := [*mistakes(setup)]:
+        raise ValueError("; ".join(wrong))
     print(overlay.text(setup), end="")
 
 

@@ -25,6 +25,7 @@ from wam_power_ros.cli import (
     commands,
     commission_command,
     doctor_command,
+    new_arm_command,
     score_command,
 )
 from wam_power_ros.cli.launcher import Devices, UsageError, pasteable
@@ -53,7 +54,7 @@ NODES = {  # executable of `ros2 run` -> entry point, as setup.py declares them
 HEADINGS = {
     "First": ("learn", "teach", "replay", "view", "doctor"),
     "Session": ("feedback", "stop", "report", "score", "run-policy", "compare"),
-    "Arm": ("commission", "enable"),
+    "Arm": ("new-arm", "commission", "enable"),
     "Recordings": ("bags", "play", "recover"),
     "Names, set-ups, nodes": ("list", "config", "run"),
 }
@@ -168,6 +169,7 @@ def _parser() -> argparse.ArgumentParser:
 
     commission_command.add_to(add, _arm_options)
     doctor_command.add_to(add, _arm_options)
+    new_arm_command.add_to(add)
 
     feedback = add(
         "feedback",

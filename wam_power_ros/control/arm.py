@@ -184,7 +184,7 @@ class Arm:
             raise ValueError(f"{self.n} joints are too many, at most {JOINTS_MAX} are possible")
         self.armature = np.array([_armature(tree, name) for name in self.joint_names])
         self.model.armature = self.armature
-        self.tool_frame = self._tool = self._frame(tool_frame)
+        self.tool_frame = self._tool = self.link(tool_frame)
         self._zero = np.zeros(self.n)
         self._data = self.model.createData()
         self._identity = self._identified()
@@ -210,7 +210,7 @@ class Arm:
         self._data = self.model.createData()
         self.guarded = tuple(point.name for point in guarded)
         self._guarded = [
-            self._point(self._frame(link), read_only(f"guarded point {name}", offset, (3,)))
+            self._point(self.link(link), read_only(f"guarded point {name}", offset, (3,)))
             for name, link, offset in guarded
         ]
         self._moving = [*self._guarded, self._point(self._tool, np.zeros(3))]
@@ -225,7 +225,8 @@ class Arm:
         """Another model of this arm, with these corrections in place of its own."""
         return Arm(*self._given, corrections)
 
-    def _frame(self, name: str) -> int:
+    def link(self, name: str) -> int:
+        """Index of a link's frame; a ValueError names the links that there are."""
         if not self.model.existFrame(name, _LINK):  # a joint may have the same name
             known = [frame.name for frame in self.model.frames if frame.type == _LINK]
             raise ValueError(f"no link {name!r} in the robot description; known: {known}")

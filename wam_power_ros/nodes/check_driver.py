@@ -85,12 +85,15 @@ class CheckDriver(Node):
         self._urdf = robot_description(arm.urdf) if arm.urdf else ""
         self._torque_count = 0
         self._send_torque: Callable[[StateSample], None] | None = None
-        self._command_type = joint_messages.COMMAND_TYPES[arm.command_type]
+        self._command_type = joint_messages.COMMAND_TYPES[arm.message]
         subscribe = self._subscribe
         self._state_input = subscribe(JointState, arm.state_topic, self._on_state)
         if arm.velocity_topic:
             self._velocity_input = subscribe(JointState, arm.velocity_topic, self._on_velocity)
-        if mocap.markers_topic:
+        self._mocap_input: Input | None = None
+        if not mocap.body:
+            pass  # the task tracks nothing
+        elif mocap.markers_topic:
             self._mocap_input = subscribe(PointCloud2, mocap.markers_topic, self._on_cloud)
         else:
             self._mocap_input = subscribe(PoseStamped, mocap.pose_topic, self._on_pose)
@@ -103,8 +106,9 @@ class CheckDriver(Node):
         )
         scheduling.request(arm.realtime_priority)  # as in the controller, to measure its jitter
         self.link = Link(self)
-        self._drop = interface.body_topic(mocap.body, "drop")
-        self.link.prepare(self._drop)
+        self._drop = interface.body_topic(mocap.body, "drop") if mocap.body else ""
+        if self._drop:
+            self.link.prepare(self._drop)
 
     # Callbacks, of the link's thread; messages count only while the check waits
 
@@ -175,24 +179,24 @@ class CheckDriver(Node):
         self._input_ended = not line
         return line.strip() if line else None
 
+    def _heard(self) -> bool:
+        return bool(self.states and (self._mocap_input is None or self.frames or self.clouds))
+
     # Rows
 
     def check(self, seconds: float, active: bool) -> list[Row]:
         """Record for `seconds` [s] and make all rows; `active` is consent to the watchdog test."""
-        self.wait(DISCOVERY_TIMEOUT, lambda: bool(self.states and (self.frames or self.clouds)))
+        self.wait(DISCOVERY_TIMEOUT, self._heard)
         for samples in (self.states, self.velocities, self.frames, self.clouds):
             samples.clear()
         self._console.print(
             f"Recording for {seconds:.0f} s: leave the arm at rest and the body still, in view."
         )
         self.wait(seconds)
-        inputs = self._state_input, self._mocap_input
+        inputs = [each for each in (self._state_input, self._mocap_input) if each is not None]
         found = any(endpoints.unmatched_publishers(self, *each) for each in inputs)
         if not (self.states or self.frames or self.clouds or found):
-            mocap_topic = self._mocap_input[0]
-            topics = " nor on ".join(
-                map(self.resolve_topic_name, (self._arm_params.state_topic, mocap_topic))
-            )
+            topics = " nor on ".join(self.resolve_topic_name(each[0]) for each in inputs)
             raise ValueError(
                 f"no messages on {topics}: start the drivers, with the same ROS_DOMAIN_ID and "
                 "ROS_AUTOMATIC_DISCOVERY_RANGE as this check"
@@ -208,7 +212,7 @@ class CheckDriver(Node):
         rows, record = self._arm_rows(arm, seconds)
         path = self._command_path()
         mocap = self._mocap_rows(arm, record, seconds)
-        order = [self._torque_order()] if self._arm_params.command_type == "multiarray" else []
+        order = [self._torque_order()] if self._arm_params.message == "multiarray" else []
         rows += [path, *order, self._watchdog(arm, record, path, active), self._service()]
         frozen = any(row.name == "mocap frozen" and row.verdict is Verdict.FAIL for row in mocap)
         fall = [] if frozen or not (self.frames or self.clouds) else [self._fall()]
@@ -254,6 +258,7 @@ class CheckDriver(Node):
     def _torque_order(self) -> Row:
         """Row about the order of the driver, asked for its parameters if it is a forwarder."""
         params = self._arm_params
+        expected = "effort" if params.output == "torque" else "position"
         infos = self.get_subscriptions_info_by_topic(self.resolve_topic_name(params.command_topic))
         for info in infos:
             if info.node_name in OWN_NODES:
@@ -262,8 +267,9 @@ class CheckDriver(Node):
             values = self.link.parameters(driver, ("joints", "interface_name"), DISCOVERY_TIMEOUT)
             if len(values) == 2:
                 joints, interface = values[0].string_array_value, values[1].string_value
-                return topic_checks.torque_order(driver, joints, interface, params.joint_names)
-        return topic_checks.torque_order("the driver", (), "", params.joint_names)
+                names = params.joint_names
+                return topic_checks.torque_order(driver, joints, interface, names, expected)
+        return topic_checks.torque_order("the driver", (), "", params.joint_names, expected)
 
     def _service(self) -> Row:
         services = {name: types[0] for name, types in self.get_service_names_and_types()}
@@ -274,6 +280,8 @@ class CheckDriver(Node):
 
     def _mocap_rows(self, arm: Arm, record: ArmRecord, seconds: float) -> list[Row]:
         params = self._mocap
+        if self._mocap_input is None:
+            return []
         samples = self.clouds or self.frames
         reception = self._reception("mocap", len(samples), seconds, self._mocap_input)
         if not samples:
@@ -302,6 +310,8 @@ class CheckDriver(Node):
         def unchecked(why: str) -> Row:
             return Row("watchdog", "the driver ends an old torque", why, Verdict.UNCHECKED)
 
+        if self._arm_params.output != "torque":
+            return unchecked("positions are sent: a driver that keeps the last one holds the arm")
         if path.verdict is Verdict.FAIL:
             return unchecked("see the command path")
         if not record.still or record.tau is None:
@@ -429,6 +439,9 @@ def _parser() -> argparse.ArgumentParser:
         "--config", action="append", default=[], metavar="NAME", help="set-up, as for wam-power"
     )
     parser.add_argument(
+        "--task", default="", metavar="NAME", help="cameras are checked if it tracks a body"
+    )
+    parser.add_argument(
         "--seconds", type=float, default=5.0, help="duration of the check (default 5)"
     )
     parser.add_argument(
@@ -449,7 +462,7 @@ def main() -> int:
     console, errors = Console(), Console(stderr=True)
     node_runner.interrupt_on_signals()
     try:
-        setup = overlay.setup(options.config)
+        setup = overlay.setup(options.config, task=options.task)
         arm = TorqueControllerParams.of_setup(setup)
         mocap = BodyTrackerParams.of_setup(setup)
         make = lambda: CheckDriver(arm, mocap, console)  # noqa: E731

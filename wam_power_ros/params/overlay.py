@@ -374,7 +374,7 @@ def _with_body(mocap: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, 
 def _derived(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Parameters:
     """Derive parameters of other nodes, stand-ins included, from the arm's and the cameras'."""
     model = ("joint_names", "model_joint_names", "urdf", "tool_frame")
-    driver = ("period", "state_topic", "velocity_topic", "command_topic", "command_type")
+    driver = ("period", "state_topic", "velocity_topic", "command_topic", "command_type", "output")
     world = ("guarded_names", "guarded_links", "guarded_points", REGION)
     cameras = ("body", "single_marker", "pose_topic", "markers_topic", "up_axis", "world_to_base")
     topics = [name for name in (arm["command_topic"], arm["velocity_topic"]) if name]
