@@ -46,6 +46,7 @@ class WorldSettings(BaseModel):
 
     urdf: str = "urdf/wam7.urdf"
     model_joint_names: Joints = JOINTS
+    base_frame: str = ""
     tool_frame: str = "pan"
     guarded_names: Names = ("elbow", "forearm")
     guarded_links: Names = ("wam_link4", "wam_link4")

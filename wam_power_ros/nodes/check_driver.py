@@ -203,8 +203,9 @@ class CheckDriver(Node):
             unmatched = "; ".join(endpoints.unmatched_publishers(self, *described))
             advice = unmatched or "publish the URDF there, or set the parameter urdf"
             raise ValueError(f"no message on {topic}: {advice}")
-        names, tool = self._arm_params.model_joint_names, self._arm_params.tool_frame
-        arm = Arm(self._urdf, names, tool, (), self._arm_params.corrections)
+        params = self._arm_params
+        names, tool, base = params.model_joint_names, params.tool_frame, params.base_frame
+        arm = Arm(self._urdf, names, tool, (), params.corrections, base)
         rows, record = self._arm_rows(arm, seconds)
         path = self._command_path()
         mocap = self._mocap_rows(arm, record, seconds)

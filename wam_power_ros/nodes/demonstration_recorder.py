@@ -71,6 +71,7 @@ class DemonstrationRecorderParams(Params):
     joint_names: Names
     model_joint_names: Names  # the same in the URDF
     urdf: str  # path, or a file of our share folder; empty: bags do not name their arm
+    base_frame: str  # link, see the controller's
     tool_frame: str
     source: Literal["sim", "hardware"]
     free_to_start: Megabytes
@@ -87,7 +88,8 @@ class DemonstrationRecorder(Node):
         self._arm = ""  # identity of the arm, as JSON
         if params.urdf:
             urdf = robot_description(params.urdf)
-            arm = Arm(urdf, params.model_joint_names, params.tool_frame, guarded=())
+            base = params.base_frame
+            arm = Arm(urdf, params.model_joint_names, params.tool_frame, (), base_frame=base)
             self._arm = arm_identity.to_json(arm.identity())
         self._directory = Path(params.directory).expanduser().absolute()
         self._recording: Recording | None = None
