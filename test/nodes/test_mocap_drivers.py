@@ -77,6 +77,8 @@ def cameras(probe: Probe) -> Iterator[list[Cameras]]:
 
 
 NAMES = ["natnet_ros2", "vrpn_mocap", "mocap_optitrack", "motion_capture_tracking"]
+NAMES += ["motion_capture_tracking_poses", "mocap4r2_optitrack", "mocap4r2_vicon"]
+NAMES += ["mocap4r2_qualisys", "vicon_receiver", "apriltag"]
 Y_UP = """
 pancake_tracker:
   ros__parameters: {up_axis: "y", world_to_base: [0.5, -0.3, 0.2, 0.0, 0.0, 0.6, 0.8]}

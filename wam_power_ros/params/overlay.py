@@ -385,7 +385,8 @@ def _derived(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Parameters:
     model = ("joint_names", "model_joint_names", "urdf", "base_frame", "tool_frame")
     driver = ("period", "state_topic", "velocity_topic", "command_topic", "command_type")
     world = ("guarded_names", "guarded_links", "guarded_points", REGION)
-    cameras = ("body", "single_marker", "pose_topic", "markers_topic", "up_axis", "world_to_base")
+    cameras = ("body", "single_marker", "pose_topic", "markers_topic", "message_type")
+    cameras += ("body_in_message", "up_axis", "world_to_base", "rate")
     topics = [name for name in (arm["command_topic"], arm["velocity_topic"]) if name]
     derived: Parameters = {
         "demonstration_recorder": {
@@ -403,7 +404,10 @@ def _derived(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Parameters:
             "velocity": "empty" if arm["velocity_topic"] else "filled",
             "effort": {"torque": "filled", "none": "empty"}.get(arm["effort"], arm["effort"]),
         },
-        "optitrack_sim": {name: mocap[name] for name in (*cameras, "rate")},
+        "optitrack_sim": {
+            **{name: mocap[name] for name in cameras},
+            "frame": mocap["mocap_frame"],
+        },
     }
     if mocap["latency_offset"]:  # stamps are later than the exposure
         derived["optitrack_sim"] |= {"stamps": "receipt", "latency": mocap["latency_offset"]}

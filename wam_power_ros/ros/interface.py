@@ -119,6 +119,7 @@ STATE_RECORD = _qos(2000, "BEST_AVAILABLE")
 MOCAP = _qos(500)  # a path needs every frame: two seconds at 240 Hz
 MOCAP_BEST_EFFORT = _qos(500, "BEST_EFFORT")
 LATCHED = _qos(1, durability="TRANSIENT_LOCAL")
+FIXED = _qos(100, durability="TRANSIENT_LOCAL")  # of /tf_static, as tf2 subscribes
 REPLAYS = _qos(10)
 DIAGNOSTICS_QOS = _qos(10)
 LOG_QOS = _qos(1000, durability="TRANSIENT_LOCAL")
