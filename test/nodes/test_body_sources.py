@@ -17,7 +17,7 @@ from rclpy.parameter import Parameter
 from hardware_sim.optitrack_node import OptitrackSim
 from hardware_sim.sensors import MocapFrame
 from wam_power_ros import rotations
-from wam_power_ros.params import overlay
+from wam_power_ros.params import body_tracker_params, overlay
 from wam_power_ros.params.body_tracker_params import MESSAGE_TYPES
 from wam_power_ros.ros import body_sources, interface, pose_messages
 from wam_power_ros.tracking.frame_tree import compose
@@ -210,7 +210,7 @@ def test_a_frame_that_tf_does_not_have_is_named_with_those_it_has(
 def test_a_package_that_is_missing_is_named_with_what_installs_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "mocap4r2_msgs.msg", None)
+    monkeypatch.setattr(body_tracker_params, "find_spec", lambda package: None)
     monkeypatch.setenv("ROS_DISTRO", "kilted")
     with pytest.raises(ValueError, match="apt install ros-kilted-mocap4r2-msgs; without ROS"):
         body_sources.message_class("mocap4r2_msgs/msg/RigidBodies")

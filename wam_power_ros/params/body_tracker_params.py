@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import os
+from importlib.util import find_spec
 from typing import ClassVar, Literal, get_args
 
 from pydantic import BaseModel, Field, model_validator
@@ -25,6 +27,16 @@ OfPose = Literal[
 ]
 MessageType = Literal["", OfPose, OfMarkers]
 MESSAGE_TYPES: tuple[str, ...] = (*get_args(OfPose), *get_args(OfMarkers))
+
+
+def missing_package(message_type: str) -> str:
+    """Why messages of a type cannot be read here, with the remedy; empty if they can."""
+    package = message_type.partition("/")[0]
+    if find_spec(package):
+        return ""
+    apt = f"ros-{os.environ.get('ROS_DISTRO', 'jazzy')}-{package.replace('_', '-')}"
+    text = f"{message_type} needs the package {package}: apt install {apt}"
+    return f"{text}; without ROS pip install ./wam_power_interfaces has it"
 
 
 class MocapTopics(BaseModel):

@@ -7,7 +7,6 @@ stand-in publishes. Message packages are imported when they are used: no robot h
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import import_module
@@ -17,7 +16,7 @@ import numpy as np
 from rclpy.node import Node
 
 from wam_power_ros import rotations
-from wam_power_ros.params.body_tracker_params import BodyTrackerParams
+from wam_power_ros.params.body_tracker_params import BodyTrackerParams, missing_package
 from wam_power_ros.ros import interface, pose_messages
 from wam_power_ros.ros.pose_messages import MarkersReading, PoseReading, fill_pose
 from wam_power_ros.ros.stamps import sensor_stamp, time_message
@@ -48,15 +47,10 @@ def message_class(name: str) -> type:
     Raises:
         ValueError: Its package is not installed; the message says how to install it.
     """
+    if text := missing_package(name):
+        raise ValueError(text)
     package, _, kind = name.split("/")
-    try:
-        return getattr(import_module(f"{package}.msg"), kind)
-    except ImportError:
-        apt = f"ros-{os.environ.get('ROS_DISTRO', 'jazzy')}-{package.replace('_', '-')}"
-        raise ValueError(
-            f"message_type {name} needs the package {package}: apt install {apt}; without ROS pip "
-            "install ./wam_power_interfaces has it"
-        ) from None
+    return getattr(import_module(f"{package}.msg"), kind)
 
 
 def _found(items: Sequence[Message], names: list[str], body: str) -> Message:
@@ -252,6 +246,7 @@ class BodySource:
                     continue
                 tree.add(child, parent, pose.stamp_ns, (pose.position, pose.quat_xyzw), fixed)
 
-        for topic, qos in (("/tf", interface.MOCAP_BEST_EFFORT), ("/tf_static", interface.FIXED)):
-            self._node.create_subscription(kind, topic, partial(add, topic != "/tf"), qos)
+        subscribe, moving = self._node.create_subscription, interface.MOCAP_BEST_EFFORT
+        subscribe(kind, interface.TF, partial(add, False), moving)
+        subscribe(kind, interface.TF_STATIC, partial(add, True), interface.FIXED)
         return tree

@@ -23,6 +23,7 @@ ROLLOUT_END_EFFECTOR = "rollout/end_effector"
 ROLLOUT_END = "rollout/end"
 LEARNER_MARKERS = "learner/markers"
 ROBOT_DESCRIPTION = "robot_description"
+TF, TF_STATIC = "/tf", "/tf_static"  # subscribed when a frame is a foreign one
 DIAGNOSTICS = "/diagnostics"
 CLOCK = "/clock"
 LOG = "/rosout"
