@@ -18,6 +18,7 @@ from wam_power_ros import installed
 from wam_power_ros.cli import main
 from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorderParams
 from wam_power_ros.nodes.learner import LearnerParams
+from wam_power_ros.nodes.tag_camera import TagCameraParams
 from wam_power_ros.params import overlay, parameter_file
 from wam_power_ros.params.body_tracker_params import BodyTrackerParams
 from wam_power_ros.params.node_params import Params
@@ -28,6 +29,7 @@ READS: dict[str, type[Params]] = {
     "torque_controller": TorqueControllerParams,
     "demonstration_recorder": DemonstrationRecorderParams,
     "pancake_tracker": BodyTrackerParams,
+    "tag_camera": TagCameraParams,
     "learner": LearnerParams,
     "wam_sim": ArmSimParams,
     "optitrack_sim": OptitrackSimParams,

@@ -30,12 +30,18 @@ NODES = (
     "torque_controller",
     "demonstration_recorder",
     "pancake_tracker",
+    "tag_camera",
     "learner",
     "wam_sim",
     "optitrack_sim",
 )
 STAND_INS = ("wam_sim", "optitrack_sim")
-WITH_BODY = ("pancake_tracker", "demonstration_recorder", "optitrack_sim")  # that of the task
+WITH_BODY = (
+    "pancake_tracker",
+    "tag_camera",
+    "demonstration_recorder",
+    "optitrack_sim",
+)  # that of the task
 SOURCES = ("torque_controller", "pancake_tracker")  # the others' parameters are derived from theirs
 REGION = "guarded_region"  # parameter of the controller; a simulated scene has the same one
 SIMULATION = "simulation"  # file in config/ with what a simulation changes
@@ -397,6 +403,7 @@ def _derived(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Parameters:
             "mocap_topics": [mocap["pose_topic"] or mocap["markers_topic"]],
         },
         "pancake_tracker": {"base_frame": arm["base_frame"]},
+        "tag_camera": {"body": mocap["body"]},
         "learner": {name: arm[name] for name in model},
         "wam_sim": {
             **{name: arm[name] for name in (*model, *driver, *world)},

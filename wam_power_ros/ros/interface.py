@@ -22,6 +22,7 @@ POLICY = "policy"
 ROLLOUT_END_EFFECTOR = "rollout/end_effector"
 ROLLOUT_END = "rollout/end"
 LEARNER_MARKERS = "learner/markers"
+IMAGES, CALIBRATION = "camera/image_raw", "camera/camera_info"  # as camera drivers name them
 ROBOT_DESCRIPTION = "robot_description"
 TF, TF_STATIC = "/tf", "/tf_static"  # subscribed when a frame is a foreign one
 DIAGNOSTICS = "/diagnostics"
