@@ -13,20 +13,17 @@ if __name__ == "__main__":  # before the other imports, which a signal may inter
 
 import time
 from collections import deque
-from typing import Literal
 
 import cv2
 import numpy as np
 from geometry_msgs.msg import PoseStamped
-from pydantic import Field, model_validator
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image
-from typing_extensions import Self
 
 from wam_power_ros import rotations
 from wam_power_ros.nodes.tag_detector import TagDetector
-from wam_power_ros.params.node_params import Params
+from wam_power_ros.params.tag_camera_params import TagCameraParams
 from wam_power_ros.ros import interface, node_runner, pose_messages
 from wam_power_ros.ros.diagnostics import Diagnostics
 from wam_power_ros.ros.stamps import sensor_stamp
@@ -34,31 +31,6 @@ from wam_power_ros.ros.stamps import sensor_stamp
 GREY = {"rgb8": cv2.COLOR_RGB2GRAY, "bgr8": cv2.COLOR_BGR2GRAY, "mono8": None}
 GREY |= {"rgba8": cv2.COLOR_RGBA2GRAY, "bgra8": cv2.COLOR_BGRA2GRAY}
 MODELS = ("", "plumb_bob", "rational_polynomial")  # of the distortion
-
-
-class TagCameraParams(Params):
-    """Parameters of the node; the values are in config/tag_camera.yaml."""
-
-    file = "tag_camera.yaml"
-
-    body: str
-    image_topic: str = Field(min_length=1)
-    info_topic: str = Field(min_length=1)
-    family: Literal["16h5", "25h9", "36h10", "36h11"]
-    tags: tuple[int, ...] = Field(min_length=1, max_length=64)
-    tag_size: float = Field(ge=0.005, le=2.0, description="in m: a print, up to a poster")
-    tag_poses: tuple[float, ...] = Field(max_length=64 * 7)
-
-    @model_validator(mode="after")
-    def _one_pose_each(self) -> Self:
-        poses = np.array(self.tag_poses)
-        if len(poses) != 7 * len(self.tags) or len({*self.tags}) != len(self.tags):
-            raise ValueError(
-                f"tag_poses must be 7 numbers for each of tags {self.tags}, all unlike"
-            )
-        if np.abs(np.linalg.norm(poses.reshape(-1, 7)[:, 3:], axis=1) - 1.0).max() > 1e-3:
-            raise ValueError(f"quaternions in tag_poses {self.tag_poses} must have length 1")
-        return self
 
 
 def grey_image(message: Image) -> np.ndarray:

@@ -93,7 +93,9 @@ class BodyTrackerParams(MocapTopics, Params, TrackerSettings):
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
-        if self.body and bool(self.pose_topic) == bool(self.markers_topic):
+        if not self.body:
+            return self
+        if bool(self.pose_topic) == bool(self.markers_topic):
             raise ValueError(
                 f"set either pose_topic or markers_topic, not {self.pose_topic!r} and "
                 f"{self.markers_topic!r}"

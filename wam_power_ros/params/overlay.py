@@ -9,6 +9,7 @@ and of the stand-ins for these devices, are derived here unless a file gives the
 from __future__ import annotations
 
 import difflib
+import itertools
 import reprlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -325,6 +326,10 @@ def _sections(
             sections[node] |= values
         elif renamed is None:
             raise ValueError(f"{file} has parameters for {node!r}; the nodes are {list(NODES)}")
+    tracker = sections["pancake_tracker"]
+    for topic, other in itertools.permutations(("pose_topic", "markers_topic")):
+        if tracker.get(topic) and other not in tracker:
+            tracker[other] = ""  # a source replaces that of a file before
     return {node: _for_ros(values, own[node]) for node, values in sections.items() if values}
 
 
