@@ -22,6 +22,7 @@ from wam_power_ros.control.arm import Arm, GuardedPoint
 from wam_power_ros.control.corrections import Corrections
 from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import share
+from wam_power_ros.view.skeleton import Skeleton
 
 WAM = share("urdf/wam7.urdf").read_text()
 STANDS = {
@@ -124,6 +125,19 @@ def test_positions_directions_and_gravity_are_in_the_base_frame(
         step = 1e-5 * np.eye(arm.n)
         slope = [(potential(urdf, q + d) - potential(urdf, q - d)) / 2e-5 for d in step]
         np.testing.assert_allclose(arm.gravity(q), slope, atol=1e-5)
+
+
+def test_an_arm_is_drawn_in_its_base_frame() -> None:
+    urdf, q = mounted(*MOUNTS[4]), np.full(7, 0.2)
+    shapes = {}
+    for base in ("world", "wam_base"):
+        drawn = Skeleton(urdf, JOINTS, base)
+        arm = Arm(urdf, JOINTS, base_frame=base)
+        np.testing.assert_allclose(drawn.placements(q)[0][-1], arm.tool_pose(q)[0], atol=1e-9)
+        shapes[base] = next(it.placement for it in drawn.shapes if it.parentJoint == 0)
+    mount = seen_from(poses(urdf, q)["wam_base"], (np.zeros(3), np.eye(3)))
+    there = mount[0] + mount[1] @ shapes["world"].translation
+    np.testing.assert_allclose(shapes["wam_base"].translation, there, atol=1e-9)
 
 
 @pytest.mark.parametrize("base", ["world", "wam_base"])

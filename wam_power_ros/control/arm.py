@@ -189,8 +189,8 @@ class Arm:
             raise ValueError(f"{self.n} joints are too many, at most {JOINTS_MAX} are possible")
         self.armature = np.array([_armature(tree, name) for name in self.joint_names])
         self.model.armature = self.armature
-        self.root = self._rebase(base_frame) if base_frame else pin.SE3.Identity()
-        self.tool_frame = self._tool = self._frame(tool_frame)
+        self.root = rebased(self.model, base_frame) if base_frame else pin.SE3.Identity()
+        self.tool_frame = self._tool = _link(self.model, tool_frame)
         self._zero = np.zeros(self.n)
         self._data = self.model.createData()
         self._identity = self._identified()
@@ -216,7 +216,7 @@ class Arm:
         self._data = self.model.createData()
         self.guarded = tuple(point.name for point in guarded)
         self._guarded = [
-            self._point(self._frame(link), read_only(f"guarded point {name}", offset, (3,)))
+            self._point(_link(self.model, link), read_only(f"guarded point {name}", offset, (3,)))
             for name, link, offset in guarded
         ]
         self._moving = [*self._guarded, self._point(self._tool, np.zeros(3))]
@@ -230,30 +230,6 @@ class Arm:
     def corrected(self, corrections: Corrections) -> Arm:
         """Another model of this arm, with these corrections in place of its own."""
         return Arm(*self._given, corrections, self._base_frame)
-
-    def _rebase(self, name: str) -> pin.SE3:
-        """Make a fixed link the frame of all numbers; returns the root's pose in it."""
-        model, base = self.model, self.model.frames[self._frame(name)]
-        if base.parentJoint:
-            fixed = [it.name for it in model.frames if it.type == _LINK and not it.parentJoint]
-            joint = model.names[base.parentJoint]
-            raise ValueError(f"base_frame {name!r} moves with joint {joint!r}; fixed are {fixed}")
-        root = base.placement.inverse()
-        if not root.isIdentity():  # else the URDF's numbers stay, bit for bit
-            for number in range(1, model.njoints):
-                if model.parents[number] == 0:
-                    model.jointPlacements[number] = root * model.jointPlacements[number]
-            for frame in model.frames:
-                if frame.parentJoint == 0:
-                    frame.placement = root * frame.placement
-            model.gravity.linear = root.rotation @ model.gravity.linear
-        return root
-
-    def _frame(self, name: str) -> int:
-        if not self.model.existFrame(name, _LINK):  # a joint may have the same name
-            known = [frame.name for frame in self.model.frames if frame.type == _LINK]
-            raise ValueError(f"no link {name!r} in the robot description; known: {known}")
-        return int(self.model.getFrameId(name, _LINK))
 
     def _point(self, frame: int, offset: np.ndarray) -> _Point:
         """Point at an offset (3,) [m] in a frame."""
@@ -371,6 +347,36 @@ class Arm:
             return pin.aba(model, self._data, q, qd, tau - resistance * qd)
         finally:
             model.armature = self.armature
+
+
+def rebased(model: pin.Model, base_frame: str) -> pin.SE3:
+    """Make a fixed link the frame of all numbers of a model; returns the root's pose in it.
+
+    Raises:
+        ValueError: There is no such link, or it moves.
+    """
+    base = model.frames[_link(model, base_frame)]
+    if base.parentJoint:
+        fixed = [it.name for it in model.frames if it.type == _LINK and not it.parentJoint]
+        joint = model.names[base.parentJoint]
+        raise ValueError(f"base_frame {base_frame!r} moves with joint {joint!r}; fixed are {fixed}")
+    root = base.placement.inverse()
+    if not root.isIdentity():  # else the URDF's numbers stay, bit for bit
+        for number in range(1, model.njoints):
+            if model.parents[number] == 0:
+                model.jointPlacements[number] = root * model.jointPlacements[number]
+        for frame in model.frames:
+            if frame.parentJoint == 0:
+                frame.placement = root * frame.placement
+        model.gravity.linear = root.rotation @ model.gravity.linear
+    return root
+
+
+def _link(model: pin.Model, name: str) -> int:
+    if not model.existFrame(name, _LINK):  # a joint may have the same name
+        known = [frame.name for frame in model.frames if frame.type == _LINK]
+        raise ValueError(f"no link {name!r} in the robot description; known: {known}")
+    return int(model.getFrameId(name, _LINK))
 
 
 class _Point(NamedTuple):
