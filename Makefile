@@ -17,13 +17,13 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 # everything comes from PyPI, and pip builds the interfaces.
 ifneq ($(filter jazzy kilted,$(ROS_DISTRO)),)
 VENV_FLAGS := --system-site-packages
-EXTRAS := view,reproduce,completion,test,browser,dev
+EXTRAS := view,reproduce,camera,completion,test,browser,dev
 CONSTRAIN = echo 'numpy<2' > $(VENV)/constraints.txt
 INTERFACES :=
 BUILT := . wam_power_interfaces
 else
 VENV_FLAGS :=
-EXTRAS := ros,view,reproduce,completion,test,browser,dev
+EXTRAS := ros,view,reproduce,camera,completion,test,browser,dev
 CONSTRAIN = : > $(VENV)/constraints.txt
 INTERFACES := wam_power_interfaces
 BUILT := .

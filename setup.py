@@ -42,6 +42,7 @@ nodes = [
     f"pancake_tracker = {NAME}.entry:pancake_tracker",
     f"learner = {NAME}.entry:learner",
     f"check_driver = {NAME}.entry:check_driver",
+    f"tag_camera = {NAME}.entry:tag_camera",
     f"wam_sim = {NAME}.entry:wam_sim",
     f"replay = {NAME}.entry:replay",
 ]

@@ -11,6 +11,7 @@ from typing_extensions import Self
 from hardware_sim.sensors import MocapSettings
 from hardware_sim.wam import JOINTS, PERIOD
 from wam_power_ros.control.arm import GuardedPoint, guarded_points
+from wam_power_ros.params.body_tracker_params import MocapTopics
 from wam_power_ros.params.node_params import Names, Params
 from wam_power_ros.params.torque_controller_params import JOINTS_MAX, Joints, require_same_joints
 from wam_power_ros.regions import Region, region_of
@@ -46,6 +47,7 @@ class WorldSettings(BaseModel):
 
     urdf: str = "urdf/wam7.urdf"
     model_joint_names: Joints = JOINTS
+    base_frame: str = ""
     tool_frame: str = "pan"
     guarded_names: Names = ("elbow", "forearm")
     guarded_links: Names = ("wam_link4", "wam_link4")
@@ -144,15 +146,12 @@ class ArmSimParams(Params, WorldSettings):
         return self
 
 
-class OptitrackSimParams(Params, MocapSettings):
+class OptitrackSimParams(MocapTopics, Params, MocapSettings):
     """Parameters of config/optitrack_sim.yaml, settings of the motion capture included."""
 
     file = "optitrack_sim.yaml"
 
     frame: str
-    body: str
-    pose_topic: str
-    markers_topic: str
     reliable: bool
     up_axis: Literal["z", "y"]
     world_to_base: WorldToBase

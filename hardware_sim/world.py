@@ -79,7 +79,7 @@ class World:
         self.seed = seed
         self.urdf = robot_description(settings.urdf)
         names, tool, guarded = settings.model_joint_names, settings.tool_frame, settings.guarded
-        self.arm = Arm(self.urdf, names, tool, guarded=guarded)
+        self.arm = Arm(self.urdf, names, tool, guarded, base_frame=settings.base_frame)
         self.n = self.arm.n
         self._period_ns = settings.period_ns
         self._substeps = round(settings.period / scene.TIMESTEP)
@@ -119,7 +119,8 @@ class World:
         self._drags = self.hidden.drags
         self.scene = self._make_scene(settings)
         n = self.n
-        self.model = model = scene.build(self.urdf, self.scene, settings, self.hidden)
+        root = self.arm.root.translation, self.arm.root.rotation
+        self.model = model = scene.build(self.urdf, self.scene, settings, self.hidden, root)
         self.data = data = mujoco.MjData(model)
         self._tool = model.body(settings.tool_frame).id
         self._friction = settings.friction_share * model.dof_frictionloss[:n]

@@ -29,9 +29,8 @@ def test_the_path_of_the_tool_is_drawn_while_the_arm_moves(tmp_path: Path) -> No
         pass
     arm = Skeleton(urdf)
     state = LiveState(q=np.zeros(len(arm.joint_names)), receipt_time=np.inf)
-    node = SimpleNamespace(
-        state=state, update=lambda: state, urdf=urdf, model_joint_names=arm.joint_names
-    )
+    arm_of_node = {"urdf": urdf, "model_joint_names": arm.joint_names, "base_frame": ""}
+    node = SimpleNamespace(state=state, update=lambda: state, **arm_of_node)
     server = GuardedServer("127.0.0.1", 8080)
     try:
         page = SessionPage(server, folder)

@@ -21,6 +21,7 @@ from wam_power_ros.cli.launcher import Devices, program_command
 from wam_power_ros.cli.parser import task_option
 from wam_power_ros.cli.set_up_checks import mistakes
 from wam_power_ros.params import overlay
+from wam_power_ros.params.body_tracker_params import BodyTrackerParams, missing_package
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 
 OK, WARN, NO = "ok", "WARN", "NO"
@@ -42,7 +43,7 @@ def doctor(devices: Devices, task: str | None = None) -> int:
     setup = devices.parameters(task or "")
     words = shlex.join(devices.words)
     wrong = [Row("set-up", NO, text, "config") for text in mistakes(setup)]
-    rows = [*machine(), *described(setup), *wrong, *measured(setup)]
+    rows = [*machine(), *described(setup), *wrong, *eyes(setup), *measured(setup)]
     for number, row in enumerate(rows, start=1):
         print(f"{number:2d} {row.name:12s} {row.verdict:4s}  {row.text}")
     missing = [row for row in rows if row.verdict == NO]
@@ -100,6 +101,16 @@ def described(setup: overlay.Setup) -> list[Row]:
     text = "an enabling switch is required" if params.hold_to_run else "no enabling switch required"
     rows.append(Row("switch", OK if held else WARN, text))
     return rows
+
+
+def eyes(setup: overlay.Setup) -> list[Row]:
+    """Where the tracked body is seen."""
+    params = BodyTrackerParams.of_setup(setup)
+    if not params.body:
+        return []
+    text = f"{params.source_type} on {params.topic}, in the frame {params.mocap_frame}"
+    missing = missing_package(params.source_type)
+    return [Row("cameras", WARN if missing else OK, missing or text)]
 
 
 def measured(setup: overlay.Setup) -> list[Row]:

@@ -30,12 +30,13 @@ def mistakes(setup: overlay.Setup) -> Iterator[str]:
     else:
         with contextlib.suppress(ValueError):  # without MuJoCo, on an arm
             has_goal = installed.find("scene", scene).has_goal
-    if (arm := setup.arm()) is None:
-        return
     try:
-        arm.link(controller["base_frame"])
+        arm = setup.arm()
     except ValueError as error:
-        yield f"base_frame of torque_controller: {error}"
+        yield str(error)
+        return
+    if arm is None:
+        return
     if simulated["drives"] == "wam":  # it begins where its scene says
         return
     home, names = np.array(simulated["home"], dtype=float), arm.joint_names

@@ -225,7 +225,10 @@ def publishers(name: str, kind: str, ends: Sequence[Endpoint], unmatched: Sequen
     if not ends:
         return row(text, UNCHECKED)
     if unmatched:
-        advice = "configure the topic of a driver that publishes this type, or convert its messages"
+        advice = (
+            "configure the topic of a driver that publishes this type; of a motion capture set "
+        )
+        advice += "message_type to what it publishes"
         return row("; ".join(unmatched), FAIL, advice)
     if len(ends) > 1:
         return row(text, WARN, "messages are used as from one device: does one belong to another?")

@@ -23,13 +23,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rclpy.utilities import remove_ros_args
 from rich.console import Console
-from sensor_msgs.msg import JointState, PointCloud2
+from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from wam_power_ros.client.link import Link
@@ -49,10 +48,11 @@ from wam_power_ros.ros import (
     interface,
     joint_messages,
     node_runner,
-    pose_messages,
     scheduling,
 )
+from wam_power_ros.ros.body_sources import BodySource
 from wam_power_ros.ros.interface import is_latched, is_reliable
+from wam_power_ros.ros.pose_messages import MarkersReading
 from wam_power_ros.ros.stamps import nanoseconds
 from wam_power_ros.ros.state_guard import Info, StateGuard, with_info
 
@@ -81,7 +81,7 @@ class CheckDriver(Node):
         self.velocities: list[tuple[int, np.ndarray]] = []
         self.frames: list[FrameSample] = []
         self.clouds: list[CloudSample] = []
-        self._refused_clouds: Counter[str] = Counter()  # by reason
+        self._refused: Counter[str] = Counter()  # by reason
         self._urdf = robot_description(arm.urdf) if arm.urdf else ""
         self._torque_count = 0
         self._send_torque: Callable[[StateSample], None] | None = None
@@ -90,13 +90,11 @@ class CheckDriver(Node):
         self._state_input = subscribe(JointState, arm.state_topic, self._on_state)
         if arm.velocity_topic:
             self._velocity_input = subscribe(JointState, arm.velocity_topic, self._on_velocity)
+        self._source: BodySource | None = None
         self._mocap_input: Input | None = None
-        if not mocap.body:
-            pass  # the task tracks nothing
-        elif mocap.markers_topic:
-            self._mocap_input = subscribe(PointCloud2, mocap.markers_topic, self._on_cloud)
-        else:
-            self._mocap_input = subscribe(PoseStamped, mocap.pose_topic, self._on_pose)
+        if mocap.body:  # else the task tracks nothing
+            self._source = BodySource(self, mocap)
+            self._mocap_input = subscribe(self._source.kind, mocap.topic, self._on_frame)
         if not arm.urdf:
             self.create_subscription(
                 String, interface.ROBOT_DESCRIPTION, self._on_urdf, interface.LATCHED
@@ -140,19 +138,16 @@ class CheckDriver(Node):
             self._follow(self._velocity_guard, info)
             self.velocities.append((time.time_ns(), qd))
 
-    def _on_pose(self, message: PoseStamped, _: Info) -> None:
-        stamp_ns = nanoseconds(message.header.stamp)
-        p, o = message.pose.position, message.pose.orientation
-        position, quat_xyzw = np.array([p.x, p.y, p.z]), np.array([o.x, o.y, o.z, o.w])
-        self.frames.append(FrameSample(time.time_ns(), stamp_ns, position, quat_xyzw))
-
-    def _on_cloud(self, message: PointCloud2, _: Info) -> None:
+    def _on_frame(self, message: object, _: Info) -> None:
         try:
-            stamp_ns, _, points = pose_messages.markers(message)
+            reading = self._source.read(message)
         except ValueError as error:
-            self._refused_clouds[str(error)] += 1
+            self._refused[str(error).partition(":")[0]] += 1  # the values differ
             return
-        self.clouds.append(CloudSample(time.time_ns(), stamp_ns, points))
+        if isinstance(reading, MarkersReading):
+            self.clouds.append(CloudSample(time.time_ns(), reading.stamp_ns, reading.points))
+        elif reading is not None:
+            self.frames.append(FrameSample(time.time_ns(), reading.stamp_ns, *reading[2:]))
 
     def _on_urdf(self, message: String) -> None:
         self._urdf = message.data
@@ -187,7 +182,7 @@ class CheckDriver(Node):
     def check(self, seconds: float, active: bool) -> list[Row]:
         """Record for `seconds` [s] and make all rows; `active` is consent to the watchdog test."""
         self.wait(DISCOVERY_TIMEOUT, self._heard)
-        for samples in (self.states, self.velocities, self.frames, self.clouds):
+        for samples in (self.states, self.velocities, self.frames, self.clouds, self._refused):
             samples.clear()
         self._console.print(
             f"Recording for {seconds:.0f} s: leave the arm at rest and the body still, in view."
@@ -195,7 +190,9 @@ class CheckDriver(Node):
         self.wait(seconds)
         inputs = [each for each in (self._state_input, self._mocap_input) if each is not None]
         found = any(endpoints.unmatched_publishers(self, *each) for each in inputs)
-        if not (self.states or self.frames or self.clouds or found):
+        if self._source is not None and (missing := self._source.missing):
+            self._refused[missing] += 1
+        if not (self.states or self.frames or self.clouds or self._refused or found):
             topics = " nor on ".join(self.resolve_topic_name(each[0]) for each in inputs)
             raise ValueError(
                 f"no messages on {topics}: start the drivers, with the same ROS_DOMAIN_ID and "
@@ -207,8 +204,9 @@ class CheckDriver(Node):
             unmatched = "; ".join(endpoints.unmatched_publishers(self, *described))
             advice = unmatched or "publish the URDF there, or set the parameter urdf"
             raise ValueError(f"no message on {topic}: {advice}")
-        names, tool = self._arm_params.model_joint_names, self._arm_params.tool_frame
-        arm = Arm(self._urdf, names, tool, (), self._arm_params.corrections)
+        params = self._arm_params
+        names, tool, base = params.model_joint_names, params.tool_frame, params.base_frame
+        arm = Arm(self._urdf, names, tool, (), params.corrections, base)
         rows, record = self._arm_rows(arm, seconds)
         path = self._command_path()
         mocap = self._mocap_rows(arm, record, seconds)
@@ -283,9 +281,11 @@ class CheckDriver(Node):
         if self._mocap_input is None:
             return []
         samples = self.clouds or self.frames
-        reception = self._reception("mocap", len(samples), seconds, self._mocap_input)
+        count = len(samples) + self._refused.total()
+        reception = self._reception("mocap", count, seconds, self._mocap_input)
         if not samples:
-            return reception
+            refused = mocap_checks.frame_quality([], params, self._refused)
+            return [*reception, *refused] if self._refused else reception
         received, stamp_ns = (np.array([sample[i] for sample in samples]) for i in (0, 1))
         age = float(np.median(record.received_ns - record.stamp_ns)) if len(record.q) else 0.0
         tool = arm.tool_pose(record.q[-1])[0] if len(record.q) else None
@@ -301,7 +301,7 @@ class CheckDriver(Node):
         if params.markers_topic:
             frames, layout = mocap_checks.marker_poses(self.clouds, params)
             found.append(layout)
-        found += mocap_checks.frame_quality(frames, params, self._refused_clouds)
+        found += mocap_checks.frame_quality(frames, params, self._refused)
         return [*found, mocap_checks.body_position(frames, params, tool)]
 
     def _watchdog(self, arm: Arm, record: ArmRecord, path: Row, active: bool) -> Row:

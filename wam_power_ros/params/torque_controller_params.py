@@ -99,7 +99,7 @@ class TorqueControllerParams(Params, MotionSettings):
     allow_no_realtime: bool
     idle_service: str
     urdf: str
-    base_frame: str
+    base_frame: str = Field(min_length=1)
     tool_frame: str
     joint_zeros: Annotated[
         tuple[Annotated[float, Field(ge=-0.2, le=0.2)], ...],
@@ -235,7 +235,7 @@ class TorqueControllerParams(Params, MotionSettings):
         """
         guarded = guarded_points(self.guarded_names, self.guarded_links, self.guarded_points)
         names, tool = self.model_joint_names, self.tool_frame
-        arm = Arm(urdf, names, tool, guarded, self.corrections)
+        arm = Arm(urdf, names, tool, guarded, self.corrections, self.base_frame)
         limits = limits_of(
             arm,
             torque=self.torque_share * arm.tau_max,

@@ -61,6 +61,7 @@ class View(Node):
     Attributes:
         urdf: Text of the arm's URDF, "" until it is received.
         model_joint_names: Names of the joints in the URDF.
+        base_frame: Link in whose frame the body is.
     """
 
     def __init__(self, controller: Mapping[str, Any], body: str, namespace: str = "") -> None:
@@ -69,6 +70,7 @@ class View(Node):
         self.urdf = robot_description(controller["urdf"]) if controller["urdf"] else ""
         self._reader = JointStateReader(controller["joint_names"])
         self.model_joint_names = tuple(controller["model_joint_names"])
+        self.base_frame = controller["base_frame"]
         self.link = link = Link(self, APPEAR_TIMEOUT)
         self._feedback = Feedback(link)
         self._robot = Robot(link, controller["state_topic"], body=body)

@@ -133,7 +133,8 @@ class SessionPage:
         if state.q is None or not node.urdf:
             return
         if self._skeleton is None or page.skeleton is not self._skeleton:  # a movement was played
-            self._drawn, self._skeleton = LiveState(), Skeleton(node.urdf, node.model_joint_names)
+            arm = Skeleton(node.urdf, node.model_joint_names, node.base_frame)
+            self._drawn, self._skeleton = LiveState(), arm
             self._trail.clear()
             page.show_arm(self._skeleton)
         drawn = self._drawn
