@@ -105,7 +105,7 @@ BUDGET = {
     "commissioning": 1221,
     "tracking": 610,
     "tasks": 3325,  # what follows from errors and heading of any task, once
-    "practice": 2135,  # refusals by a person and pauses are in its log
+    "practice": 2136,  # refusals by a person and pauses are in its log
     "conformance": 1123,
     "bags": 2436,
     "params": 1188,  # what may be set at rest; -p body:=NAME is derived from as a file is
