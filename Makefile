@@ -17,13 +17,13 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 # everything comes from PyPI, and pip builds the interfaces.
 ifneq ($(filter jazzy kilted,$(ROS_DISTRO)),)
 VENV_FLAGS := --system-site-packages
-EXTRAS := sim,view,reproduce,completion,test,browser,dev
+EXTRAS := view,reproduce,completion,test,browser,dev
 CONSTRAIN = echo 'numpy<2' > $(VENV)/constraints.txt
 INTERFACES :=
 BUILT := . wam_power_interfaces
 else
 VENV_FLAGS :=
-EXTRAS := plain,sim,view,reproduce,completion,test,browser,dev
+EXTRAS := ros,view,reproduce,completion,test,browser,dev
 CONSTRAIN = : > $(VENV)/constraints.txt
 INTERFACES := wam_power_interfaces
 BUILT := .
@@ -34,7 +34,7 @@ endif
 help:
 	@echo 'make learn [ARGS="--seed 3"]   learn to flip a pancake in simulation'
 	@echo 'make reproduce                 run the experiments of the paper and write a report (within an hour on 2 cores)'
-	@echo 'make test  [ARGS="-k power"]   run the tests'
+	@echo 'make test  [ARGS="-k power"]   run the tests, but for the long ones: ARGS="-m long"'
 	@echo 'make lint                      check rules and format (ruff) and types (mypy)'
 	@echo 'make format                    apply the automatic fixes and the format of ruff'
 	@echo 'make build                     run colcon build; installs colcon from PyPI if it is missing'
@@ -71,10 +71,10 @@ reproduce: $(READY)
 	@$(call STOPPABLE,$(BIN)/python -m reproduction $(ARGS))
 
 # In the order of test/conftest.py: slow folders first. Four workers on two cores, because many tests wait for a clock.
-# Linear algebra uses one thread, as in every node (entry.py).
+# Linear algebra uses one thread, as in every node (entry.py). The last -m counts: ARGS="-m long" runs the others.
 test: export OPENBLAS_NUM_THREADS := 1
 test: $(READY)
-	$(BIN)/python -m pytest -n 4 --dist loadfile --no-loadscope-reorder $(ARGS)
+	$(BIN)/python -m pytest -n 4 --dist loadfile --no-loadscope-reorder -m "not long" $(ARGS)
 
 lint: $(READY)
 	$(BIN)/ruff check .

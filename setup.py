@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Package definition for both `colcon build` (ament_python) and `pip install -e .`."""
 
+import os
+import sys
 from pathlib import Path
 
 from setuptools import Extension, find_packages, setup
@@ -32,6 +34,20 @@ def shared(*folders: str) -> list[tuple[str, list[str]]]:
 
 
 extras = requirements()
+core = [line for line in extras.pop("core") if "ROS_DISTRO" not in os.environ or line[:3] != "pin"]
+nodes = [
+    f"torque_controller = {NAME}.entry:torque_controller",
+    f"demonstration_recorder = {NAME}.entry:demonstration_recorder",
+    f"body_tracker = {NAME}.entry:body_tracker",
+    f"pancake_tracker = {NAME}.entry:pancake_tracker",
+    f"learner = {NAME}.entry:learner",
+    f"check_driver = {NAME}.entry:check_driver",
+    f"wam_sim = {NAME}.entry:wam_sim",
+    f"replay = {NAME}.entry:replay",
+]
+# colcon and bloom run these commands, and `ros2 run` looks for the executables where setup.cfg puts
+# them. pip runs others: it would put a `learner` and a `replay` on everybody's path.
+for_ros = {"install", "develop"} & {*sys.argv}
 
 setup(
     name=NAME,
@@ -40,10 +56,25 @@ setup(
     long_description=(HERE / "README.md").read_text(),
     long_description_content_type="text/markdown",
     license="Apache-2.0",
-    maintainer="wam_power_ros maintainers",
-    maintainer_email="wam_power_ros@users.noreply.github.com",
+    author="The wam_power_ros developers",
+    keywords=[
+        "robot learning",
+        "reinforcement learning",
+        "PoWER",
+        "dynamic movement primitives",
+        "ROS 2",
+    ],
+    classifiers=[
+        "Development Status :: 3 - Alpha",
+        "Intended Audience :: Science/Research",
+        "Operating System :: POSIX :: Linux",
+        "Programming Language :: Python :: 3",
+        *(f"Programming Language :: Python :: 3.{minor}" for minor in range(10, 14)),
+        "Topic :: Scientific/Engineering :: Artificial Intelligence",
+    ],
     python_requires=">=3.10,<3.14",
     packages=find_packages(include=[NAME, f"{NAME}.*", "hardware_sim", "hardware_sim.*"]),
+    package_data={f"{NAME}.reporting": ["*.j2"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -59,21 +90,12 @@ setup(
             optional=True,
         )
     ],
-    install_requires=extras.pop("core"),
+    install_requires=core,
     extras_require=extras,
     zip_safe=False,
     entry_points={
-        "console_scripts": [
-            f"torque_controller = {NAME}.entry:torque_controller",
-            f"demonstration_recorder = {NAME}.entry:demonstration_recorder",
-            f"body_tracker = {NAME}.entry:body_tracker",
-            f"pancake_tracker = {NAME}.entry:pancake_tracker",
-            f"learner = {NAME}.entry:learner",
-            f"check_driver = {NAME}.entry:check_driver",
-            f"wam_sim = {NAME}.entry:wam_sim",
-            f"replay = {NAME}.entry:replay",
-            f"wam-power = {NAME}.entry:wam_power",
-        ],
+        "console_scripts": [*(nodes if for_ros else ()), f"wam-power = {NAME}.entry:wam_power"],
+        f"{NAME}.nodes": nodes,
         f"{NAME}.scenes": [
             "ball_in_cup = hardware_sim.scenes.ball_in_cup:BallInCup",
             "flip = hardware_sim.scenes.flip:Flip",

@@ -155,7 +155,7 @@ class Person:
         if means == "service":
             self.link.call(interface.STOP)
         elif means == "page":
-            self.view.call(interface.STOP)
+            self.view.give("stop")
         elif means == "key":
             self._keys.stdin.write("stop\n")
             self._keys.stdin.flush()

@@ -7,19 +7,18 @@ from pathlib import Path
 from hardware_sim.scenes import scene_type
 from hardware_sim.wam import JOINTS
 from hardware_sim.world import World
-from wam_power_ros.bags import reader
+from wam_power_ros.bags import layout, reader
 from wam_power_ros.in_process.environment import Environment
-from wam_power_ros.learning.demonstration import from_joint_samples
 from wam_power_ros.params.resources import share
 from wam_power_ros.practice.session import Session
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.reporting import session_report
 from wam_power_ros.tasks.flip.task import Flip
 
-folder = Path("session")  # must be new
+folder = layout.free_path(Path(), "session")  # must be new
 environment = Environment(World(scene_type("flip"), seed=5))
 bag = min(share("bags").glob("demo_*"))
-demonstration = from_joint_samples(environment.arm, *reader.read_demonstration(bag, JOINTS))
+demonstration = Flip.demonstration_of(environment.arm, *reader.read_demonstration(bag, JOINTS))
 policy = Flip.policy_of([demonstration], "demonstration-1")
 
 settings = preset("flip", budget=4, retests=1)

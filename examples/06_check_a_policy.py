@@ -6,14 +6,13 @@ from wam_power_ros.bags import reader
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.feasibility import simulate_policy
-from wam_power_ros.learning.demonstration import from_joint_samples
 from wam_power_ros.learning.policy import at_tempo
 from wam_power_ros.params.resources import share
 from wam_power_ros.tasks.flip.task import Flip
 
 arm = Arm(share("urdf/wam7.urdf").read_text(), JOINTS)
 bag = min(share("bags").glob("demo_*"))
-demonstration = from_joint_samples(arm, *reader.read_demonstration(bag, JOINTS))
+demonstration = Flip.demonstration_of(arm, *reader.read_demonstration(bag, JOINTS))
 policy = Flip.policy_of([demonstration], "taught")
 for tempo in (0.5, 1.0, 1.5):
     found = simulate_policy(arm, ControllerSettings(), at_tempo(policy, tempo))

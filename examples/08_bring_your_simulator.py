@@ -9,13 +9,12 @@ from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.modes import Mode
-from wam_power_ros.learning.demonstration import from_joint_samples
 from wam_power_ros.params.resources import share
 from wam_power_ros.tasks.reach.task import Reach
 
 arm = Arm(share("urdf/wam7.urdf").read_text(), JOINTS)
 bag = min(share("bags").glob("reach_*"))
-demonstration = from_joint_samples(arm, *reader.read_demonstration(bag, JOINTS))
+demonstration = Reach.demonstration_of(arm, *reader.read_demonstration(bag, JOINTS))
 policy = Reach.policy_of([demonstration], "taught")
 
 controller = Controller(arm, settings := ControllerSettings())

@@ -8,7 +8,6 @@ import numpy as np
 
 from wam_power_ros import robot
 from wam_power_ros.bags import reader
-from wam_power_ros.learning.demonstration import from_joint_samples
 from wam_power_ros.learning.power import Power
 from wam_power_ros.practice.settings import preset
 
@@ -17,7 +16,7 @@ task = settings.make_task({})
 with robot.simulated("arm", "flip", seed=6) as arm:  # bags and logs go to the folder
     bag = arm.teach()  # on an arm: arm.teach(lambda: input("Guide the arm, then press Enter "))
     print(f"taught {bag.name}")
-    taught = from_joint_samples(arm.arm, *reader.read_demonstration(bag, arm.joint_names))
+    taught = task.demonstration_of(arm.arm, *reader.read_demonstration(bag, arm.joint_names))
     parameters = task.parametrization(task.policy_of([taught], "taught"))
     learner = Power(parameters.size, Power.Settings(), np.random.default_rng(6))
     for number in range(4):

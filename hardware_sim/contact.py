@@ -40,15 +40,9 @@ def add_vessel(
 ) -> None:
     """Add a round vessel without mass to the tool: a floor below its origin, a wall of boxes.
 
-    Args:
-        tool: Body of the tool.
-        name: Begins the names of its geoms.
-        radius: Radius of the floor [m].
-        height: Height of the wall [m].
-        width: Half width of each of its `WALLS` boxes [m].
-        flare: Angle of the wall outward [rad].
-        floor: Half thickness of the floor [m].
-        **contact: Other arguments of its geoms.
+    The floor has this radius and half thickness `floor` [m]. The wall leans outward by `flare`
+    [rad]; each of its `WALLS` boxes has this height and half width [m]. `name` begins the names of
+    the geoms, `contact` are other arguments of theirs.
     """
     contact |= {"mass": 0.0}
     tool.add_geom(

@@ -26,36 +26,22 @@ Numbers: TypeAlias = np.ndarray | float
 class HiddenArm:
     """Deviations of an arm with n joints from its model; without arguments there are none.
 
-    One number stands for an array of that number.
-
-    Attributes:
-        payload: Additional mass at the tool; may be negative [kg].
-        centre: Displacement of the tool's centre of mass in its frame [m]. Shape (3,).
-        links: Factor on mass and inertia of each link. Shape (n,).
-        friction: Factor on the Coulomb friction of each joint. Shape (n,).
-        viscous: Factor on the viscous friction of each joint. Shape (n,).
-        asymmetry: Share by which Coulomb friction is larger forwards than on average. Shape (n,).
-        stribeck: Share of Coulomb friction that is added at low speed. Shape (n,).
-        motors: Factor on the torque of each joint. Shape (n,).
-        tilt: Rotation of the base about its x axis and then its y axis [rad]. Shape (2,).
-        zeros: Reported minus true position of each joint [rad]. Shape (n,).
-        geometry: Error of each joint's pose in its parent: position [m] and rotation vector [rad].
-            Shape (n, 6).
-        cameras: Rotation (3, 3) and position (3,) [m] of the base in the frame in which the cameras
-            see it.
+    One number stands for an array of that number, of shape (n,) where no other is given.
     """
 
-    payload: float = 0.0
-    centre: Numbers = 0.0
-    links: Numbers = 1.0
-    friction: Numbers = 1.0
-    viscous: Numbers = 1.0
-    asymmetry: Numbers = 0.0
-    stribeck: Numbers = 0.0
-    motors: Numbers = 1.0
-    tilt: Numbers = 0.0
-    zeros: Numbers = 0.0
+    payload: float = 0.0  # additional mass at the tool; may be negative [kg]
+    centre: Numbers = 0.0  # displacement of the tool's centre of mass in its frame [m], (3,)
+    links: Numbers = 1.0  # factor on mass and inertia of each link
+    friction: Numbers = 1.0  # factor on Coulomb friction
+    viscous: Numbers = 1.0  # factor on viscous friction
+    asymmetry: Numbers = 0.0  # share by which Coulomb friction is larger forwards than on average
+    stribeck: Numbers = 0.0  # share of Coulomb friction that is added at low speed
+    motors: Numbers = 1.0  # factor on the torque of each joint
+    tilt: Numbers = 0.0  # of the base about its x axis and then its y axis [rad], (2,)
+    zeros: Numbers = 0.0  # reported minus true position of each joint [rad]
+    # Error of each joint's pose in its parent: position [m] and rotation vector [rad], (n, 6)
     geometry: Numbers = 0.0
+    # Rotation (3, 3) and position (3,) [m] of the base in the frame in which the cameras see it
     cameras: tuple[np.ndarray, np.ndarray] = _SAME_FRAME
 
     def change(self, spec: mujoco.MjSpec, joints: Sequence[str], tool_frame: str) -> None:
@@ -77,9 +63,14 @@ class HiddenArm:
         tool = spec.body(tool_frame)
         tool.mass += self.payload
         tool.ipos = tool.ipos + self.centre
+        spec.option.gravity = self.gravity
+
+    @property
+    def gravity(self) -> list[float]:
+        """Gravity in the frame of the tilted base [m/s^2]; three."""
         x, y = np.broadcast_to(self.tilt, 2).tolist()
         down = [np.cos(x) * np.sin(y), -np.sin(x), -np.cos(x) * np.cos(y)]
-        spec.option.gravity = [GRAVITY * each for each in down]
+        return [GRAVITY * each for each in down]
 
     @property
     def drags(self) -> bool:

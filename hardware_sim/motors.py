@@ -63,7 +63,7 @@ def _joint_torques(motors: Sequence[float]) -> tuple[float, ...]:
 class DirectDrives:
     """One motor per joint with torque and speed limits of the URDF; for other arms than the WAM.
 
-    The limits are tau_max (n,) [N m] and qd_max (n,) [rad/s]; attributes are those of `Motors`.
+    Limits are tau_max (n,) [N m] and qd_max (n,) [rad/s]; attributes are those of `Motors`.
     """
 
     def __init__(self, tau_max: np.ndarray, qd_max: np.ndarray) -> None:
@@ -96,7 +96,7 @@ class Motors:
     Attributes:
         motor_of_joint: Matrix from joint speeds to motor speeds. Shape (7, 7).
         motor_no_load_speed: No-load speed of each motor [rad/s]. Shape (7,).
-        motor_full_torque_speed: Speed up to which each motor has full torque [rad/s]. Shape (7,).
+        motor_full_torque_speed: Speed up to which it has full torque [rad/s]. Shape (7,).
 
     Raises:
         ValueError: The bus voltage is not 36 to 90 V.

@@ -14,6 +14,7 @@ from hardware_sim.hidden_arm import HiddenArm
 from hardware_sim.scenes import Scene
 from hardware_sim.settings import WorldSettings
 from hardware_sim.wam import JOINTS
+from wam_power_ros.control.urdf_checks import parsed
 
 TIMESTEP = 0.001  # [s] of the physics
 AIR_DENSITY = 1.2  # [kg/m^3]
@@ -59,10 +60,7 @@ def arm(urdf: str, joints: Sequence[str] = JOINTS) -> mujoco.MjSpec:
     Raises:
         ValueError: The text is no URDF.
     """
-    try:
-        tree = ElementTree.fromstring(urdf)
-    except ElementTree.ParseError as error:
-        raise ValueError(f"the robot description is no URDF: {error}") from None
+    tree = parsed(urdf)
     for other in tree.iterfind("./joint"):
         if other.get("name") not in joints:
             other.set("type", "fixed")

@@ -67,11 +67,9 @@ class SceneServices:
         return bool(self._under_way) or not self._world.carried
 
     def change(self, label: str, stamp_ns: int) -> None:
-        """Change the activity of the controller; a rollout begins or ends with this tick.
+        """Change the activity of the controller, such as to "rollout trial-0001", with this tick.
 
-        Args:
-            label: New activity of the controller, such as "rollout trial-0001".
-            stamp_ns: Stamp of the last state [ns].
+        `stamp_ns` is the stamp of the last state.
         """
         previous, self.label = self.label, label
         world = self._world

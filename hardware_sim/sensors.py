@@ -163,14 +163,10 @@ class Mocap:
 
 
 def _flat_fit(flat: np.ndarray, markers: np.ndarray) -> np.ndarray:
-    """Least-squares rotation of coplanar markers: completed polar factor of a 3 x 2 matrix.
+    """Least-squares rotation (3, 3) of coplanar markers: completed polar factor of a 3 x 2 matrix.
 
-    Args:
-        flat: x and y of the markers in the body's frame, relative to their mean [m]. Shape (m, 2).
-        markers: Measured marker positions [m]. Shape (m, 3).
-
-    Returns:
-        Rotation matrix. Shape (3, 3).
+    `flat` (m, 2) is where they are in the body's frame, relative to their mean, `markers` (m, 3)
+    where they were measured [m].
     """
     (ax, bx), (ay, by), (az, bz) = markers.T.dot(flat).tolist()
     aa = ax * ax + ay * ay + az * az

@@ -131,11 +131,9 @@ class World:
         self._log = RolloutLog(model, data, settings, columns)
 
     def reset(self, rollout_id: str, q_start: np.ndarray) -> None:
-        """Put the arm and the bodies of the scene to rest at the start of a rollout; freeze them.
+        """Put the arm, at q_start (n,) [rad], and the bodies of the scene to rest; freeze them.
 
-        Args:
-            rollout_id: Id of the rollout; with suffix `QUIET` only the cameras are noisy.
-            q_start: Start posture [rad]. Shape (n,).
+        In a rollout whose id has the suffix `QUIET` only the cameras are noisy.
 
         Raises:
             ValueError: A joint is not finite or outside its limits.
@@ -242,11 +240,10 @@ class World:
             self._carrying = None
 
     def release(self, rollout_id: str = "") -> None:
-        """Continue the physics from the frozen state.
+        """Continue the physics from the frozen state, in the rollout of the reset.
 
-        Args:
-            rollout_id: Id of a rollout that begins now, with arm and bodies as they are: its wind
-                and its variation of the arm are drawn as by `reset`. "": as the world was reset.
+        With an id another rollout begins now, with arm and bodies as they are: its wind and its
+        variation of the arm are drawn as by `reset`.
         """
         if rollout_id:
             _, self.model.opt.wind[:] = self._vary(rollout_id)
@@ -304,11 +301,10 @@ class World:
         return self._mocap.delivered(self.time_ns)
 
     def step(self, tau_cmd: np.ndarray | None) -> None:
-        """Advance by one control period.
+        """Advance by one control period, with commanded torques (n,) [N m].
 
-        Args:
-            tau_cmd: Commanded torques [N m], shape (n,). None without a new command: the last one
-                stays, with a watchdog for 10 ms; then the driver compensates gravity, damped.
+        Without new ones the last stay, with a watchdog for 10 ms; then the driver compensates
+        gravity, damped.
 
         Raises:
             ValueError: The torques are not n finite numbers.

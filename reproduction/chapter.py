@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure
@@ -16,16 +15,10 @@ from matplotlib.figure import Figure
 from reproduction.jobs import Job, Results, Scale
 from wam_power_ros import plotting
 from wam_power_ros.reporting import html_page
+from wam_power_ros.reporting.html_page import TEMPLATES
 from wam_power_ros.reporting.terminal import counted
 
 RUNS_MIN = 5  # for a verdict: with fewer runs, no rank-sum test reaches p < 0.01
-TEMPLATES = jinja2.Environment(
-    autoescape=True,
-    undefined=jinja2.StrictUndefined,
-    trim_blocks=True,
-    lstrip_blocks=True,
-    extensions=["jinja2.ext.do"],
-)
 TEMPLATES.filters["f"] = format
 TEMPLATES.globals |= {"counted": counted, "median": np.median}
 
@@ -99,20 +92,20 @@ class Chapter:
         self.figures: dict[str, bytes] = {}
         functions = {"claim": self._claim, "table": table, "figure": self._figure}
         content = TEMPLATES.from_string(template.read_text()).render(values, **functions)
-        self.html = html_page.section(title, content=content)
+        self.html = html_page.section(title, content=Markup(content))
 
     def _claim(self, what: str, met: object = None, **fields: Any) -> None:  # noqa: ANN401
         self.claims.append(Claim(what, met=None if met is None else bool(met), **fields))
 
     def _figure(self, name: str, caption: str, drawn: Figure | str) -> Markup:
         if isinstance(drawn, str):
-            return Markup(html_page.figure("", f"{caption} Not drawn on this machine: {drawn}."))
+            return html_page.figure("", f"{caption} Not drawn on this machine: {drawn}.")
         if name in self.figures:
             raise ValueError(f"two figures with the same name: {name}")
         self.figures[name] = png = plotting.png(drawn)
         photographs = any(axes.images for axes in drawn.axes)  # keep their colours in dark mode
         style = "" if photographs else "drawn"
-        return Markup(html_page.figure(html_page.image(png, caption, "image/png", style), caption))
+        return html_page.figure(html_page.image(png, caption, "image/png", style), caption)
 
 
 @dataclass(frozen=True)
@@ -143,4 +136,4 @@ def table(
     best: Collection[tuple[int, int]] = (),
 ) -> Markup:
     """HTML of a table, for templates; see `html_page.table`."""
-    return Markup(html_page.table(head, rows, caption, best=best))
+    return html_page.table(head, rows, caption, best=best)

@@ -19,6 +19,7 @@ from collections.abc import Collection, Sequence
 from itertools import groupby
 from pathlib import Path
 
+from markupsafe import Markup
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -130,7 +131,7 @@ def render(
         table=table,
         anchor=html_page.anchor,
     )
-    return html_page.page("Flipping pancakes: the paper reproduced", [body])
+    return html_page.page("Flipping pancakes: the paper reproduced", [Markup(body)])
 
 
 def _processor() -> str:

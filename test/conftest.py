@@ -38,7 +38,8 @@ from wam_power_interfaces.action import (
 )
 from wam_power_interfaces.msg import Policy as PolicyMessage
 from wam_power_ros import rotations
-from wam_power_ros.client.link import DISCOVERY
+from wam_power_ros.client.link import DISCOVERY, Link
+from wam_power_ros.client.robot import Robot
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.policy import Basis, Policy, to_json
 from wam_power_ros.ros import interface, network
@@ -274,6 +275,20 @@ def probe(domain_id: int) -> Iterator[Probe]:
     probe.close()
 
 
+@pytest.fixture
+def server(probe: Probe) -> Iterator[Node]:
+    """A node, dispatched by a thread, for the services and actions that a test offers."""
+    with Link(rclpy.create_node("server", context=probe.context)) as link:
+        yield link.node
+
+
+@pytest.fixture
+def robot(probe: Probe) -> Iterator[Robot]:
+    """An arm of the nodes of a test."""
+    with Link(rclpy.create_node("robot", context=probe.context)) as link:
+        yield Robot(link)
+
+
 @functools.cache
 def _server() -> forked.Server:
     return forked.Server()
@@ -380,6 +395,17 @@ def processes(domain_id: int, tmp_path: Path) -> Iterator[Processes]:
     processes = Processes(domain_id, tmp_path)
     yield processes
     processes.close()
+
+
+@pytest.fixture(scope="module")
+def shared_nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Probe, Processes]]:
+    """A probe and node processes that the tests of a module share, in a domain of their own."""
+    with private_domain() as domain, ExitStack() as ends:
+        probe = Probe(domain)
+        ends.callback(probe.close)
+        processes = Processes(domain, tmp_path_factory.mktemp("processes"))
+        ends.callback(processes.close)
+        yield probe, processes
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from toss_task import AnyArm
 
+from reproduction.studies.reaching_scenario import free_paths, midpoint
 from wam_power_ros.learning.demonstration import from_positions
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import EndEffectorPath, Rollout
@@ -17,7 +18,7 @@ from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session_log import Trial
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.regions import region_of
-from wam_power_ros.tasks.reach.scenario import midpoint, resampled
+from wam_power_ros.tasks.reach.paths import STEPS, resampled, stopped_paths
 from wam_power_ros.tasks.reach.task import Reach
 
 START = np.array([0.7, -0.25, 0.6])  # [m] of the tool
@@ -40,13 +41,13 @@ CONTEXT = Reach.context_of(
 
 def reached(task: Reach, trial: Trial) -> Rollout:
     """Rollout of a trial: a function of its id and policy alone."""
-    scenario = task._scenario(trial.policy, START)
-    path = scenario.free_paths(trial.policy.stiffness[None], trial.policy.attractors[None])
+    policy = trial.policy
+    path = free_paths(policy, START, policy.stiffness[None], policy.attractors[None])
     noise = np.random.default_rng(zlib.crc32(trial.id.encode())).normal(0.0, NOISE, 3)
-    path += np.linspace(0.0, 1.0, scenario.steps)[:, np.newaxis] * noise
-    stopped, touched = scenario.stopped_paths(path)
-    t = np.arange(scenario.steps) * scenario.period
-    t = np.append(t, trial.policy.basis.duration + task.settle_time)
+    path += np.linspace(0.0, 1.0, STEPS)[:, np.newaxis] * noise
+    stopped, touched = stopped_paths(path, np.array(task.region.centre), task.region.radius)
+    t = np.arange(STEPS) * (policy.basis.duration / (STEPS - 1))
+    t = np.append(t, policy.basis.duration + task.settle_time)
     position = np.vstack([stopped[0], stopped[0, -1:]])
     tool = EndEffectorPath(trial.id, t, position, np.tile([0.0, 0.0, 0.0, 1.0], (len(t), 1)))
     return Rollout(tool, None, None, "obstacle" if touched[0] else "")

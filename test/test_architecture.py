@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -91,36 +92,36 @@ ALLOWED["nodes"] = {*BELOW, "client"} - {"reporting"}
 ALLOWED["console"] = {*BELOW, "client"} - {"reporting"}
 ALLOWED["hardware_sim"] = BELOW - {"bags", "practice", "conformance", "reporting"}
 ALLOWED["in_process"] = {*BELOW, "hardware_sim"} - {"ros"}
-ALLOWED["cli"] = {*BELOW, "nodes", "console", "view", "hardware_sim"}
+ALLOWED["cli"] = {*BELOW, "client", "nodes", "console", "view", "hardware_sim", "in_process"}
 ALLOWED["robot"] = {"client", "cli"}
 ALLOWED["reproduction"] = ALLOWED["in_process"] | {"in_process"}
 ALLOWED["benchmark"] = {*ALLOWED}
 # Lines that a folder may have, docstrings and blanks included. Needing more is a reason to look for
 # what can go; where nothing can, the commit that raises a figure says why.
 BUDGET = {
-    "ground": 1447,  # the modules of wam_power_ros/ itself; a learner is also found by its class
-    "learning": 2353,
-    "control": 4980,  # with waypoints of other programs: FollowJointTrajectory
+    "ground": 1528,  # what is missing is named with its remedy; a task may be a class of a file
+    "learning": 2393,  # fit, path and practise of positions
+    "control": 4965,  # with waypoints of other programs: FollowJointTrajectory
     "commissioning": 1221,
     "tracking": 610,
-    "tasks": 3239,  # what follows from the errors of any task is written here once
-    "practice": 2061,  # refusals by a person and pauses are in its log
+    "tasks": 3067,  # what follows from the errors of any task is written here once
+    "practice": 2062,  # refusals by a person and pauses are in its log
     "conformance": 1123,
-    "bags": 2305,
-    "params": 1133,
-    "ros": 2486,
-    "client": 1449,
-    "nodes": 3333,  # actions, and the question for another set-up; JSON is gone from ros/
-    "console": 983,
-    "view": 1402,
-    "reporting": 987,
-    "in_process": 412,
-    "cli": 2781,
-    "hardware_sim": 3032,
+    "bags": 2436,
+    "params": 1188,  # what may be set at rest; -p body:=NAME is derived from as a file is
+    "ros": 2519,  # variables of ROS and DDS are named with their remedy
+    "client": 1448,
+    "nodes": 3365,  # actions, and the question for another set-up; JSON is gone from ros/
+    "console": 797,  # a person supports the arm, however a movement ended
+    "view": 1179,
+    "reporting": 839,
+    "in_process": 514,  # a session on disk without nodes
+    "cli": 2869,  # learn --in-process
+    "hardware_sim": 2973,
     "launch": 161,
     "wam_power_interfaces": 160,  # its build without ROS
     "examples": 377,
-    "reproduction": 3307,  # learners that only studies compare with
+    "reproduction": 3393,  # learners and the scenario of reaching that only studies use
     "benchmark": 2745,  # the matrix of the reaction has a plant of its own
 }
 PURE = (
@@ -326,6 +327,12 @@ def test_a_decision_by_the_name_of_a_task_would_be_found() -> None:
 def test_the_services_of_other_nodes_are_called_by_the_client_alone() -> None:
     made = {label(path) for path in MODULES if "create_client(" in path.read_text()}
     assert made == {"wam_power_ros/client/link.py"}
+
+
+def test_no_module_imports_what_a_library_keeps_to_itself() -> None:
+    for path in MODULES:
+        private = {n for n in imports(path) if re.search(r"(^|\.)_(?!_)", n)}
+        assert {name for name in private if not name.startswith("wam_power_ros.")} == set()
 
 
 def test_every_module_says_its_licence_in_one_line() -> None:

@@ -11,7 +11,9 @@ from pathlib import Path
 
 import pytest
 import yaml
+from packaging.specifiers import SpecifierSet
 
+import wam_power_ros
 from wam_power_ros.cli import main
 from wam_power_ros.cli.main import NODES
 from wam_power_ros.faults import FaultKind
@@ -215,3 +217,26 @@ def test_a_command_that_is_misspelt_in_a_page_is_found() -> None:
     assert len(commands("docs/tutorial.md")) > 6
     with pytest.raises(SystemExit):
         main._parser().parse_args(["learn", "--sesion", "first"])
+
+
+def test_the_container_is_made_by_the_steps_of_the_readme() -> None:
+    container = (ROOT / "Dockerfile").read_text()
+    named = re.search(r"sudo apt install ([\w .-]+?) +#", README)
+    assert named is not None
+    assert {*named[1].split()} <= {*container.split()}
+    assert "RUN make venv" in container
+
+
+def test_the_workflow_runs_every_python_that_the_package_names() -> None:
+    workflow = yaml.safe_load((ROOT / ".github/workflows/ci.yml").read_text())
+    (allowed,) = re.findall(r'python_requires="(.*)"', (ROOT / "setup.py").read_text())
+    wanted = [f"3.{minor}" for minor in range(20) if f"3.{minor}" in SpecifierSet(allowed)]
+    assert workflow["jobs"]["python"]["strategy"]["matrix"]["python"] == wanted
+    assert {"run": ".ci/run"} in workflow["jobs"]["python"]["steps"]
+
+
+def test_the_citation_names_the_paper_and_this_version() -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert citation["version"] == wam_power_ros.__version__
+    references = " ".join((ROOT / "docs/references.md").read_text().split())
+    assert citation["preferred-citation"]["title"] in references

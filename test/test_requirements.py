@@ -52,6 +52,35 @@ def test_every_requirement_has_its_tests_and_every_test_its_requirement() -> Non
     assert broken(page, tests) == []
 
 
+def left_out(source: str) -> list[str]:
+    """Tests of requirements that `make test` leaves out, wholly or in part."""
+    body = ast.parse(source).body
+    whole = any(isinstance(node, ast.Assign) and "mark.long" in ast.unparse(node) for node in body)
+    marks = {
+        node.name: " ".join(map(ast.unparse, node.decorator_list))
+        for node in body
+        if isinstance(node, ast.FunctionDef)
+    }
+    verifies = {name: text for name, text in marks.items() if "mark.requirement" in text}
+    return [name for name, text in verifies.items() if whole or "mark.long" in text]
+
+
+def test_no_test_of_a_requirement_is_left_out_by_make_test() -> None:
+    files = sorted((ROOT / "test").rglob("test_*.py"))
+    assert [name for path in files for name in left_out(path.read_text())] == []
+    requirement, long = '@pytest.mark.requirement("S-01")\n', "pytestmark = pytest.mark.long\n"
+    test = f"{requirement}@pytest.mark.parametrize('x', [pytest.param(1, marks=pytest.mark.long)])"
+    assert left_out(f"{test}\ndef test_x(x): ...\n") == ["test_x"]
+    assert left_out(f"{long}{requirement}def test_y(): ...\ndef test_z(): ...") == ["test_y"]
+
+
+def test_what_make_test_leaves_out_is_run_by_the_ci() -> None:
+    assert '-m "not long" $(ARGS)' in (ROOT / "Makefile").read_text()
+    for file in (".ci/run", ".github/workflows/ci.yml"):
+        lines = re.findall(r"make test\b.*", (ROOT / file).read_text())
+        assert re.findall("-m (.*)[\"']", " ".join(lines)) == ["long"]
+
+
 def test_no_requirement_is_listed_twice() -> None:
     idents = [ident for ident, _ in ROW.findall(SAFETY)]
     assert sorted(set(idents)) == sorted(idents)

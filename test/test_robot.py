@@ -40,6 +40,7 @@ def example() -> dict[str, Any]:
     return names
 
 
+@pytest.mark.long
 def test_the_arm_holds_at_the_requested_posture(example: dict[str, Any]) -> None:
     start, moved = example["start"], example["moved"]
     np.testing.assert_allclose(moved.q, example["home"], atol=0.02)
@@ -49,11 +50,13 @@ def test_the_arm_holds_at_the_requested_posture(example: dict[str, Any]) -> None
     assert np.linalg.norm(moved.position - start.position) > 0.02
 
 
+@pytest.mark.long
 def test_the_taught_demonstration_was_replayed(example: dict[str, Any]) -> None:
     assert np.ptp(example["demonstration"].position[:, 2]) > 0.1
     assert "rms" in example["tracking"]
 
 
+@pytest.mark.long
 def test_a_rollout_follows_its_policy_and_is_recorded(example: dict[str, Any]) -> None:
     executed, policy = example["executed"], example["policy"]
     assert executed.rollout.fault is None and executed.rollout.tool.id == policy.id

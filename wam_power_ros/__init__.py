@@ -8,4 +8,13 @@ Learning", IROS 2010. Modules at the top level are the core: they import no rclp
 read no clock, and take their random generator as an argument.
 """
 
+from importlib import import_module
+
 __version__ = "0.1.0"
+
+
+def __getattr__(name: str) -> object:
+    """The library in `learning.skill`, which is imported when it is first used."""
+    if name not in ("Attempt", "Policy", "fit", "path", "practise"):
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module("wam_power_ros.learning.skill"), name)

@@ -11,37 +11,78 @@ machine would continue differently.
 
 from __future__ import annotations
 
-import importlib
+import importlib.util
 import os
 import signal
 import sys
+import warnings
 from functools import partial
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 INTERRUPTED = 130  # exit status of a program that is interrupted before its work is done
 REFUSED = 2  # exit status of a node that refuses its parameters
+OTHER_PYTHON = (
+    "build and run with the Python that `make venv` has filled, .venv/bin/python -m colcon build "
+    "(docs/ros2.md), or install the module into this one"
+)
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
+def missing(error: ImportError) -> str:
+    """One line: what cannot be imported, and the extra that brings it; raises any other error."""
+    package = (error.name or "").partition(".")[0]
+    if package in (__package__, "hardware_sim"):
+        raise error
+    if package == "viser":
+        return f'{error}: pip install "wam_power_ros[view]"'
+    if package == "rclpy" or package.endswith(("_interfaces", "_msgs", "_srvs")):
+        ours = 'pip install "wam_power_ros[ros]" and, in a checkout, ./wam_power_interfaces'
+        return f"{error}: source ROS 2, or {ours}. Without ROS: wam-power learn --in-process"
+    if not isinstance(error, ModuleNotFoundError):
+        raise error
+    return f"{sys.executable} has no module {package!r}: {OTHER_PYTHON}"
+
+
 def start(module: str, interrupted: int = 0) -> int:
-    """Import a module and call its `main`.
-
-    Args:
-        module: Name of the module.
-        interrupted: Exit status after SIGINT or SIGTERM during the import.
-
-    Returns:
-        Exit status.
-    """
+    """Exit status of the `main` of a module; `interrupted` after a signal during the import."""
+    if unloadable := missing_middleware():
+        sys.stderr.write(f"{unloadable}\n")
+        return REFUSED
+    if "error" in os.environ.get("PYTHONWARNINGS", ""):  # rclpy itself warns
+        warnings.simplefilter("default")
+        del os.environ["PYTHONWARNINGS"]  # of child processes, too
     os.environ |= ONE_THREAD
     before = {number: signal.getsignal(number) for number in SIGNALS}
     for number in SIGNALS:
         if before[number] is not signal.SIG_IGN:
             signal.signal(number, lambda *_: os._exit(interrupted))
-    main = importlib.import_module(module).main
+    try:
+        main = importlib.import_module(module).main
+    except ImportError as error:
+        sys.stderr.write(f"{missing(error)}\n")
+        return REFUSED
     for number in SIGNALS:
         signal.signal(number, before[number])
     return main()
+
+
+def missing_middleware() -> str:
+    """Why the middleware that RMW_IMPLEMENTATION names cannot be loaded; empty if it can.
+
+    ROS would end the process while it is imported, without the name of the variable.
+    """
+    name, get = os.environ.get("RMW_IMPLEMENTATION", ""), os.environ.get
+    prefixes = [sys.prefix, *get("AMENT_PREFIX_PATH", "").split(os.pathsep)]
+    folders = [os.path.join(prefix, "lib") for prefix in filter(None, prefixes)]
+    folders += get("LD_LIBRARY_PATH", "").split(os.pathsep)
+    if (
+        not name
+        or not importlib.util.find_spec("rclpy")
+        or any(os.path.exists(f"{folder}/lib{name}.so") for folder in folders)
+    ):
+        return ""
+    package = f"ros-{get('ROS_DISTRO', 'jazzy')}-{name.replace('_', '-')}"
+    return f"RMW_IMPLEMENTATION={name}: not installed; apt install {package}, or unset the variable"
 
 
 torque_controller = partial(start, "wam_power_ros.nodes.torque_controller")

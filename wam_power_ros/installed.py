@@ -3,8 +3,12 @@
 
 from __future__ import annotations
 
+import difflib
 import sys
+from collections.abc import Iterable
 from functools import cache
+from importlib import import_module, util
+from importlib.machinery import SourceFileLoader
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +20,12 @@ if TYPE_CHECKING:
 def names(kind: str) -> list[str]:
     """Names of all that is installed of a kind: "task", "learner" or "scene"."""
     return sorted({point.name for point in entry_points(group=f"wam_power_ros.{kind}s")})
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """Return a question that suggests the nearest known word; empty if none is near."""
+    near = difflib.get_close_matches(word, list(known), n=1)
+    return f"; did you mean {near[0]!r}?" if near else ""
 
 
 @cache  # reading the entry points of all installed packages takes 15 ms
@@ -41,13 +51,39 @@ def find(kind: str, name: str) -> Any:  # noqa: ANN401 - a class
     declared = " and ".join(f"{p.value} of {p.dist.name if p.dist else '?'}" for p in points)
     if not points:
         known = ", ".join(names(kind)) or "none: install wam_power_ros again (make venv)"
-        raise ValueError(f"{kind} {name!r} is not one of {known}")
+        raise ValueError(f"{kind} {name!r} is not one of {known}{did_you_mean(name, names(kind))}")
     if len(points) > 1:
         raise ValueError(f"{kind} {name!r} is declared twice, {declared}: rename or uninstall one")
     try:
         return points[0].load()
     except Exception as error:  # whatever the module of another package raises
         raise ValueError(f"{kind} {name!r} ({declared}) cannot be loaded: {error}") from error
+
+
+def import_task(name: str) -> str:
+    """Import the module of a task "package.module:Class" or "file.py:Class" that a person names.
+
+    Returns the name by which `task_type` finds it from now on, with the whole path of a file.
+
+    Raises:
+        ValueError: The module cannot be imported.
+    """
+    module, colon, own = name.partition(":")
+    if not colon:
+        return name
+    try:
+        if module.endswith(".py"):
+            module = str(Path(module).resolve())
+            if module not in sys.modules:
+                loader = SourceFileLoader(module, module)
+                made = util.module_from_spec(util.spec_from_loader(module, loader))
+                sys.modules[module] = made
+                loader.exec_module(made)
+        import_module(module)
+    except Exception as error:  # whatever the module raises
+        sys.modules.pop(module, None)
+        raise ValueError(f"task {name!r} cannot be imported: {error}") from error
+    return f"{module}:{own}"
 
 
 def task_type(name: str) -> type[Task]:

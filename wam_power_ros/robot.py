@@ -18,11 +18,6 @@ __all__ = ["Robot", "connect", "simulated"]
 def simulated(folder: Path | str, task: str, seed: int = 0) -> Iterator[Robot]:
     """Start an arm's nodes and stand-ins, in a DDS domain of their own.
 
-    Args:
-        folder: Folder for bags and logs.
-        task: Name of the task whose scene is simulated.
-        seed: Seed of the simulation.
-
     Raises:
         UsageError: Another launcher uses the folder, or its disk is nearly full.
         ValueError: There is no such task.

@@ -62,11 +62,8 @@ class Scene:
     def build(self, spec: mujoco.MjSpec, tool: mujoco.MjsBody) -> None:
         """Add bodies to the model of the arm, and shapes that touch them to its tool.
 
-        Without these the tool touches nothing: the shapes of the URDF are only drawn.
-
-        Args:
-            spec: Model of the arm.
-            tool: Body of the tool in it; its link in the URDF has mass and drawn shapes.
+        Without these the tool touches nothing: the shapes of the URDF, whose link has the mass, are
+        only drawn.
         """
 
     def place(
@@ -74,13 +71,9 @@ class Scene:
     ) -> None:
         """Put the bodies to their initial positions; they settle before a rollout begins.
 
-        By default the body is put to `at`, displaced by `offset`, upright in the base frame.
-
-        Args:
-            data: State to change, just reset, the arm in its start posture.
-            position: Position of the tool [m]. Shape (3,).
-            rotation: Rotation of the tool. Shape (3, 3).
-            offset: Random offset in the x-y plane of the tool [m]. Shape (2,).
+        By default the body is put to `at`, displaced by a random offset (2,) [m] in the x-y plane
+        of the tool, upright in the base frame. The state is just reset, the arm in its start
+        posture, the tool at a position (3,) [m] with a rotation (3, 3).
         """
         if self.body and self.mounted is None:
             data.joint(self.body).qpos[:3] = position + rotation @ np.add(self.at, [*offset, 0.0])

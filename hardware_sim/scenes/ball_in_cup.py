@@ -110,16 +110,12 @@ class BallInCup(Scene):
 
 @dataclass(frozen=True)
 class SwingScript:
-    """Planar swing: a cubic B-spline of the cup's position, which stays upright.
+    """Planar swing: a cubic B-spline of the cup's position, which stays upright."""
 
-    Attributes:
-        points: Control points outward and up, relative to the initial position [m]; the first three
-            and the last three are equal, so it goes from rest to rest. Shape (n, 2).
-        knot: Time from one point to the next [s].
-    """
-
+    # Control points outward and up, relative to the initial position [m], (n, 2); the first three
+    # and the last three are equal, so it goes from rest to rest
     points: np.ndarray
-    knot: float
+    knot: float  # time from one point to the next [s]
 
     @property
     def end(self) -> float:
@@ -146,10 +142,8 @@ class SwingScript:
 def swing(rng: np.random.Generator, spread: float = 1.0) -> SwingScript:
     """Draw a swing of 2.2 s: to and fro in time with the ball, then up.
 
-    Args:
-        rng: Random generator.
-        spread: Scale of the differences between swings: 0 for the intended one, 1 for a practised
-            person's.
+    `spread` scales the differences between swings: 0 for the intended one, 1 for a practised
+    person's.
     """
     size = 1.0 + spread * 0.015 * float(rng.standard_normal())
     knot = KNOT * (1.0 + spread * 0.01 * float(rng.standard_normal()))

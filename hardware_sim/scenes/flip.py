@@ -168,21 +168,13 @@ def _landing(height: np.ndarray) -> int | None:
 
 @dataclass(frozen=True)
 class TossScript:
-    """Planar toss: keyframes of wrist position and pan pitch, relative to the initial pose.
+    """Planar toss: keyframes of wrist position and pan pitch, relative to the initial pose."""
 
-    Attributes:
-        t: Times of the keyframes, the first at 0 [s]. Shape (n,).
-        wrist: Position of the wrist, x outward and z up [m]. Shape (n, 2).
-        wrist_speed: Velocity of the wrist [m/s]. Shape (n, 2).
-        pitch: Pitch of the pan, front edge up [rad]. Shape (n,).
-        pitch_rate: Pitch rate [rad/s]. Shape (n,).
-    """
-
-    t: np.ndarray
-    wrist: np.ndarray
-    wrist_speed: np.ndarray
-    pitch: np.ndarray
-    pitch_rate: np.ndarray
+    t: np.ndarray  # times of the keyframes, the first at 0 [s], (n,)
+    wrist: np.ndarray  # position, x outward and z up [m], (n, 2)
+    wrist_speed: np.ndarray  # [m/s], (n, 2)
+    pitch: np.ndarray  # of the pan, front edge up [rad], (n,)
+    pitch_rate: np.ndarray  # [rad/s], (n,)
 
     @property
     def end(self) -> float:
@@ -225,11 +217,9 @@ def wrist_flick(
     the rim and a flick throws it the same way every time. From a level pan the front edge is dipped
     first, and the pancake slides there.
 
-    Args:
-        rng: Random generator.
-        spread: Scale of the differences between tosses: 0 for the intended toss, 1 for a person's.
-        pitch_rate: Intended pitch rate at the release [rad/s].
-        level: True to begin at `LEVEL`, the pan level and the pancake in its middle.
+    `spread` scales the differences between tosses: 0 for the intended toss, 1 for a person's.
+    `pitch_rate` [rad/s] is intended at the release; `level` begins at `LEVEL`, the pancake in the
+    middle of the pan.
     """
 
     def scatter(sd: float, *shape: int) -> np.ndarray:

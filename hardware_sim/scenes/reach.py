@@ -64,19 +64,12 @@ class Reach(Scene):
 
 @dataclass(frozen=True)
 class ReachScript:
-    """Reach to a goal in an arc with constant orientation: minimum jerk with warped time.
+    """Reach to a goal in an arc with constant orientation: minimum jerk with warped time."""
 
-    Attributes:
-        goal: Final position [m]. Shape (3,).
-        arc: Offset of the middle of the path from the straight line [m]. Shape (3,).
-        duration: Duration of the movement [s].
-        warp: In (-1, 1); positive if the first half of the path is faster.
-    """
-
-    goal: np.ndarray
-    arc: np.ndarray
-    duration: float
-    warp: float
+    goal: np.ndarray  # final position [m], (3,)
+    arc: np.ndarray  # offset of the middle of the path from the straight line [m], (3,)
+    duration: float  # of the movement [s]
+    warp: float  # in (-1, 1); positive if the first half of the path is faster
 
     @property
     def end(self) -> float:
@@ -103,10 +96,8 @@ def reach(
 ) -> ReachScript:
     """Draw a reach in 2 s with an arc of 6 cm, such as half a metre from `HOME` to `REACH_GOAL`.
 
-    Args:
-        rng: Random generator.
-        goal: Intended end [m]. Shape (3,).
-        spread: Scale of the differences between reaches: 0 for the intended one, 1 for a person's.
+    `goal` (3,) [m] is the intended end, `spread` the scale of the differences between reaches: 0
+    for the intended one, 1 for a person's.
     """
     goal = goal + spread * 0.01 * rng.standard_normal(3)
     arc = np.array([0.0, 0.0, 0.06]) + spread * 0.01 * rng.standard_normal(3)

@@ -16,7 +16,7 @@ from reproduction.chapter import Study
 from reproduction.flights import flights as draw_flights
 from reproduction.jobs import Results
 from reproduction.studies import flip_sessions
-from reproduction.studies.flip_sessions import ABLATION, HINDSIGHT, LEARNT, LONG, PAPER
+from reproduction.studies.flip_sessions import ABLATION, HINDSIGHT, LONG, PAPER
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
 from wam_power_ros.reporting.figures import stiffness
 from wam_power_ros.reporting.terminal import counted
@@ -98,16 +98,14 @@ class Sessions:
 def values(results: Results) -> dict[str, Any]:
     """Names of the template; ignores results of other studies."""
     hindsight, paper, long = (Sessions([*results[s].values()]) for s in (HINDSIGHT, PAPER, LONG))
-    learnt, ablated = (
-        {name.removeprefix(of): runs for name, runs in results.items() if name.startswith(of)}
-        for of in (LEARNT, ABLATION)
-    )
+    ablated = {
+        name.removeprefix(ABLATION): runs
+        for name, runs in results.items()
+        if name.startswith(ABLATION)
+    }
     seeds = next(iter(ablated.values()))
     ablated["full"] = {key: results[PAPER][key] for key in seeds}  # same seeds
-    conditions, ablation = (
-        {name: Sessions([*runs.values()]) for name, runs in some.items()}
-        for some in (learnt, ablated)
-    )
+    ablation = {name: Sessions([*runs.values()]) for name, runs in ablated.items()}
     return {
         "hindsight": hindsight,
         "paper": paper,
@@ -116,7 +114,7 @@ def values(results: Results) -> dict[str, Any]:
         "hindsight_shown": _shown(hindsight),
         "paper_shown": _shown(paper),
         **_hindsight(hindsight),
-        **_robustness(hindsight, conditions),
+        **_robustness(hindsight),
         **_paper(paper, long),
         **_stiffness(hindsight, paper),
         **_ablation(ablation),
@@ -147,22 +145,16 @@ def _hindsight(sessions: Sessions) -> dict[str, Any]:
     }
 
 
-def _robustness(sessions: Sessions, learnt: Mapping[str, Sessions]) -> dict[str, Any]:
-    """Policies of this preset in other conditions, and sessions under such conditions."""
+def _robustness(sessions: Sessions) -> dict[str, Any]:
+    """Policies of this preset in other conditions."""
     carried: dict[str, list[Row]] = {}
     for run in sessions.runs:
         for condition, rows in run["carried"].items():
             carried.setdefault(condition, []).extend(rows)
-    again = []
-    for name, others in learnt.items():
-        back = [row for run in others.runs for row in next(iter(run["carried"].values()), [])]
-        cells = [name, f"{len(others)}", f"{np.median(others.used):.0f}"]
-        again.append([*cells, *outcome_cells(others.retests), share_cell(back, "landed")])
     conditions = {"as learnt": sessions.retests, **carried}
     return {
         "shares": {name: share(rows, "landed") for name, rows in carried.items()},
         "condition_rows": [[n, f"{len(r)}", *outcome_cells(r)] for n, r in conditions.items()],
-        "learnt_rows": again,
     }
 
 
@@ -261,16 +253,12 @@ def share(rows: Sequence[Row], name: str) -> float:
     return float(column(rows, name).mean()) if rows else 0.0
 
 
-def share_cell(rows: Sequence[Row], name: str) -> str:
-    """Cell: share of the rows in which a flag is set; empty without rows."""
-    return f"{share(rows, name):.0%}" if rows else ""
-
-
 def outcome_cells(rows: Sequence[Row]) -> list[str]:
     """Cells: landed, true flips, median angle, number beyond the motors' no-load speed."""
     angle = f"{np.median(column(rows, 'angle_deg')):.0f}°" if rows else ""
     beyond = f"{sum(row['beyond_no_load'] for row in rows)}"
-    return [share_cell(rows, "landed"), share_cell(rows, "true_flip"), angle, beyond]
+    shares = [f"{share(rows, name):.0%}" if rows else "" for name in ("landed", "true_flip")]
+    return [*shares, angle, beyond]
 
 
 def quantile_cells(sample: np.ndarray, form: str) -> list[str]:

@@ -3,23 +3,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.stats import ranksums
 
-from reproduction import figures
+from reproduction import figures, reach_paths
 from reproduction.chapter import Study
 from reproduction.jobs import Results
 from reproduction.studies import reaching
 from reproduction.studies.reaching import SYNTHETIC
-from reproduction.studies.reaching_arm import EXECUTED, PRACTISED, TAUGHT
+from reproduction.studies.reaching_arm import EXECUTED, TAUGHT
 from reproduction.studies.reaching_runs import VARIANTS
 from wam_power_ros.regions import Region
-from wam_power_ros.tasks.reach import figures as reach_figures
 
 PAPER_RETURNS = {"full": 0.73, "diagonal": 0.61}  # after 100 rollouts, mean of 10 experiments
 PAPER_RUNS = 10
@@ -37,7 +37,7 @@ class Runs:
         stuck: Whether the last mean of each run meets the obstacle.
         paths: Path of the last mean of each run [m]. Shapes (T, 3).
         start: Return of the demonstration.
-        panel: Demonstrations and obstacle for the figure of the paths.
+        panel: Makes a panel of the figure of paths, from others than demonstrations and obstacle.
     """
 
     means: np.ndarray
@@ -45,7 +45,7 @@ class Runs:
     stuck: Sequence[bool]
     paths: Sequence[np.ndarray]
     start: float
-    panel: reach_figures.Panel
+    panel: Callable[..., reach_paths.Panel]
 
     @classmethod
     def of(cls, study: Mapping[str, Mapping[str, Any]], variant: str) -> Runs:
@@ -56,7 +56,7 @@ class Runs:
         first = parts[0]
         shown = [np.array(path) for path in first["demonstrations"]]
         obstacle = Region("obstacle", tuple(first["obstacle"]), first["radius"])
-        panel = reach_figures.Panel(shown, obstacle)
+        panel = partial(reach_paths.Panel, shown, obstacle)
         arrays = [np.array(path) for path in paths]
         return cls(np.array(means), best, stuck, arrays, first["start"], panel)
 
@@ -97,14 +97,13 @@ def values(results: Results) -> dict[str, Any]:
     for variant in VARIANTS:
         some, one = synthetic[variant], results[EXECUTED][variant]
         best = some.paths[int(np.argmax(some.final[:PAPER_RUNS]))]
-        learnt[variant] = replace(some.panel, learnt=best, rollouts=some.paths[:PAPER_RUNS])
+        learnt[variant] = some.panel(learnt=best, rollouts=some.paths[:PAPER_RUNS])
         planned, path = np.array(one["planned"]), np.array(one["executed"])
-        carried_out[variant] = replace(taught[variant].panel, learnt=planned, executed=path)
+        carried_out[variant] = taught[variant].panel(learnt=planned, executed=path)
     return {
         "synthetic": synthetic,
         "taught": taught,
         "executed": results[EXECUTED],
-        "practised": _practised(results[PRACTISED]),
         "p": {name: _p(some) for name, some in (("synthetic", synthetic), ("taught", taught))},
         "rows": {
             name: _rows(runs) for name, runs in (("synthetic", synthetic), ("taught", taught))
@@ -117,21 +116,9 @@ def values(results: Results) -> dict[str, Any]:
             ylabel="return (Eq. 4)",
             marks={f"paper, {name}": value for name, value in PAPER_RETURNS.items()},
         ),
-        "learnt": reach_figures.paths(learnt),
-        "carried_out": reach_figures.paths(carried_out),
+        "learnt": reach_paths.paths(learnt),
+        "carried_out": reach_paths.paths(carried_out),
     }
-
-
-def _practised(runs: Mapping[str, Any]) -> list[list[str]]:
-    rows = []
-    for variant in VARIANTS:
-        some = [run for run in runs.values() if run["variant"] == variant]
-        first = np.mean([run["returns"][0] for run in some])
-        learnt = np.mean([run["return"] for run in some])
-        clearances = " ".join(f"{1e3 * run['clearance']:+.0f}" for run in some) + " mm"
-        cells = [f"{len(some)} of {len(some[0]['returns'])}", f"{first:.3f}", f"{learnt:.3f}"]
-        rows.append([variant, *cells, clearances, f"{sum(run['faults'] for run in some)}"])
-    return rows
 
 
 def _rows(runs: Mapping[str, Runs]) -> list[list[str]]:

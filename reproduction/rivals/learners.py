@@ -52,18 +52,12 @@ class AdaptivePower(GaussianLearner):
     """PoWER with one exploration variance per parameter, from the elite, as in [Kober2009]."""
 
     class Settings(LearnerSettings):
-        """Settings of adaptive PoWER.
+        """Settings of adaptive PoWER."""
 
-        Attributes:
-            sigma: Size of the elite for the mean.
-            variance_sigma: Size of the elite for the variance; larger, so that the variance does
-                not collapse.
-            smallest: Lower bound of the variances, as a fraction of the initial one.
-            largest: Upper bound of the variances, as a multiple of the initial one.
-        """
-
-        sigma: int = Field(default=10, ge=1)
+        sigma: int = Field(default=10, ge=1)  # size of the elite for the mean
+        # Of the elite for the variance; larger, so that the variance does not collapse
         variance_sigma: int = Field(default=100, ge=1)
+        # Bounds of the variances, relative to the initial one
         smallest: float = Field(default=0.1, gt=0.0, le=1.0)
         largest: float = Field(default=10.0, ge=1.0, allow_inf_nan=False)
 
@@ -86,17 +80,12 @@ class Pi2(GaussianLearner):
     """PI2-BB, path integrals as black-box optimisation [Stulp2013]; the noise decays."""
 
     class Settings(LearnerSettings):
-        """Settings of PI2-BB.
+        """Settings of PI2-BB."""
 
-        Attributes:
-            population: Number of rollouts per update.
-            eliteness: h of the weights exp(h (R - R_max) / (R_max - R_min)).
-            decay: Factor on the exploration noise after each update.
-        """
-
-        population: int = Field(default=10, ge=2)
+        population: int = Field(default=10, ge=2)  # rollouts per update
+        # h of the weights exp(h (R - R_max) / (R_max - R_min))
         eliteness: float = Field(default=10.0, gt=0.0, allow_inf_nan=False)
-        decay: float = Field(default=0.9, gt=0.0, le=1.0)
+        decay: float = Field(default=0.9, gt=0.0, le=1.0)  # of the noise after each update
 
     settings: Settings
 
@@ -121,12 +110,9 @@ class BayesianOptimization(GaussianLearner):
     """
 
     class Settings(LearnerSettings):
-        """Settings of Bayesian optimisation.
+        """Settings of Bayesian optimisation."""
 
-        Attributes:
-            bound: Largest coordinate along a direction, see `ErrorModel`.
-        """
-
+        # Largest coordinate along a direction, see `ErrorModel`
         bound: float = Field(default=2.0, gt=0.0, allow_inf_nan=False)
 
     settings: Settings

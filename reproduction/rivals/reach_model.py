@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from reproduction.studies.reaching_scenario import Scenario
 from wam_power_ros.learning.parametrization import Parametrization
-from wam_power_ros.tasks.reach.scenario import Scenario, held
+from wam_power_ros.tasks.reach.paths import held
 
 CONTACT_RADIUS = 0.04  # distance from a known contact within which contact is predicted [m]
 CONTACT_OFFSET = 0.02  # distance of an inferred contact beyond the first sample not reached [m]

@@ -32,11 +32,10 @@ from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session_log import Record
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.flip.flight import observe_flight
-from wam_power_ros.tasks.flip.returns import pancake_return
 from wam_power_ros.tasks.flip.settings import FLIP_FIT
 
 HINDSIGHT, PAPER, LONG = "pancake-hindsight", "pancake-paper", "pancake-paper-100"  # studies
-LEARNT, ABLATION = "pancake-learnt-", "pancake-ablation-"
+ABLATION = "pancake-ablation-"
 HELD_OUT = range(301, 331)  # seeds not used for tuning
 TUNING = range(21, 23)  # for "quick"
 NOVICE = 5.0  # [rad/s] intended pitch rate of the demonstrator for Fig. 5
@@ -54,8 +53,6 @@ CONDITIONS: dict[str, dict[str, Any]] = {
     "2 ms more delay": {"command_delay_ticks": 3},
     "80 V": {"bus_voltage": 80.0},
 }
-# Conditions in which whole sessions are run too.
-LEARNT_UNDER = ("wind 0.2 m/s", "wind 0.3 m/s", "2 ms more delay", "80 V")
 LESS = ("attractors", "diagonal", "symmetric")  # variants that learn less than full matrices
 
 
@@ -153,10 +150,8 @@ def session(
     chosen = "" if parameters is None else parameters.policy0.id
     curve = [record.ret for record in trials if record.demonstration == chosen]
     result = {
-        "stopped": practice.stopped,
         "ended_by": "confirmation" if practice.confirmed else "budget",
         "confirmed": practice.confirmed,
-        "choice": practice.choice,
         "used": practice.used,
         "trials": [_kept(record) for record in trials],
         "retests": [_kept(record) for record in records if record.kind == "retest"],
@@ -169,11 +164,7 @@ def session(
     if best is None or parameters is None:  # no demonstration could be reproduced
         return result
     demonstrated, answer = parameters.policy0, best.policy
-    result["k33"] = {
-        "demonstrated": _k33(demonstrated),
-        "learnt": _k33(answer),
-        "duration": answer.basis.duration,
-    }
+    result["k33"] = {"demonstrated": _k33(demonstrated), "learnt": _k33(answer)}
     for place, (where, other) in enumerate((carried or {}).items()):
         elsewhere = stand_in(seed, **other)
         runs = [elsewhere.run(with_id(answer, f"carried-{place}-{k}")) for k in range(repeats)]
@@ -189,12 +180,9 @@ def session(
 
 def _kept(record: Record) -> dict[str, Any]:
     """Part of a record that a result keeps."""
-    flight = record.observation
     return {
         "kind": record.kind,
         "ret": record.ret,
-        "success": record.success,
-        "seen_angle_deg": None if flight is None else math.degrees(flight["angle"]),
         **_outcome(record.truth or {}, record.fault),
     }
 
@@ -209,7 +197,6 @@ def _outcome(truth: Truth, fault: str) -> dict[str, Any]:
         "peak_qd": truth["peak_qd"],
         "elbow_speed": truth["peak_elbow_speed"],
         "forearm_speed": truth["peak_forearm_speed"],
-        "pan_speed": truth["peak_pan_speed"],
         "beyond_no_load": truth["beyond_no_load"],
         "fault": fault,
     }
@@ -246,7 +233,6 @@ def _figure_paths(
             "pan": _plain(pan.t, pan.position, pan.quat_xyzw),
             "pancake": _plain(pancake.t, pancake.position, pancake.quat_xyzw),
             "t_f": flight.t_f if flight.tossed else None,
-            "eq5": pancake_return(flight).total,
         }
     shown["trace"] = world.trace.round(5).tolist()
     return shown
@@ -302,10 +288,6 @@ def jobs(scale: Scale) -> list[Job]:
 
     for seed in seeds:
         add(HINDSIGHT, [seed], **hindsight, carried=conditions, keep_paths=seed == seeds[0])
-    for name in LEARNT_UNDER[one]:
-        study = f"{LEARNT}{name.replace(' ', '-').replace('/', '-')}"
-        here = {"condition": CONDITIONS[name], "carried": {"as it is": {}}}
-        add(study, seeds[:5][one], **hindsight, **here)
     for seed in seeds[one]:
         add(PAPER, [seed], **paper, changes=changes[50], keep_paths=seed == seeds[0])
     add(LONG, seeds[:4][one], **paper, changes=changes[100])

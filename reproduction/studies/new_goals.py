@@ -17,6 +17,7 @@ import numpy as np
 from hardware_sim.demonstrator import PAUSE
 from hardware_sim.scenes.reach import reach
 from reproduction.jobs import Job, Results
+from reproduction.studies.reaching_scenario import RADIUS, free_paths, midpoint
 from wam_power_ros import installed
 from wam_power_ros.faults import Fault
 from wam_power_ros.in_process.environment import Environment
@@ -28,7 +29,7 @@ from wam_power_ros.practice.new_goal import context_for, policy_for
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.regions import Region
-from wam_power_ros.tasks.reach.scenario import RADIUS, midpoint, resampled
+from wam_power_ros.tasks.reach.paths import STEPS, resampled, stopped_paths
 from wam_power_ros.tasks.reach.task import Reach
 
 HELD_OUT = range(9700, 9720)  # seeds not used for tuning; the k-th has the k-th goal in turn
@@ -67,12 +68,12 @@ class Equation:
 
     def executed(self, task: Reach, policy: Policy, rng: np.random.Generator) -> Rollout:
         """Rollout of a policy."""
-        scenario = task._scenario(policy, START)
-        path = scenario.free_paths(policy.stiffness[np.newaxis], policy.attractors[np.newaxis])
-        share = np.linspace(0.0, 1.0, scenario.steps)[:, np.newaxis]
-        stopped, touched = scenario.stopped_paths(path + share * rng.normal(0.0, NOISE, 3))
-        t = np.arange(scenario.steps) * scenario.period
-        t = np.append(t, policy.basis.duration + task.settle_time)
+        arrays = policy.stiffness[np.newaxis], policy.attractors[np.newaxis]
+        share, duration = np.linspace(0.0, 1.0, STEPS)[:, np.newaxis], policy.basis.duration
+        path = free_paths(policy, START, *arrays) + share * rng.normal(0.0, NOISE, 3)
+        stopped, touched = stopped_paths(path, np.array(task.region.centre), task.region.radius)
+        t = np.arange(STEPS) * (duration / (STEPS - 1))
+        t = np.append(t, duration + task.settle_time)
         position = np.vstack([stopped[0], stopped[0, -1:]])
         level = np.tile([0.0, 0.0, 0.0, 1.0], (len(t), 1))
         tool = EndEffectorPath(policy.id, t, position, level)

@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from reproduction.studies.reaching_scenario import RADIUS, Scenario
 from wam_power_ros.learning.demonstration import from_positions
 from wam_power_ros.learning.dmp import fit
 from wam_power_ros.learning.learner import Learner
 from wam_power_ros.learning.parametrization import NoiseScales, Parametrization, parametrization_of
 from wam_power_ros.learning.power import Power
-from wam_power_ros.tasks.reach.scenario import RADIUS, STEPS, Scenario, midpoint
+from wam_power_ros.tasks.reach.paths import STEPS
 from wam_power_ros.tasks.reach.settings import REACH_FIT
 
 
@@ -54,7 +55,7 @@ def synthetic() -> Scenario:
     paths[..., 2] += (ARC + offset[:, 6:]) * np.sin(np.pi * s)
     period = DURATION / (STEPS - 1)
     policy = fit([from_positions(path, period) for path in paths], REACH_FIT, "demonstration")
-    return Scenario(paths, period, RADIUS, policy, START, midpoint(paths))
+    return Scenario(paths, policy, START)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +122,7 @@ def as_data(
     parameters = parametrization_of(scenario.policy, variant, NOISE[variant])
     stiffness, attractors, _ = parameters.arrays(np.stack([run.mean for run in runs]))
     path, _ = scenario.stopped_paths(scenario.free_paths(stiffness, attractors))
-    shown = np.linspace(0, scenario.steps - 1, PATH_SAMPLES).round().astype(int)
+    shown = np.linspace(0, STEPS - 1, PATH_SAMPLES).round().astype(int)
     return {
         "variant": variant,
         "seeds": list(seeds),
@@ -132,7 +133,7 @@ def as_data(
         "paths": path[:, shown].round(5).tolist(),
         "demonstrations": scenario.demonstrations[:, shown].round(5).tolist(),
         "obstacle": scenario.obstacle.round(5).tolist(),
-        "radius": scenario.radius,
+        "radius": RADIUS,
     }
 
 

@@ -86,6 +86,20 @@ def test_of_several_topics_one_has_to_be_named(tmp_path: Path) -> None:
     assert reader.read_demonstration(made, NAMES)[1].tolist() == [[1.0, 1.0, 1.0]]
 
 
+def test_a_topic_without_a_message_is_none_of_several(tmp_path: Path) -> None:
+    writer = BagWriter(tmp_path / "two")
+    for topic in ("/left", "/right"):
+        writer.add(topic, JOINT_STATE, QOS)
+    writer.write("/right", START, joint_state(START, NAMES, np.ones(3)))
+    path = writer.close({})
+    importing.import_bag(Bag(path), tmp_path / "ours", NAMES)
+    writer = BagWriter(tmp_path / "none")
+    writer.add("/left", JOINT_STATE, QOS)
+    writer.add("/imu", "sensor_msgs/msg/Imu", QOS)
+    with pytest.raises(ValueError, match=r"no topics of joint states: /imu of sensor_msgs/msg/Imu"):
+        importing.import_bag(Bag(writer.close({})), tmp_path / "no", NAMES)
+
+
 def test_a_part_of_a_take_has_its_states_alone(tmp_path: Path) -> None:
     q = random_q(500)
     path = demonstration(tmp_path / "take", q)

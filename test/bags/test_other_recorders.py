@@ -314,7 +314,7 @@ def test_states_without_a_stamp_among_others_are_left_out(tmp_path: Path) -> Non
     path = of_states(tmp_path / "simulated", simulated)
     found = read_states(Bag(path), NAMES)
     np.testing.assert_array_equal(found.q, Q[4:])
-    assert remarks(found) == ["4 of 60 states left out: they have no stamp"]
+    assert remarks(found) == ["4 of 60 states left out: they have no stamp, or of another time"]
     made, _ = importing.import_bag(Bag(path), tmp_path / "part", NAMES, part=(0.0, 0.04))
     np.testing.assert_array_equal(read_states(Bag(made), NAMES).q, Q[4:15])
     none = [(received, 0, names, row) for received, _, names, row in ARM]
@@ -341,10 +341,33 @@ def test_joints_that_change_their_order_within_a_bag_are_matched_by_name(tmp_pat
     whole(read_states(Bag(of_states(tmp_path / "changed", changed)), NAMES))
 
 
-def test_a_joint_that_is_there_twice_is_refused_by_that_reason(tmp_path: Path) -> None:
-    states = [(r, s, (*names, names[0]), [*row, row[0]]) for r, s, names, row in ARM]
-    with pytest.raises(ValueError, match="a name is there twice"):
-        read_states(Bag(of_states(tmp_path / "twice", states)), NAMES)
+@pytest.mark.parametrize("wrong", [0, 30, 59])
+@pytest.mark.parametrize("at", [0, 5 * MS, 2**63 - 5])
+def test_one_wrong_time_of_reception_loses_nothing(wrong: int, at: int, tmp_path: Path) -> None:
+    states = [(at if k == wrong else r, *rest) for k, (r, *rest) in enumerate(ARM)]
+    bag = Bag(of_states(tmp_path / "theirs", by_reception(states)))
+    whole(read_states(bag, NAMES))
+    made, _ = importing.import_bag(bag, tmp_path / "ours", NAMES)
+    whole(read_states(Bag(made), NAMES))
+
+
+@pytest.mark.parametrize("days", [-1, 1])
+@pytest.mark.parametrize("place", [0, 20, 60])
+def test_a_state_of_another_day_is_left_out_and_said(days: int, place: int, tmp_path: Path) -> None:
+    (received, stamp, names, row), day = ARM[min(place, 59)], 86_400_000 * MS
+    states = [*ARM]
+    states.insert(place, (received - 1 + 2 * (place > 59), stamp + days * day, names, row + 0.5))
+    states = read_states(Bag(of_states(tmp_path / "stale", states)), NAMES)
+    whole(states)
+    assert remarks(states) == ["1 of 61 states left out: they have no stamp, or of another time"]
+
+
+def test_a_joint_that_is_there_twice_is_read_if_its_angles_are_equal(tmp_path: Path) -> None:
+    twice = [(r, s, (*names, *names), [*row, *row]) for r, s, names, row in ARM]
+    whole(read_states(Bag(of_states(tmp_path / "equal", twice)), NAMES))
+    twice = [(r, s, (*names, names[0]), [*row, row[0] + 0.1]) for r, s, names, row in ARM]
+    with pytest.raises(ValueError, match="a name is there twice, with two angles"):
+        read_states(Bag(of_states(tmp_path / "unequal", twice)), NAMES)
 
 
 def test_angles_in_degrees_are_asked_about() -> None:
@@ -395,7 +418,8 @@ def test_no_other_topic_makes_a_bag_unreadable(
     encoding: str, kind: str, schema: str, of: str, profile: str, tmp_path: Path
 ) -> None:
     bag = Bag(beside(tmp_path / "theirs.mcap", encoding, kind, schema, profile))
-    whole(read_states(bag, NAMES))
+    whole(states := read_states(bag, NAMES))
+    assert remarks(states) == [f"not read: /other ({of})"] * (" " in of)
     assert bag.topics["/other"].msgtype == of
     assert takes.read(bag, NAMES).counts == {"/joint_states": 60, "/other": 60}
     with pytest.raises(ValueError, match="/other is of type"):

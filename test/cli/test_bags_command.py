@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
-from bag_samples import demonstration
+from bag_samples import START, demonstration, of_states
 
 from wam_power_ros.bags import layout, reader
 from wam_power_ros.bags.writer import BagWriter
@@ -193,3 +194,82 @@ def test_what_show_refuses_is_not_imported(
         assert main.main(["bags", command, str(theirs)]) == 2
         assert why in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["theirs"]
+
+
+def broken(tmp_path: Path, kind: str) -> Path:
+    """A movement of the arm that no command takes as it is."""
+    stamps, q = reader.read_demonstration(SHIPPED, WAM)
+    step = np.diff(stamps, prepend=stamps[0])
+    if kind == "table":
+        return csv_of(tmp_path / "t.csv", stamps, q)
+    if kind == "folder of tables":
+        (tmp_path / "data/chunk").mkdir(parents=True)
+        csv_of(tmp_path / "data/chunk/episode_0.csv", stamps, q)
+        return tmp_path / "data"
+    half = len(q) // 3
+    if kind == "gap":
+        step[half] += 86_400 * 10**9
+    elif kind == "clock set back":
+        step[half] -= 10**9
+    theirs = (START + np.cumsum(step)).tolist()
+    received = (START + stamps - stamps[0] + 10**6).tolist()
+    states = [(*each, WAM, row) for *each, row in zip(received, theirs, q, strict=True)]
+    return of_states(tmp_path / "theirs", states)
+
+
+def csv_of(file: Path, stamps: np.ndarray, q: np.ndarray) -> Path:
+    rows = [
+        ",".join(("stamp_ns", *WAM)),
+        *(
+            f"{t}," + ",".join(map(repr, row))
+            for t, row in zip(stamps.tolist(), q.tolist(), strict=True)
+        ),
+    ]
+    file.write_text("\n".join(rows))
+    return file
+
+
+@pytest.mark.parametrize(
+    ("command", "kind"),
+    [
+        ("show", "table"),
+        ("show", "folder of tables"),
+        ("import", "folder of tables"),
+        ("show", "clock set back"),
+        ("import", "clock set back"),
+        ("show", "gap"),
+        ("import", "gap"),
+    ],
+)
+def test_what_a_refusal_advises_imports_the_movement(
+    kind: str,
+    command: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    theirs = broken(tmp_path, kind)
+    monkeypatch.chdir(tmp_path)
+    assert main.main(["bags", command, str(theirs)]) == 2
+    why = capsys.readouterr().err
+    advised = re.search(r"import (\S+\.csv)|(--by-reception)|, ([\d.]+) s after", why)
+    assert advised, why
+    part = ["--part", str(float(advised[3]) + 0.1), "1e9"] if advised[3] else []
+    given = [advised[1] or str(theirs), *filter(None, [advised[2]]), *part]
+    assert main.main(["bags", "import", *given]) == 0
+    assert main.main(["bags", "show", capsys.readouterr().out.split()[1]]) == 0
+
+
+def test_a_table_is_imported_bit_for_bit(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    stamps, q = reader.read_demonstration(SHIPPED, WAM)
+    assert main.main(["bags", "export", str(SHIPPED), "--output", "t.csv"]) == 0
+    assert main.main(["bags", "import", "t.csv", "--output", "ours"]) == 0
+    assert str(tmp_path) not in capsys.readouterr().err
+    back = reader.read_demonstration("ours", WAM)
+    np.testing.assert_array_equal(back[0], stamps)
+    np.testing.assert_array_equal(back[1], q)
+    assert main.main(["bags", "import", "t.csv", "--joints", *"abcdefg", "--output", "no"]) == 2
+    assert capsys.readouterr().err.startswith("wam-power: t.csv: /joint_states: no message")

@@ -210,7 +210,7 @@ def test_what_cannot_be_exported_is_refused_by_name(
     for recorded, name, reason in (
         (SHIPPED, "take.xlsx", "take.xlsx must end in .csv or .parquet"),
         (SHIPPED, "there.csv", "there.csv exists already"),
-        (SHIPPED, "take.parquet", "Parquet needs pyarrow: pip install pyarrow"),
+        (SHIPPED, "take.parquet", 'Parquet needs pyarrow: pip install "wam_power_ros[export]"'),
         (neither, "take.csv", f"{neither} is neither a session"),
         (empty, "take.csv", f"{empty} has no rollout yet"),
     ):

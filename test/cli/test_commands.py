@@ -225,7 +225,7 @@ def test_a_set_up_whose_links_have_no_mass_is_not_printed(
     (tmp_path / "arm.urdf").write_text(urdf)
     file = tmp_path / "my_arm.yaml"
     file.write_text("torque_controller:\n  ros__parameters:\n    urdf: arm.urdf\n")
-    message = refusal("config", str(file))
+    message = refusal("config", "--config", str(file))
     assert f"{tmp_path / 'arm.urdf'}: links ['wam_link1'," in message
     assert "'pan'] move without mass" in message
 

@@ -112,7 +112,7 @@ def test_an_unknown_set_up_starts_nothing(refusal: Callable[..., str]) -> None:
 
 
 def test_the_parameters_of_a_set_up_are_printed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main.main(["config", "geodude", "--simulate"]) == 0
+    assert main.main(["config", "--config", "geodude", "--simulate"]) == 0
     nodes = yaml.safe_load(capsys.readouterr().out)
     assert nodes["/**/wam_sim"]["ros__parameters"]["joint_names"][6] == "right_j7"
 

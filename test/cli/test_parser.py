@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -93,3 +94,88 @@ def test_no_command_waits_for_libraries_that_only_measuring_an_arm_needs() -> No
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     slow = ("scipy.signal", "scipy.optimize", "scipy.stats", "mujoco", "matplotlib")
     assert not set(slow) & set(said.stdout.split())
+
+
+def test_an_option_cannot_be_abbreviated_but_is_suggested(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    message = refused(capsys, "learn", "--demonstration", "3")
+    assert "unknown option --demonstration; did you mean '--demonstrations'?" in message
+
+
+def test_the_help_begins_with_five_commands_and_has_every_other_under_one_heading(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    listed = [name for names in main.HEADINGS.values() for name in names]
+    (commands,) = (
+        action.choices for action in main._parser()._actions if isinstance(action.choices, dict)
+    )
+    assert sorted(listed) == sorted(commands)
+    assert listed[:5] == ["learn", "teach", "replay", "view", "doctor"]
+    assert main.main([]) == 0
+    shown = re.findall(r"^  ([a-z-]+)  ", capsys.readouterr().out, re.MULTILINE)
+    assert [name for name in shown if name in listed] == listed
+
+
+@pytest.mark.parametrize(
+    ("what", "name", "says"),
+    [
+        ("tasks", "reach", "past an obstacle"),
+        ("learners", "cma_es", "CMA-ES"),
+        ("presets", "flip paper", "learner power"),
+        ("set-ups", "ur", "Universal Robots"),
+    ],
+)
+def test_names_are_listed_a_line_each_with_what_they_are(
+    what: str, name: str, says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main.main(["list", what]) == 0
+    rows = [re.split("  +", line, maxsplit=1) for line in capsys.readouterr().out.splitlines()]
+    assert all(text.strip() for _, text in rows)
+    assert says in dict(rows)[name]
+
+
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        (["--task", "flop"], "flip"),
+        (["--learner", "pwoer"], "power"),
+        (["--preset", "papr"], "paper"),
+        (["--config", "geodud"], "geodude"),
+    ],
+)
+def test_a_mistyped_name_is_met_with_the_nearest_one(
+    words: list[str], meant: str, refusal: Callable[..., str]
+) -> None:
+    assert f"did you mean '{meant}'?" in refusal("learn", "--session", "s", *words)
+
+
+def test_set_up_and_task_are_said_the_same_way_wherever_there_is_one() -> None:
+    (commands,) = (
+        action.choices for action in main._parser()._actions if isinstance(action.choices, dict)
+    )
+    task = {name for name, each in commands.items() if "--task" in each._option_string_actions}
+    setup = {name for name, each in commands.items() if "--config" in each._option_string_actions}
+    assert task == {"learn", "teach", "replay", "run-policy", "score", "config", "doctor"}
+    assert setup == {*task, "commission"} - {"score"}
+    for name in (*task, *setup):
+        places = [action.dest for action in commands[name]._actions if not action.option_strings]
+        assert not {"task", "config"} & {*places}
+
+
+def test_a_task_may_be_the_class_of_a_file_and_a_wrong_one_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "from wam_power_ros.tasks.reach.task import Reach\nclass Mine(Reach):\n    name = 'mine'\n"
+    )
+    for task in (f"{file}:Mine", "wam_power_ros.tasks.reach.task:Reach"):
+        assert main.main(["config", "--task", task]) == 0
+        assert "obstacle" in capsys.readouterr().out or "reach" in capsys.readouterr().out
+    file.write_text("1 / 0\n")
+    other = file.rename(tmp_path / "broken.py")
+    assert "cannot be imported: division by zero" in refused(
+        capsys, "config", "--task", f"{other}:Mine"
+    )
+    assert "cannot be imported" in refused(capsys, "config", "--task", "no.module:Mine")

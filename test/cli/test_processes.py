@@ -60,9 +60,11 @@ def test_a_process_may_end_with_status_0_but_not_with_another(tmp_path: Path) ->
 
 def test_waiting_for_one_notices_that_another_died(tmp_path: Path) -> None:
     with Processes(tmp_path, {}) as processes:
+        long = processes.start("long", SLEEP)
         processes.start("victim", [sys.executable, "-c", "raise SystemExit(4)"])
         with pytest.raises(ProcessError, match="victim ended with status 4"):
-            processes.finish(processes.start("long", SLEEP))
+            while True:
+                processes.check(but=long)
 
 
 def test_leaving_ends_every_process_even_one_that_ignores_the_interrupt(tmp_path: Path) -> None:

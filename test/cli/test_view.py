@@ -23,7 +23,7 @@ def test_without_viser_it_says_how_to_install_it(
     for name in [name for name in sys.modules if name.startswith("wam_power_ros.view")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "viser", None)
-    assert "pip install 'viser" in refusal(capsys)
+    assert refusal(capsys).endswith('pip install "wam_power_ros[view]"\n')
 
 
 def test_what_is_neither_a_session_nor_a_bag_is_refused(

@@ -6,11 +6,27 @@ from __future__ import annotations
 import io
 import os
 import sys
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
+from typing import NoReturn
 
+import numpy as np
 import pytest
+from conftest import lift
+from rigid_arm import HOME, MODEL
 
-from wam_power_ros.console.prompt import ask, cue, show
+from wam_power_ros.console import commission, replay, run_policy
+from wam_power_ros.console.prompt import ask, cue, let_go_after, show
+
+T, Q = np.array([0.0, 1.0]), np.array([HOME, HOME])
+
+
+@pytest.fixture(autouse=True)
+def _enter(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Somebody presses Enter twice."""
+    monkeypatch.setattr(sys, "stdin", io.StringIO("\n\n"))
 
 
 @pytest.mark.parametrize(("typed", "answered"), [("\n", True), ("yes\n", True), ("", False)])
@@ -23,6 +39,47 @@ def test_a_question_is_answered_by_enter_and_not_by_a_closed_input(
     monkeypatch.setattr(sys, "stdin", io.StringIO(typed))
     assert ask("Press Enter: ") is answered
     assert capsys.readouterr() == ("", "Press Enter: ")  # a pipe gets results only
+
+
+@pytest.mark.parametrize("person", [True, False])
+@pytest.mark.parametrize("ended", [KeyboardInterrupt, RuntimeError, None])
+def test_a_person_supports_the_arm_before_it_is_let_go_however_a_movement_ended(
+    person: bool, ended: type[BaseException] | None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with suppress(KeyboardInterrupt, RuntimeError), let_go_after(person):
+        if ended is not None:
+            raise ended
+    assert ("Support the arm" in capsys.readouterr().err) is person
+
+
+class Broken:
+    """An arm that stops, and whose other services end in an error that nobody expects."""
+
+    arm, link = MODEL, SimpleNamespace(log_period=0.0)
+
+    def stop(self) -> None:
+        """Succeed."""
+
+    def __getattr__(self, name: str) -> NoReturn:
+        raise RuntimeError(name)
+
+
+@pytest.mark.parametrize("person", [True, False])
+@pytest.mark.parametrize(
+    "move",
+    [
+        lambda robot, person: replay.replay(robot, "bag", T, Q, 1.0, person),
+        lambda robot, person: commission.move(robot, T, Q, person),
+        lambda robot, person: run_policy.run(robot, lift("lift"), None, 1, person),
+    ],
+    ids=["replay", "commission", "run-policy"],
+)
+def test_each_command_that_moves_the_arm_asks_for_support_also_after_an_unexpected_error(
+    move: Callable[[Broken, bool], int], person: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(RuntimeError):
+        move(Broken(), person)
+    assert ("Support the arm" in capsys.readouterr().err) is person
 
 
 def test_a_line_is_written_at_once(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,17 +16,20 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import Probe, Processes
+from rclpy.node import Node
 from stand_ins import Hardware
 from std_srvs.srv import SetBool, Trigger
 
 from wam_power_interfaces.action import Replay
 from wam_power_ros.bags import layout, reader
 from wam_power_ros.cli import main
-from wam_power_ros.console.replay import with_possible_speed
+from wam_power_ros.client.robot import Robot
+from wam_power_ros.console.replay import replay, with_possible_speed
+from wam_power_ros.control import replay_trajectory
 from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.action_server import Action
-from wam_power_ros.ros.outcomes import Answer, Code
+from wam_power_ros.ros.outcomes import Answer, Code, ServiceError, fill
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = [f"wam_j{number}" for number in range(1, 8)]
@@ -127,7 +130,12 @@ def test_an_invalid_bag_or_speed_is_refused_before_any_node_starts(
     ],
 )
 def test_a_replay_that_is_refused_leaves_no_bag(
-    probe: Probe, processes: Processes, tmp_path: Path, code: Code, kept: bool
+    server: Node,
+    robot: Robot,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    code: Code,
+    kept: bool,
 ) -> None:
     made = tmp_path / "replay_1"
 
@@ -140,19 +148,53 @@ def test_a_replay_that_is_refused_leaves_no_bag(
         return respond
 
     def refuse(id: str, goal: Replay.Goal) -> Answer:
-        made.mkdir(exist_ok=True)
         return Answer(code, "no", speed=0.5 if code is Code.TOO_FAST else math.nan)
 
-    Action(probe.node, Replay, interface.REPLAY_MOVEMENT, refuse)
-    probe.node.create_service(Trigger, interface.STOP, answer(""))
-    probe.node.create_service(SetBool, interface.RECORD, answer(str(made)))
-    given = {"bag": REACH, "speed": 1.0, "person": False, "arm": "''", "joint_names": NAMES}
-    given["running"] = False
-    script = processes.node("wam_power_ros.console.replay", **given)
-    probe.until(lambda: script.poll() is not None, "the end")
-    assert script.returncode == 1, processes.output(script)
+    Action(server, Replay, interface.REPLAY_MOVEMENT, refuse)
+    server.create_service(Trigger, interface.STOP, answer(""))
+    server.create_service(SetBool, interface.RECORD, answer(str(made)))
+    robot.joint_names = NAMES
+    movement = replay_trajectory.movement(*reader.read_demonstration(REACH, NAMES), 1.0)
+    assert replay(robot, "reach", *movement, 1.0, person=False) == 1
     assert made.exists() == kept
-    assert ("nothing was recorded" in processes.output(script)) != kept
+    assert ("nothing was recorded" in capsys.readouterr().out) != kept
+
+
+@pytest.mark.parametrize("still_active", [True, False])
+def test_only_a_controller_that_is_still_starting_is_asked_again(
+    server: Node, robot: Robot, still_active: bool
+) -> None:
+    """One that was deactivated meanwhile does not move the arm once it is activated again."""
+    answers = [Answer(Code.NOT_ACTIVE, "not active"), Answer(Code.DONE, "followed")]
+    stops = [Answer(Code.DONE), Answer(Code.DONE if still_active else Code.NOT_ACTIVE)]
+    Action(server, Replay, interface.REPLAY_MOVEMENT, lambda id, goal: answers.pop(0))
+    server.create_service(Trigger, interface.STOP, lambda _, sent: fill(sent, stops.pop(0)))
+    robot.joint_names = NAMES
+    t, q = replay_trajectory.movement(*reader.read_demonstration(REACH, NAMES), 1.0)
+    if still_active:
+        assert robot.follow(t, q) == "followed"
+    else:
+        with pytest.raises(ServiceError, match="not active"):
+            robot.follow(t, q)
+        assert len(answers) == 1
+
+
+def test_a_node_that_ends_ends_a_replay_with_its_name_at_once(tmp_path: Path) -> None:
+    process = replaying(REACH, "--speed", 0.01, "--folder", tmp_path)
+    for line in process.stdout:
+        if line.startswith("Replaying"):
+            break
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    (controller,) = (
+        int(child)
+        for child in children
+        if b"torque_controller" in Path(f"/proc/{child}/cmdline").read_bytes()
+    )
+    os.kill(controller, signal.SIGKILL)
+    said = process.stdout.read()
+    assert process.wait(600.0) == 2, said
+    assert "wam-power: torque_controller was ended by SIGKILL" in said
+    assert "did not answer" not in said and "Traceback" not in said
 
 
 def test_a_replay_that_is_stopped_leaves_the_arm_holding_and_its_bag_closed(
@@ -160,9 +202,8 @@ def test_a_replay_that_is_stopped_leaves_the_arm_holding_and_its_bag_closed(
 ) -> None:
     process = replaying(REACH, "--speed", 0.01, "--folder", tmp_path)
     for line in process.stdout:
-        if line.startswith("Replaying"):
+        if "the end of" in line:  # under way, however long the nodes took to start
             break
-    time.sleep(3.0)
     process.send_signal(signal.SIGINT)
     said = process.stdout.read()
     assert process.wait(600.0) == 130, said

@@ -21,7 +21,7 @@ from wam_power_ros.bags import layout
 from wam_power_ros.cli import main
 from wam_power_ros.console.run_policy import task_of
 from wam_power_ros.learning.policy import to_json
-from wam_power_ros.practice.session import Session
+from wam_power_ros.practice.session import Session, read
 from wam_power_ros.practice.settings import preset
 
 
@@ -88,8 +88,9 @@ def test_replay_names_the_command_for_a_policy(refusal: Callable[..., str], save
 def test_the_task_is_that_of_the_session_else_of_its_first_preset(tmp_path: Path) -> None:
     settings = preset("flip", "paper", budget=3)
     Session.begin(tmp_path / "s", settings, 0, [demonstrated_policy()]).close()
-    task, why = task_of(str(tmp_path / "s"), "reach")
+    session = read(tmp_path / "s")
+    task, why = task_of(session, "flip")
     assert (task.name, task.settings, why) == ("flip", settings.task_settings, "")
-    assert task_of("", "flip")[0].settings == preset("flip").task_settings
-    task, why = task_of("", "reach")  # measures by its demonstrations
+    assert task_of(None, "flip")[0].settings == preset("flip").task_settings
+    task, why = task_of(session, "reach")  # measures by its demonstrations
     assert task is None and "run the policy in its folder" in why

@@ -1,144 +1,115 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A series of takes in a terminal: kept, repeated, discarded, ended, interrupted."""
+"""A series of takes: kept, repeated, discarded, ended, interrupted."""
 
 from __future__ import annotations
 
-import json
-import os
-import pty
-import signal
-import subprocess
-import sys
-from collections.abc import Iterator
+import io
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+import rclpy
 from bag_samples import demonstration, random_q
-from conftest import Probe, Processes
-from std_srvs.srv import SetBool, Trigger
+from conftest import Probe
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool
 
 from wam_power_interfaces.action import Demonstrate, ResetScene
 from wam_power_ros.bags import series
+from wam_power_ros.client.robot import Robot
+from wam_power_ros.console.teach import record_series
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.action_server import Action
-from wam_power_ros.ros.outcomes import Answer, Code
+from wam_power_ros.ros.outcomes import Answer, Code, ServiceError, fill
 
-
-class Terminal:
-    """Teaching by the demonstrator of a stand-in whose services the test offers."""
-
-    def __init__(self, probe: Probe, processes: Processes, folder: Path) -> None:
-        self._probe, self._folder = probe, folder
-        self.file, self.text, self._recorded = folder / series.FILE, "", 0
-        probe.node.create_service(SetBool, interface.GRAVITY_COMPENSATION, _done)
-        for kind, name in (
-            (ResetScene, interface.RESET_SCENE),
-            (Demonstrate, interface.DEMONSTRATE),
-        ):
-            Action(probe.node, kind, name, lambda id, goal: Answer(Code.DONE))
-        probe.node.create_service(SetBool, interface.RECORD, self._record)
-        self._master, slave = pty.openpty()
-        parameters = {
-            "demonstrations": 3,
-            "series": str(self.file),
-            "person": False,
-            "review": True,
-            "bell": True,
-            "body": "",
-            "state_topic": "/states",
-        }
-        command = [sys.executable, "-m", "wam_power_ros.console.teach", "--ros-args"]
-        for name, value in parameters.items():
-            command += ["-p", f"{name}:={json.dumps(value)}"]
-        self.process = subprocess.Popen(
-            command, env=processes.environment, stdin=slave, stdout=slave, stderr=slave
-        )
-        os.close(slave)
-        os.set_blocking(self._master, False)
-
-    def _record(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        bag = self._folder / "bags" / f"demo_{self._recorded}"
-        if not request.data:
-            demonstration(bag, random_q(5))
-            self._recorded += 1
-        response.success, response.message = True, str(bag)
-        return response
-
-    def read(self) -> str:
-        """Everything printed so far."""
-        try:
-            self.text += os.read(self._master, 65536).decode()
-        except OSError:  # nothing new, or closed
-            pass
-        return self.text
-
-    def press(self, key: str, takes: int) -> None:
-        """Press a key and Enter at the prompt after take number `takes`."""
-        self._probe.until(lambda: self.read().count("Enter: keep") == takes, "a prompt")
-        os.write(self._master, f"{key}\n".encode())
-
-    def ended(self) -> int:
-        """Exit status."""
-        self._probe.until(lambda: self.read() and self.process.poll() is not None, "the end")
-        return self.process.returncode
-
-    def kept(self) -> list[str]:
-        """Names of the bags of the series."""
-        return [bag.name for bag in series.read(self.file)]
-
-
-def _done(_: object, response: Trigger.Response) -> Trigger.Response:
-    response.success = True
-    return response
+Teach = Callable[..., list[str]]
 
 
 @pytest.fixture
-def terminal(
-    probe: Probe, processes: Processes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> Iterator[Terminal]:
-    """Teaching in progress."""
-    from rclpy.qos import QoSProfile
-    from sensor_msgs.msg import JointState
-
-    series.write(tmp_path / series.FILE, [demonstration(tmp_path / "bags/old", random_q(5))])
-    recorder = subprocess.Popen(  # teaching waits for it before the first take
-        [sys.executable, "-c", RECORDER], env=processes.environment
-    )
-    probe.publisher(JointState, "/states", QoSProfile(depth=1))
-    terminal = Terminal(probe, processes, tmp_path)
-    yield terminal
-    for process in (terminal.process, recorder):
-        process.kill()
-        process.wait()
+def switched() -> list[bool]:
+    """Requests for gravity compensation."""
+    return []
 
 
-RECORDER = """
-import rclpy
-from sensor_msgs.msg import JointState
-rclpy.init()
-node = rclpy.create_node("demonstration_recorder")
-node.create_subscription(JointState, "/states", lambda message: None, 1)
-rclpy.spin(node)
-"""
+@pytest.fixture
+def teach(
+    probe: Probe,
+    server: Node,
+    robot: Robot,
+    switched: list[bool],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> Iterator[Teach]:
+    """Function that teaches three takes, with what a person types; returns the bags that are kept.
+
+    The demonstrator, controller and recorder are the test's own.
+    """
+    count = 0
+
+    def record(request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        nonlocal count
+        bag = tmp_path / "bags" / f"demo_{count}"
+        if not request.data:
+            demonstration(bag, random_q(5))
+            count += 1
+        return fill(response, Answer(Code.DONE, str(bag)))
+
+    def switch(request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        switched.append(request.data)
+        return fill(response, Answer(Code.DONE))
+
+    server.create_service(SetBool, interface.GRAVITY_COMPENSATION, switch)
+    server.create_service(SetBool, interface.RECORD, record)
+    for kind, name in ((ResetScene, interface.RESET_SCENE), (Demonstrate, interface.DEMONSTRATE)):
+        Action(server, kind, name, lambda id, goal: Answer(Code.DONE))
+    recorder = rclpy.create_node("demonstration_recorder", context=probe.context)
+    recorder.create_subscription(JointState, interface.JOINT_STATES, lambda _: None, 1)
+    file = tmp_path / series.FILE
+    series.write(file, [demonstration(tmp_path / "bags/old", random_q(5))])
+
+    def run(typed: io.StringIO, person: bool = False) -> list[str]:
+        monkeypatch.setattr("sys.stdin", typed)
+        record_series(robot, file, 3, person=person, review=True, bell=True)
+        return [bag.name for bag in series.read(file)]
+
+    yield run  # until then the recorder lives
 
 
-def test_takes_are_kept_repeated_and_discarded_and_the_series_is_ended(terminal: Terminal) -> None:
-    terminal.press("a", 1)  # repeat
-    terminal.press("", 2)
-    terminal.press("what?", 3)  # asked again
-    terminal.press("d", 4)  # not repeated
-    terminal.press("q", 5)  # also the last one requested
-    assert terminal.ended() == 0, terminal.text
-    assert terminal.kept() == ["old", "demo_1", "demo_3"]
-    trash = terminal.file.parent / "bags" / series.TRASH
+class Interrupted(io.StringIO):
+    """A terminal at which a person presses Ctrl-C after what is typed."""
+
+    def readline(self) -> str:
+        """Next line."""
+        if not (line := super().readline()):
+            raise KeyboardInterrupt
+        return line
+
+
+def test_takes_are_kept_repeated_and_discarded_and_the_series_is_ended(
+    teach: Teach, switched: list[bool], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    keys = ("a", "", "what?", "d", "q")  # repeat, keep, asked again, not repeated, also the last
+    assert teach(io.StringIO("\n".join(keys))) == ["old", "demo_1", "demo_3"]
+    trash = tmp_path / "bags" / series.TRASH
     assert sorted(bag.name for bag in trash.iterdir()) == ["demo_0", "demo_2"]
-    assert terminal.text.count("\a") == 8  # start and end of each take
+    said = capsys.readouterr()
+    assert said.err.count("Enter: keep") == 5
+    assert said.err.count("\a") == 8  # start and end of each take
+    assert switched == [True, False]
 
 
-def test_takes_before_ctrl_c_are_in_the_series(terminal: Terminal) -> None:
-    terminal.press("", 1)
-    terminal.press("", 2)
-    terminal._probe.until(lambda: terminal.read().count("Enter: keep") == 3, "a prompt")
-    terminal.process.send_signal(signal.SIGINT)
-    assert terminal.ended() != 0
-    assert terminal.kept() == ["old", "demo_0", "demo_1", "demo_2"]
+def test_takes_before_ctrl_c_are_in_the_series_and_the_arm_holds(
+    teach: Teach, switched: list[bool], tmp_path: Path
+) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        teach(Interrupted("\n\n"))
+    kept = [bag.name for bag in series.read(tmp_path / series.FILE)]
+    assert kept == ["old", "demo_0", "demo_1", "demo_2"]
+    assert switched == [True, False]
+
+
+def test_a_person_who_cannot_answer_is_not_waited_for(teach: Teach, switched: list[bool]) -> None:
+    with pytest.raises(ServiceError, match="standard input is closed"):
+        teach(io.StringIO(), person=True)
+    assert switched == [True, False]

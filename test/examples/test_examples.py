@@ -76,6 +76,8 @@ def test_the_resumed_session_of_the_examples_ends_with_a_report(tmp_path: Path) 
     assert lines[0] == "resumed after 2 rollouts" and "ended after 5 rollouts" in lines[-1]
     assert "<title>Session of seed 5" in (tmp_path / "session/report.html").read_text()
     assert len((tmp_path / "session/rollouts.jsonl").read_text().splitlines()) == 5
+    output("05_resume_a_session", tmp_path)  # once more begins another session
+    assert (tmp_path / "session_2/report.html").exists()
 
 
 def test_the_arm_of_the_examples_is_described_by_its_set_up(tmp_path: Path) -> None:

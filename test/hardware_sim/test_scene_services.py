@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from action_msgs.msg import GoalStatus
 from conftest import Probe, Processes, lift
 from stand_ins import TICK, Hardware, arm_model
@@ -15,11 +16,18 @@ from wam_power_ros.ros import interface
 from wam_power_ros.ros.outcomes import Code
 
 
-def test_a_reset_is_refused_without_a_free_arm_and_away_from_the_start_of_its_policy(
-    probe: Probe, processes: Processes
-) -> None:
-    hardware = Hardware(probe, processes, "lockstep")
+@pytest.fixture(scope="module")
+def hardware(shared_nodes: tuple[Probe, Processes]) -> Hardware:
+    """Stand-ins and a controller that several tests share; each leaves it holding."""
+    hardware = Hardware(*shared_nodes, "lockstep")
     hardware.control()
+    return hardware
+
+
+def test_a_reset_is_refused_without_a_free_arm_and_away_from_the_start_of_its_policy(
+    hardware: Hardware,
+) -> None:
+    probe = hardware.probe
     assert hardware.ask("reset").code is Code.BUSY
     policy = lift("far-away")
     far = Policy(**{**vars(policy), "q_start": policy.q_start + 0.3})
@@ -31,11 +39,8 @@ def test_a_reset_is_refused_without_a_free_arm_and_away_from_the_start_of_its_po
     assert probe.answer(sent).code is Code.REFUSED and sent.status == GoalStatus.STATUS_ABORTED
 
 
-def test_a_scene_is_reset_or_demonstrated_in_one_goal_at_a_time(
-    probe: Probe, processes: Processes
-) -> None:
-    hardware = Hardware(probe, processes, "lockstep")
-    hardware.control()
+def test_a_scene_is_reset_or_demonstrated_in_one_goal_at_a_time(hardware: Hardware) -> None:
+    probe = hardware.probe
     policy = lift("put-back")
     hardware.insist("move_to_start", policy)
     first, second = probe.ask("reset", policy), probe.ask("reset", policy)
@@ -44,13 +49,13 @@ def test_a_scene_is_reset_or_demonstrated_in_one_goal_at_a_time(
     first, second = probe.ask("demonstrate"), probe.ask("demonstrate")
     assert {probe.answer(first).code, probe.answer(second).code} == {Code.DONE, Code.BUSY}
     assert not probe.cancel(first)  # it has ended
+    hardware.give_back()
+    hardware.holds()
 
 
 def test_the_demonstrator_guides_the_arm_under_gravity_compensation_only(
-    probe: Probe, processes: Processes
+    hardware: Hardware,
 ) -> None:
-    hardware = Hardware(probe, processes, "lockstep")
-    hardware.control()
     assert hardware.ask("demonstrate").code is Code.BUSY
     hardware.free()
     starts = []
@@ -61,8 +66,11 @@ def test_the_demonstrator_guides_the_arm_under_gravity_compensation_only(
         assert speed > 2.0  # a toss
         starts.append(speed)
     assert starts[0] != starts[1]  # different tosses
+    hardware.give_back()
+    hardware.holds()
 
 
+@pytest.mark.long
 def test_in_real_time_states_go_on_while_the_pancake_is_put_back(
     probe: Probe, processes: Processes
 ) -> None:
@@ -86,6 +94,7 @@ def test_in_real_time_states_go_on_while_the_pancake_is_put_back(
     assert ("hold", True) in outcomes, outcomes
 
 
+@pytest.mark.long
 def test_a_scene_without_a_body_can_be_reset_taught_and_practised(
     probe: Probe, processes: Processes
 ) -> None:
@@ -114,6 +123,7 @@ def test_a_scene_without_a_body_can_be_reset_taught_and_practised(
     assert truth["goal_distance"] > 0.1
 
 
+@pytest.mark.long
 def test_demonstrations_on_another_arm_begin_at_its_own_home(
     probe: Probe, processes: Processes
 ) -> None:

@@ -145,6 +145,7 @@ def test_a_broken_driver_does_not_conform_and_is_named_for_what_it_is(
     assert f"DOES NOT CONFORM, do not move the arm: {name}" in " ".join(table["output"].split())
 
 
+@pytest.mark.long
 def test_a_driver_that_falls_silent_while_joints_are_led_does_not_conform(bench: Bench) -> None:
     table = bench.check("--active", typed="y\n" + 7 * "\n", by_hand="silent")
     assert (table["status"], failing(table)) == (1, ["wam_j1 by hand"])

@@ -60,6 +60,7 @@ class Rehearsal:
 
 
 @pytest.mark.parametrize("name", ["geodude", "libbarrett"])
+@pytest.mark.long
 def test_a_rollout_is_the_same_through_every_driver(
     name: str, probe: Probe, processes: Processes, tmp_path: Path
 ) -> None:
@@ -155,6 +156,7 @@ def led_to(arm: Arm, home: np.ndarray, way: np.ndarray, arc: np.ndarray) -> np.n
 
 
 @pytest.mark.parametrize("driver", [(), ("franka",)], ids=["by itself", "as a franka"])
+@pytest.mark.long
 def test_another_arm_reaches_by_urdf_and_yaml_alone(
     driver: tuple[str, ...], probe: Probe, processes: Processes, tmp_path: Path
 ) -> None:

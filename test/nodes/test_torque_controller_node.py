@@ -39,12 +39,32 @@ COBOT = Arm(
 ).identity()
 
 
-@pytest.mark.requirement("S-03")
-def test_each_state_gets_one_torque_labelled_with_its_stamp(
-    probe: Probe, processes: Processes
-) -> None:
-    arm = PlayedArm(probe, processes)
+def settle(arm: PlayedArm) -> None:
+    """Let the arm come to rest."""
+    for _ in range(100):
+        arm.send()
+        arm.answer()
+
+
+@pytest.fixture(scope="module")
+def activated(shared_nodes: tuple[Probe, Processes]) -> PlayedArm:
+    """A controller that several tests share, active."""
+    arm = PlayedArm(*shared_nodes)
     arm.activate()
+    return arm
+
+
+@pytest.fixture
+def arm(activated: PlayedArm) -> PlayedArm:
+    """The shared controller, which holds an arm at rest."""
+    settle(activated)
+    assert activated.read()[-1].label == "hold"
+    return activated
+
+
+@pytest.mark.requirement("S-03")
+def test_each_state_gets_one_torque_labelled_with_its_stamp(arm: PlayedArm) -> None:
+    probe = arm.probe
     seen = len(arm.read())
     stamps = []
     for _ in range(50):
@@ -59,11 +79,7 @@ def test_each_state_gets_one_torque_labelled_with_its_stamp(
 
 
 @pytest.mark.requirement("S-12")
-def test_names_in_any_order_beside_others_give_the_same_torque(
-    probe: Probe, processes: Processes
-) -> None:
-    arm = PlayedArm(probe, processes)
-    arm.activate()
+def test_names_in_any_order_beside_others_give_the_same_torque(arm: PlayedArm) -> None:
     arm.send()
     expected = arm.answer().tau
     order = [3, 6, 0, 2, 5, 1, 4]
@@ -72,11 +88,8 @@ def test_names_in_any_order_beside_others_give_the_same_torque(
 
 
 @pytest.mark.requirement("S-03")
-def test_a_repeated_stamp_gets_the_same_torque_and_an_older_one_none(
-    probe: Probe, processes: Processes
-) -> None:
-    arm = PlayedArm(probe, processes)
-    arm.activate()
+def test_a_repeated_stamp_gets_the_same_torque_and_an_older_one_none(arm: PlayedArm) -> None:
+    probe = arm.probe
     arm.send()
     first = arm.answer()
     arm.again(NAMES, HOME + 0.01, np.zeros(7))
@@ -87,12 +100,11 @@ def test_a_repeated_stamp_gets_the_same_torque_and_an_older_one_none(
     arm.again(NAMES, HOME, np.zeros(7))
     probe.spin(0.3)
     assert len(arm.read()) == count
+    arm.stamp_ns += 3 * TICK
 
 
 @pytest.mark.requirement("S-14")
-def test_states_without_velocity_get_torques_too(probe: Probe, processes: Processes) -> None:
-    arm = PlayedArm(probe, processes)
-    arm.activate()
+def test_states_without_velocity_get_torques_too(arm: PlayedArm) -> None:
     arm.send()
     expected = arm.answer().tau
     for qd in (np.empty(0), np.full(7, math.nan)):
@@ -214,9 +226,8 @@ def test_another_command_type_carries_the_same_torque(probe: Probe, processes: P
     assert np.isfinite(reading.tau).all()
 
 
-def test_teaching_and_stopping_are_a_service_call_away(probe: Probe, processes: Processes) -> None:
-    arm = PlayedArm(probe, processes)
-    arm.activate()
+def test_teaching_and_stopping_are_a_service_call_away(arm: PlayedArm) -> None:
+    probe = arm.probe
     on = SetBool.Request(data=True)
     assert probe.call(SetBool, interface.GRAVITY_COMPENSATION, on).success
     arm.send()
@@ -227,11 +238,8 @@ def test_teaching_and_stopping_are_a_service_call_away(probe: Probe, processes: 
     assert arm.answer().label == "hold"
 
 
-def test_each_request_is_answered_by_its_id_and_one_at_a_time(
-    probe: Probe, processes: Processes
-) -> None:
-    arm = PlayedArm(probe, processes)
-    arm.activate()
+def test_each_request_is_answered_by_its_id_and_one_at_a_time(arm: PlayedArm) -> None:
+    probe = arm.probe
     first = probe.ask("move_to_start", lift("first"))
     arm.diagnosis(lambda values: values["mode"] == "move_to_start", "the move")
     second = probe.ask("move_to_start", lift("second"))
@@ -291,11 +299,8 @@ WRONG = {  # of each kind: what is asked for, with what, code, and what is named
 
 
 @pytest.mark.requirement("S-15", "S-16")
-def test_each_wrong_goal_ends_aborted_with_its_code_and_the_arm_holds(
-    probe: Probe, processes: Processes
-) -> None:
-    arm = PlayedArm(probe, processes)
-    arm.activate()
+def test_each_wrong_goal_ends_aborted_with_its_code_and_the_arm_holds(arm: PlayedArm) -> None:
+    probe = arm.probe
     before = len(arm.read())
     for wrong, (do, goal, code, named) in WRONG.items():
         sent = probe.ask(do, **goal)
@@ -306,13 +311,6 @@ def test_each_wrong_goal_ends_aborted_with_its_code_and_the_arm_holds(
         if do == "execute":
             assert Ended.of(sent.result.end).start_ns == 0 and not sent.result.path.poses
     assert {torque.label for torque in arm.read()[before:]} == {"hold"}
-
-
-def settle(arm: PlayedArm) -> None:
-    """Let the arm come to rest."""
-    for _ in range(100):
-        arm.send()
-        arm.answer()
 
 
 @pytest.mark.requirement("S-128")
@@ -345,10 +343,9 @@ def test_a_goal_that_a_person_stops_names_the_stop_and_one_that_knows_of_none_do
 
 @pytest.mark.parametrize("do", ["move_to_start", "execute", "replay", "follow"])
 def test_a_cancel_stops_the_arm_and_ends_the_goal_and_a_late_one_does_nothing(
-    do: str, probe: Probe, processes: Processes
+    do: str, arm: PlayedArm
 ) -> None:
-    arm = PlayedArm(probe, processes)
-    arm.activate()
+    probe = arm.probe
     t = np.linspace(0.0, 20.0, 201)
     sway = joint_messages.JointMovement(t, HOME + 0.1 * np.sin(t)[:, None])
     movement = joint_messages.movement_message(NAMES, sway)
@@ -356,10 +353,13 @@ def test_a_cancel_stops_the_arm_and_ends_the_goal_and_a_late_one_does_nothing(
         "replay": {"movement": movement},
         "follow": {"trajectory": movement},
     }.get(do, {"policy": lift("trial-0001")})
+    before = len(arm.read())
     sent = probe.ask(do, **goal)
     label = {"follow": "replay"}.get(do, do)
     label = "rollout trial-0001" if do == "execute" else label
-    probe.until(lambda: arm.send() or label in {t.label for t in arm.read()}, "the movement")
+    probe.until(
+        lambda: arm.send() or label in {t.label for t in arm.read()[before:]}, "the movement"
+    )
     assert probe.cancel(sent)
     probe.until(lambda: arm.send() or sent.result, "its end")
     assert sent.status == CANCELED
@@ -419,9 +419,8 @@ def test_a_recorded_movement_is_replayed_and_a_bad_one_refused(
     assert "replay" in labels
 
 
-@pytest.mark.parametrize("frame_id", ["", "world"])
 def test_a_movement_on_the_topic_is_played_whatever_its_frame_and_a_bad_one_logged(
-    frame_id: str, probe: Probe, processes: Processes
+    probe: Probe, processes: Processes
 ) -> None:
     arm = PlayedArm(probe, processes)
     arm.activate()
@@ -431,7 +430,8 @@ def test_a_movement_on_the_topic_is_played_whatever_its_frame_and_a_bad_one_logg
     logged = lambda: "movement refused: joints ['wam_j7']" in processes.output(arm.process)  # noqa: E731
     probe.until(logged, "its log")
     waypoint = joint_messages.movement_message(NAMES, STILL._replace(t=STILL.t[:1], q=STILL.q[:1]))
-    for movement in (joint_messages.movement_message(NAMES, STILL), waypoint):
+    still = joint_messages.movement_message(NAMES, STILL)
+    for frame_id, movement in (("", still), ("world", waypoint)):
         movement.header.frame_id = frame_id
         before = len(arm.read())
         movements.publish(movement)

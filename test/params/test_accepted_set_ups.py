@@ -55,7 +55,7 @@ def accepted(tmp_path: Path) -> Accepts:
         file.write_text(yaml.safe_dump(text, allow_unicode=True))
         printed, refused = io.StringIO(), io.StringIO()
         with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(refused):
-            status = main.main(["config", str(file), "--simulate"])
+            status = main.main(["config", "--config", str(file), "--simulate"])
         assert status in (0, 2), refused.getvalue()
         assert bool(printed.getvalue()) == (status == 0)
         return printed.getvalue()
@@ -132,7 +132,7 @@ def test_what_a_node_would_refuse_config_refuses(
 ) -> None:
     file = tmp_path / "lab.yaml"
     file.write_text(yaml.safe_dump({node: {"ros__parameters": values}}))
-    assert says in refusal("config", str(file), "--simulate")
+    assert says in refusal("config", "--config", str(file), "--simulate")
 
 
 NUMBERS = st.one_of(

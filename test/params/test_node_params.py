@@ -15,9 +15,6 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from hardware_sim.settings import ArmSimParams, OptitrackSimParams
-from wam_power_ros.console.replay import ReplayParams
-from wam_power_ros.console.run_policy import RunPolicyParams
-from wam_power_ros.console.teach import TeachParams
 from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorderParams
 from wam_power_ros.nodes.learner import LearnerParams
 from wam_power_ros.params.body_tracker_params import BodyTrackerParams
@@ -161,9 +158,6 @@ PARAMS = (
     LearnerParams,
     BodyTrackerParams,
     DemonstrationRecorderParams,
-    ReplayParams,
-    RunPolicyParams,
-    TeachParams,
 )
 
 

@@ -89,3 +89,35 @@ def test_without_xacro_the_remedy_is_to_install_it(
     with pytest.raises(ValueError, match=r"arm\.urdf\.xacro .* pip install xacro"):
         robot_description(str(lab(tmp_path)))
     assert robot_description("urdf/wam7.urdf") == share("urdf/wam7.urdf").read_text()
+
+
+@pytest.mark.parametrize(
+    ("head", "encoding"),
+    [
+        ('<?xml version="1.0" encoding="ISO-8859-1"?>', "latin-1"),
+        ('<?xml version="1.0" encoding="UTF-8"?>', "utf-8"),
+        ('<?xml version="1.0" encoding="UTF-8"?>', "latin-1"),
+        ('<?xml version="1.0" encoding="nonsense"?>', "latin-1"),
+        ('<?xml version="1.0"?>', "latin-1"),
+        ("", "utf-8-sig"),
+    ],
+)
+def test_a_description_is_read_whatever_its_encoding(
+    head: str, encoding: str, tmp_path: Path
+) -> None:
+    text = f"{head}<robot><!-- Prüfstand --></robot>"
+    (file := tmp_path / "arm.urdf").write_bytes(text.encode(encoding))
+    assert resources.robot_description(str(file)) == text
+
+
+def test_a_description_is_found_in_a_sourced_package_or_at_home(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (folder := tmp_path / "share/lab/urdf").mkdir(parents=True)
+    (folder / "arm.urdf").write_text("<robot/>")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", f"/nowhere:{tmp_path}")
+    monkeypatch.setenv("HOME", str(folder))
+    for urdf in ("package://lab/urdf/arm.urdf", "~/arm.urdf"):
+        assert resources.robot_description(urdf) == "<robot/>"
+    with pytest.raises(FileNotFoundError, match=r"package://lab/no.urdf is in none of.*nowhere"):
+        resources.robot_description("package://lab/no.urdf")

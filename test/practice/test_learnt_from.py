@@ -18,7 +18,6 @@ from wam_power_ros.learning.power import Power
 from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.settings import preset
-from wam_power_ros.reporting import terminal
 from wam_power_ros.tasks.ball_in_cup.task import BallInCup
 from wam_power_ros.tasks.errors import Effect, Error
 from wam_power_ros.tasks.flip.task import Flip
@@ -66,7 +65,7 @@ def said(monkeypatch: pytest.MonkeyPatch, kind: type[Task], name: str) -> tuple[
     monkeypatch.setattr(installed, "task_type", lambda _: kind)
     settings = preset(kind.name, name)
     task = settings.make_task(CONTEXT)
-    return terminal.method(settings, task).rpartition("learns from ")[2], task
+    return settings.described(task).rpartition("learns from ")[2], task
 
 
 @pytest.mark.parametrize("changed", [own_return, own_success])

@@ -26,9 +26,10 @@ def test_a_section_is_found_by_its_anchor() -> None:
 
 
 def test_a_page_is_one_document_with_its_title() -> None:
-    html = html_page.page("R & D", ["<p>x</p>", ""])
+    html = html_page.page("R & D", [html_page.items(["x"]), "", "a < b"])
+    assert "<ul><li>x</li></ul>\na &lt; b" in html
     assert html.startswith("<!doctype html>") and "<title>R &amp; D</title>" in html
-    assert html_page.image(b"x", '"', "image/png").startswith('<img alt="&quot;" src="data:image/')
+    assert html_page.image(b"x", '"', "image/png").startswith('<img alt="&#34;" src="data:image/')
 
 
 def test_a_row_of_another_length_than_the_head_is_refused() -> None:

@@ -139,7 +139,7 @@ def test_the_same_session_gives_the_same_report(folder: Path) -> None:
 def test_a_shown_rollout_without_a_film_gives_the_reason(folder: Path) -> None:
     shown = session_report.ShownRollout("caught.", a_rollout("trial-0006", TURNS[5]))
     html = session_report.write(folder, shown, "no <OpenGL> here").read_text()
-    assert "The session&#x27;s policy, trial-0006" in html
+    assert "The session&#39;s policy, trial-0006" in html
     assert "no &lt;OpenGL&gt; here" in html
 
 
@@ -176,9 +176,7 @@ def test_a_report_of_a_reach_speaks_of_the_obstacle_and_of_no_pancake(reach: Pat
     for word in ("pancake", "flip", "Eq. 5", "caught"):
         assert word not in visible
     assert "Rollout 2 was the first that succeeded." in html
-    said = (
-        "obstacle was touched: measurements and the simulator&#x27;s ground truth agree in 3 of 3"
-    )
+    said = "obstacle was touched: measurements and the simulator&#39;s ground truth agree in 3 of 3"
     assert said in html
     assert (
         html.count("data:image/svg+xml;base64,") == 4

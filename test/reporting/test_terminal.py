@@ -44,6 +44,8 @@ def test_no_head_and_no_outcome_is_cut_at_any_width(practice: Practice, width: i
     assert "…" not in text.getvalue()
     head, *rows = text.getvalue().splitlines()
     assert {"#", "kind", "return", "best", "outcome"} <= set(head.split())
+    signs = [rows.pop().strip()] if width == 80 else []
+    assert signs == ["no room for landing, caught"] * (width == 80)
     assert len(rows) == len(practice.records)
     for record, row in zip(practice.records, rows, strict=True):
         assert "a pancake on the floor" in row and f"{record.ret:.3f}" in row
@@ -128,6 +130,23 @@ def test_the_summary_begins_with_what_the_demonstration_was_worth_before_learnin
     assert "before learning: return 0.300, no success" in text
     assert "the reproduction of other; after it: mean return 0.850, 2 of 3 re-tests" in text
     assert "before learning" not in terminal.summary(practice.records[:2], practice.task)
+
+
+def test_the_policy_of_a_session_is_explained_beside_a_higher_return(practice: Practice) -> None:
+    first, second, third = practice.records[:3]
+    runs = [first.model_copy(update={"number": n, "kind": "retest", "ret": 0.4}) for n in (4, 5)]
+    lucky = second.model_copy(update={"kind": "explore", "ret": 0.9})
+    other = third.model_copy(update={"kind": "mean", "ret": 0.8})
+    first = first.model_copy(update={"ret": 0.1, "success": False})
+    runs[1] = runs[1].model_copy(update={"success": True})
+    (line,) = terminal.choice([first, lucky, other, *runs], first.id)
+    said = "mean return 0.300, 1 of 3 runs without exploration succeeded; only such runs decide"
+    assert f"that of {first.id}: {said}" in line
+    assert line.endswith("the highest return, 0.900 in rollout 2, was of an exploration")
+    (line,) = terminal.choice([first, other, *runs], first.id)
+    assert line.endswith("0.800 in rollout 3, was of one run of another policy")
+    assert terminal.choice([first, *runs], first.id)[0].endswith("only such runs decide")
+    assert terminal.choice([lucky], lucky.id) == []
 
 
 def test_bars_grow_with_the_values() -> None:

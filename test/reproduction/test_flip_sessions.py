@@ -63,7 +63,6 @@ def rollout(kind: str, ret: float, landed: bool = True, angle: float = 175.0) ->
     return {
         "kind": kind,
         "ret": ret,
-        "success": landed,
         "landed": landed,
         "true_flip": landed and angle > 150.0,
         "angle_deg": angle,
@@ -72,7 +71,6 @@ def rollout(kind: str, ret: float, landed: bool = True, angle: float = 175.0) ->
         "peak_qd": [0.1] * 7,
         "elbow_speed": 0.5,
         "forearm_speed": 1.25,
-        "pan_speed": 2.5,
         "beyond_no_load": False,
         "fault": "",
     }
@@ -84,16 +82,14 @@ def held(seed: int, landed: bool = True, angle: float = 175.0) -> dict[str, Any]
     curve = (0.6 + 0.01 * np.arange(50) + 0.01 * rng.standard_normal(50)).tolist()
     retests = [rollout("retest", 1.0, landed, angle)] * 10
     return {
-        "stopped": "the mean policy is confirmed: 8 successes in a row",
         "ended_by": "confirmation",
-        "choice": "",
         "used": 20,
         "trials": [rollout("explore", ret) for ret in curve],
         "retests": retests,
         "curve": curve,
         "fires": 33,
         "carried": {"wind 0.2 m/s": retests, "80 V": retests},
-        "k33": {"demonstrated": [300.0] * 41, "learnt": [290.0, *[300.0] * 40], "duration": 0.8},
+        "k33": {"demonstrated": [300.0] * 41, "learnt": [290.0, *[300.0] * 40]},
         "figure_paths": None,
     }
 
@@ -104,7 +100,6 @@ def results(default: list[dict[str, Any]]) -> dict[str, dict[str, dict[str, Any]
         "pancake-hindsight": {f"seed-{seed}": session for seed, session in enumerate(default)},
         "pancake-paper": few,
         "pancake-paper-100": few,
-        "pancake-learnt-80-V": few,
         "pancake-ablation-diagonal": few,
     }
 

@@ -146,6 +146,7 @@ def test_whatever_the_studies_import_is_hashed() -> None:
     assert imported - hashed <= {ROOT / f"reproduction/{name}.py" for name in ("__init__", "jobs")}
 
 
+@pytest.mark.long
 def test_interrupted_and_begun_again_it_ends_with_the_same_files(tmp_path: Path) -> None:
     code = (
         "import sys; from pathlib import Path; from test_jobs import draws; "

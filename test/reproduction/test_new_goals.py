@@ -32,6 +32,7 @@ def test_a_session_without_a_success_counts_as_one_that_never_succeeded() -> Non
     assert (found["confirmed"], found["robust"], found["first rollout succeeds"]) == (1, 1, 0)
 
 
+@pytest.mark.long
 def test_a_study_prints_its_sessions_from_every_worker(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "reproduction.studies", "new_goals", "--only", "reach"]
     asked = ["--seeds", "2", "--folder", str(tmp_path), "--workers", "2"]

@@ -93,6 +93,7 @@ def test_seeds_and_times_are_written_in_short() -> None:
     assert [report.duration(seconds) for seconds in times] == written
 
 
+@pytest.mark.long
 def test_stopped_by_ctrl_c_and_begun_again_a_reproduction_ends_with_the_same_numbers(
     tmp_path: Path,
 ) -> None:

@@ -22,6 +22,9 @@ from rights import RIGHTS
 
 from hardware_sim.main import Simulation
 from hardware_sim.optitrack_node import OptitrackSim
+from wam_power_ros.client.link import Link
+from wam_power_ros.client.robot import Robot
+from wam_power_ros.client.rollouts import RolloutSettings
 from wam_power_ros.nodes.body_tracker import BodyTracker
 from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorder
 from wam_power_ros.nodes.learner import Learner
@@ -40,7 +43,18 @@ RELATIVE = {
 } - {interface.SCENE}
 RELATIVE |= {interface.body_topic("pancake", leaf) for leaf in interface.BODY_LEAVES}
 NAMES = {f"/{name.lstrip('/')}" for name in RELATIVE | {interface.rollout_topic("pancake")}}
+
+
+def robot() -> Node:
+    """Node of an arm as an object, of which everything is used that is no service."""
+    node, settings = rclpy.create_node("robot"), RolloutSettings.of(overlay.setup()["learner"])
+    arm = Robot(Link(node), body="pancake", settings=settings)
+    assert all((arm.scene_reset, arm.demonstrator, arm._replays, arm._rollouts))
+    return node
+
+
 NODES = {
+    "robot": robot,
     "torque_controller_preparation": lambda: PreparationWorker(pair()[0]),
     "torque_controller": TorqueController,
     "demonstration_recorder": DemonstrationRecorder,

@@ -77,6 +77,7 @@ def test_the_driver_of_a_ur_is_rehearsed_in_its_shape() -> None:
     assert overlay.setup(["franka"], simulated=True)["wam_sim"]["effort"] == "filled"
 
 
+@pytest.mark.long
 def test_a_ur_teaches_replays_and_learns_to_reach_over_dds(tmp_path: Path) -> None:
     lockstep = tmp_path / "lockstep.yaml"
     lockstep.write_text("wam_sim: {ros__parameters: {pace: lockstep}}")

@@ -8,6 +8,7 @@ import signal
 from pathlib import Path
 
 import numpy as np
+import pytest
 from test_session_over_dds import JOINTS, ended, lines, wait_for, wam_power
 
 from wam_power_ros.bags import layout, reader
@@ -17,6 +18,7 @@ from wam_power_ros.bags.bag import Bag
 SENT = {"taught": ("empty", "nan"), "used": ("nan", "empty")}
 
 
+@pytest.mark.long
 def test_a_driver_that_leaves_values_out_is_taught_with_replayed_and_learnt_from(
     tmp_path: Path,
 ) -> None:

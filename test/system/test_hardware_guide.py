@@ -205,6 +205,7 @@ def lab(tmp_path: Path, probe: Probe, processes: Processes) -> Iterator[Lab]:
     lab.leave()
 
 
+@pytest.mark.long
 def test_every_command_of_the_guide_runs(lab: Lab) -> None:
     assert len(commands()) > 10
     for words in commands():

@@ -7,6 +7,7 @@ import signal
 import sys
 from pathlib import Path
 
+import pytest
 from conftest import ROOT, Probe, Process, Processes
 from diagnostic_msgs.msg import DiagnosticArray
 from std_srvs.srv import Trigger
@@ -42,6 +43,7 @@ def fitted(bag: Path) -> Policy:
     return fit([from_joint_samples(arm, stamps_ns, q)], FLIP_FIT, "demonstration-1")
 
 
+@pytest.mark.long
 def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing(
     probe: Probe,
     processes: Processes,

@@ -186,6 +186,7 @@ def interrupted(tmp_path_factory: pytest.TempPathFactory, candidate: Policy) -> 
     return Interrupted(folder, nodes, left, status, output, kept, *resumed)
 
 
+@pytest.mark.long
 def test_ctrl_c_ends_every_process_and_says_how_to_go_on(interrupted: Interrupted) -> None:
     assert interrupted.status == 130, interrupted.output
     assert len(interrupted.nodes) == 5  # stand-ins, controller, recorder, tracker, learner
@@ -195,6 +196,7 @@ def test_ctrl_c_ends_every_process_and_says_how_to_go_on(interrupted: Interrupte
     assert 1 <= len(interrupted.lines) < len(ROLLOUTS)
 
 
+@pytest.mark.long
 def test_the_command_it_prints_goes_on_to_the_end(
     interrupted: Interrupted, expected: list[dict[str, Any]]
 ) -> None:
@@ -269,6 +271,7 @@ def learner(processes: Processes, folder: Path) -> Process:
     return processes.node(node, "learner.yaml", "simulation.yaml", **SIM, session=folder)
 
 
+@pytest.mark.long
 def test_a_learner_killed_in_mid_rollout_learns_the_same_when_started_again(
     probe: Probe,
     processes: Processes,
@@ -369,6 +372,7 @@ def test_another_reader_opens_the_demonstration(demonstration: Path) -> None:
     assert "wam_link7" in description.data
 
 
+@pytest.mark.long
 def test_another_reader_opens_a_rollout_with_everything_that_made_it(
     interrupted: Interrupted,
 ) -> None:

@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 from test_session_over_dds import ended, wam_power
 
 from wam_power_ros.bags import layout
@@ -25,6 +26,7 @@ def done(folder: Path, *arguments: str) -> str:
     return output
 
 
+@pytest.mark.long
 def test_an_arm_of_six_joints_teaches_and_replays(tmp_path: Path) -> None:
     done(
         tmp_path,
@@ -37,6 +39,7 @@ def test_an_arm_of_six_joints_teaches_and_replays(tmp_path: Path) -> None:
     assert "tool: rms" in done(tmp_path, "replay", str(bag), "--folder", "r", *SIMULATED)
 
 
+@pytest.mark.long
 def test_an_arm_of_six_joints_learns_reach_and_its_rollouts_are_those_of_one_process(
     tmp_path: Path,
 ) -> None:

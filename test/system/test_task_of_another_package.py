@@ -71,6 +71,7 @@ def wam_power(environment: dict[str, str], folder: Path, *arguments: str) -> str
     return ended.stdout
 
 
+@pytest.mark.long
 def test_it_is_taught_practised_and_reported_through_its_entry_points(
     environment: dict[str, str], tmp_path: Path
 ) -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pytest
 from conftest import ROOT, Probe, Processes
 from diagnostic_msgs.msg import DiagnosticArray
 
@@ -21,6 +22,7 @@ PATIENCE = 300.0  # [s of wall time]
 ARMS = {"left": 5, "right": 6}  # namespace -> seed
 
 
+@pytest.mark.long
 def test_two_arms_in_two_namespaces_learn_side_by_side(
     probe: Probe, processes: Processes, tmp_path: Path
 ) -> None:

@@ -26,7 +26,7 @@ def test_a_button_of_a_session_that_has_ended_is_answered_and_raises_nothing(
             pass
     finally:
         rclpy.shutdown()
-    assert page.call(interface.RECORD, True).code is Code.NOT_ACTIVE
+    assert page.give("stop").code is Code.NOT_ACTIVE
     assert page.teach(lambda: None, str).code is Code.NOT_ACTIVE
 
 

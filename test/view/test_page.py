@@ -16,7 +16,7 @@ import pytest
 
 pytest.importorskip("viser", reason="no viser")
 
-from browser import chromium, opened, scene
+from browser import chromium, opened, pixels, scene
 from conftest import Probe, lift
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import JointState
@@ -170,6 +170,23 @@ def test_a_bag_is_drawn_and_played(browser: Any, bag_url: str) -> None:  # noqa:
     play.click()
     page.wait_for_function("Number(document.querySelector('[role=slider]').ariaValueNow) > 0.3")
     until_drawn_otherwise(page, scene(page))  # only the arm moves in this bag
+    page.close()
+
+
+def test_on_a_phone_the_arm_is_drawn_above_the_panel(browser: Any, bag_url: str) -> None:  # noqa: ANN401
+    page = opened(browser, bag_url, (390, 700))
+    panel = page.get_by_text("wam-power view").bounding_box()
+    above = {"x": 0, "y": 0, "width": 390, "height": panel["y"]}
+
+    def dark() -> np.ndarray:
+        """Rows and columns of pixels of the dark base and pan."""
+        return np.argwhere(pixels(page, above).max(axis=2) < 80)
+
+    running = 200
+    while not len(seen := dark()) > 500 and (running := running - 1):
+        page.wait_for_timeout(100)
+    assert np.ptp(seen[:, 1]) > 100  # from the base to the pan
+    assert seen[:, 0].max() < panel["y"] - 5  # the base ends above the panel
     page.close()
 
 

@@ -34,7 +34,7 @@ def test_a_demonstration_has_its_arm_its_joints_and_the_body_in_the_pan() -> Non
     assert movement.body == "pancake" and movement.policy is None
     tool = Skeleton(movement.urdf, movement.joint_names).tool_path(movement.q[:1])[0]
     assert np.linalg.norm(movement.body_at(0.1)[0] - tool) < 0.1
-    np.testing.assert_allclose(np.linalg.norm(movement.body_quat_wxyz, axis=1), 1.0)
+    np.testing.assert_allclose(np.linalg.norm(movement.body_states[:, 4:], axis=1), 1.0)
 
 
 def test_the_policy_of_a_rollout_is_read_and_a_text_of_another_kind_is_not(tmp_path: Path) -> None:
@@ -81,10 +81,9 @@ def test_an_invalid_bag_is_refused(tmp_path: Path) -> None:
 
 def movement() -> Movement:
     t = np.array([0.0, 1.0, 2.0])
-    seen = np.array([[0.5, 0.0, 0.0], [0.6, 0.0, 0.0]])
-    quats = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]])
+    seen = [[0.5, 0.5, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], [1.5, 0.6, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0]]
     q = np.array([[0.0, 4.0], [1.0, 4.0], [3.0, 4.0]])
-    return Movement("m", "", ("a", "b"), t, q, "ball", np.array([0.5, 1.5]), seen, quats, None)
+    return Movement("", ("a", "b"), t, q, "ball", np.array(seen), None)
 
 
 def test_joints_are_interpolated_and_stay_at_the_ends() -> None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,8 +16,9 @@ from wam_power_ros.practice.session import Session
 from wam_power_ros.practice.settings import preset
 
 pytest.importorskip("viser")
-from wam_power_ros.view.guarded_server import close, open_server
+from wam_power_ros.view.guarded_server import GuardedServer
 from wam_power_ros.view.live import LiveState
+from wam_power_ros.view.page import Page
 from wam_power_ros.view.session_page import SessionPage
 from wam_power_ros.view.skeleton import Skeleton
 
@@ -30,7 +32,7 @@ def test_the_path_of_the_tool_is_drawn_while_the_arm_moves(tmp_path: Path) -> No
     node = SimpleNamespace(
         state=state, update=lambda: state, urdf=urdf, model_joint_names=arm.joint_names
     )
-    server = open_server("127.0.0.1", 8080)
+    server = GuardedServer("127.0.0.1", 8080)
     try:
         page = SessionPage(server, folder)
         page.connect(node)
@@ -38,43 +40,63 @@ def test_the_path_of_the_tool_is_drawn_while_the_arm_moves(tmp_path: Path) -> No
         for q in postures:
             state.q = q
             page.tick(0.1)
-        drawn = server.scene.get_handle_by_name("/trail").points
+        drawn = server.scene.get_handle_by_name("/executed/trail").points
     finally:
         server.stop()
     path = arm.tool_path(postures)
     np.testing.assert_allclose(drawn, np.stack([path[:-1], path[1:]], axis=1), atol=1e-6)
 
 
-def test_playback_follows_the_newest_rollout_and_ratings_end_with_the_learning(
+def test_an_arm_without_shapes_is_drawn_as_sticks_from_joint_to_joint() -> None:
+    urdf = share("urdf/wam7.urdf").read_text()
+    arm = Skeleton(re.sub(r"<visual>.*?</visual>", "", urdf, flags=re.DOTALL))
+    server = GuardedServer("127.0.0.1", 8080)
+    try:
+        page = Page(server, "sticks")
+        page.show_arm(arm)
+        page.pose(np.full(7, 0.3))
+        drawn = server.scene.get_handle_by_name("/arm/sticks").points
+    finally:
+        server.stop()
+    np.testing.assert_allclose(drawn[:, 1], arm.placements(np.full(7, 0.3))[0][1:], atol=1e-6)
+
+
+def test_the_arm_is_live_then_the_newest_rollout_and_ratings_end_with_the_learning(
     tmp_path: Path,
 ) -> None:
     folder = tmp_path / "s"
     settings, policies = preset("flip", budget=4, confirm=0, retests=2), [demonstrated_policy()]
     practice = practice_of(policies, settings, seed=0)
-    server = open_server("127.0.0.1", 8080)
+    server = GuardedServer("127.0.0.1", 8080)
     try:
         with Session.begin(folder, settings, 0, policies) as session:
             page = SessionPage(server, folder)
             page.connect(SimpleNamespace(state=LiveState(), update=LiveState))
 
             def run() -> str:
-                """Execute a rollout; returns the chosen movement."""
+                """Execute a rollout; returns the newest movement in the list."""
                 trial = practice.next_trial()
                 ended = toss(trial, practice.task.settings)
                 session.append(practice.learn_assessed(trial, ended, bag=f"rollout_{trial.id}"))
                 page.tick(0.1)
-                return page._player._choice.value.split()[0]
+                return page._player._choice.options[1].split()[0]
 
             rate, pause = page._buttons["Reward"], page._buttons["Pause"]
             page.tick(0.1)
             assert rate.disabled and not pause.disabled  # there is nothing to rate
             assert [run() for _ in range(3)] == ["1", "2", "3"] and not rate.disabled
-            page._player._choose()
             session.append(practice.rate(0.3))
-            assert run() == "3"  # a person has chosen
-            run()
+            assert [run() for _ in range(2)] == ["4", "5"] and page._player.live
             assert rate.disabled and not pause.disabled  # a re-test is not learnt from
         page.tick(0.1)
         assert pause.disabled  # the learner has ended
+        page.connect(None)
+        page.tick(0.1)
+        assert all(button.disabled for button in page._buttons.values())
+        names = page._player._choice.options
+        assert page._player._choice.value == names[0] and names[0].startswith("5 ")
+        page._player._chosen = names[2]  # by a person, as a click does
+        page._player.offer(names[1:])
+        assert page._player._choice.value == names[2]
     finally:
-        close(server)
+        server.stop()

@@ -11,7 +11,7 @@ import pytest
 
 from wam_power_ros import rotations
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.view.skeleton import STICK_RADIUS, Skeleton
+from wam_power_ros.view.skeleton import Skeleton
 
 URDF = Path(__file__).resolve().parents[2] / "urdf"
 WAM, COBOT = (URDF / "wam7.urdf").read_text(), (URDF / "cobot7.urdf").read_text()
@@ -30,24 +30,22 @@ def test_the_tool_is_drawn_where_the_controller_has_it() -> None:
 
 
 @pytest.mark.parametrize("urdf", [WAM, COBOT])
-def test_every_shape_of_the_urdf_is_drawn_on_a_link(urdf: str) -> None:
-    skeleton = Skeleton(urdf)
-    assert len(skeleton.shapes) == urdf.count("<visual>")
-    assert {shape.link for shape in skeleton.shapes} <= set(skeleton.links)
-    assert all(min(shape.size) > 0.0 for shape in skeleton.shapes)
+def test_every_shape_of_the_urdf_is_drawn_and_a_mesh_is_left_out(urdf: str) -> None:
+    count, mesh = urdf.count("<visual>"), '<geometry><mesh filename="no.stl"/></geometry>'
+    assert len(Skeleton(urdf).shapes) == count
+    assert len(Skeleton(re.sub("<geometry>.*?</geometry>", mesh, urdf, count=1)).shapes) < count
 
 
 def test_a_shape_has_the_colour_of_its_material() -> None:
-    pan = [shape for shape in Skeleton(WAM).shapes if shape.link == "pan"]
-    assert {shape.rgb for shape in pan} == {(31, 31, 33)}
+    pan = [shape for shape in Skeleton(WAM).shapes if shape.name.startswith("pan_")]
+    assert {tuple(round(255 * part) for part in shape.meshColor[:3]) for shape in pan} == {
+        (31, 31, 33)
+    }
 
 
-def test_an_arm_without_shapes_is_drawn_as_sticks_from_link_to_link() -> None:
-    skeleton = Skeleton(re.sub(r"<visual>.*?</visual>", "", WAM, flags=re.DOTALL))
-    positions, _ = skeleton.placements(np.zeros(7))
-    lengths = np.linalg.norm(np.diff(positions, axis=0), axis=1)
-    drawn = [shape.size[1] for shape in skeleton.shapes]
-    np.testing.assert_allclose(drawn, lengths[lengths > STICK_RADIUS])
+def test_an_arm_without_shapes_has_none() -> None:
+    bare = re.sub(r"<visual>.*?</visual>", "", WAM, flags=re.DOTALL)
+    assert Skeleton(bare).shapes == ()
 
 
 def test_joints_that_are_not_named_stay_at_zero() -> None:

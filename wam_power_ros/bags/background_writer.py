@@ -38,13 +38,9 @@ class Recording:
         notes: Mapping[str, str],
         now: Callable[[], int] = time.time_ns,
     ) -> None:
-        """Begin the bag `path` with a "start" event, whose reason is the kind.
+        """Begin the bag `path` with a "start" event, whose reason is the kind, and notes.
 
-        Args:
-            path: Folder of the finished bag.
-            kind: Kind of the recording.
-            notes: Notes for the metadata, see `BagWriter.event`.
-            now: Clock for the time of reception [ns].
+        `now` is the clock of the times of reception [ns].
 
         Raises:
             FileExistsError: The bag exists, finished or not.
@@ -85,10 +81,7 @@ class Recording:
         self._enqueue(self._writer.write, topic, self._now(), cdr)
 
     def close(self, reason: str, notes: Mapping[str, str]) -> Gaps | None:
-        """Write the queue and finish the bag, with notes for its metadata.
-
-        Returns:
-            Gaps of the arm's states; None if their topic was not added.
+        """Write the queue and finish the bag, with notes; the gaps of the states if there are any.
 
         Raises:
             OSError: The writing failed; the bag stays unfinished.

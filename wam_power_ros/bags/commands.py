@@ -20,11 +20,7 @@ def read_commands(
 ) -> np.ndarray:
     """Torque sent for each state, that of the state before where none was sent [N m]. (M, n).
 
-    Args:
-        bag: The bag.
-        topic: Topic of the commands, of either type of command.
-        stamps: Stamps of the states [ns]. Shape (M,).
-        joint_names: Joint names of the driver, base to tip.
+    The states are given by their stamps [ns], shape (M,); `joint_names` go base to tip.
 
     Raises:
         ValueError: The topic is missing, its messages are malformed, or most states have no torque.

@@ -39,12 +39,8 @@ def device_gaps(
 ) -> Gaps:
     """Gaps of a topic of one or more devices: of those with joints of the arm, or else of all.
 
-    Args:
-        stamps_ns: Stamps [ns] by device, which is known by the names of its joints.
-        joint_names: Names of the arm's joints.
-
-    Returns:
-        The period is that of the device with most messages; missing messages are summed.
+    A device is known by the names of its joints. The period is that of the device with most
+    messages; missing messages are summed.
     """
     arm = [each for names, each in stamps_ns.items() if not set(names).isdisjoint(joint_names)]
     found = [(len(each), gaps(each)) for each in arm or stamps_ns.values()]

@@ -12,12 +12,10 @@ import numpy as np
 
 from wam_power_ros.bags import layout, reader
 from wam_power_ros.bags.bag import Bag
-from wam_power_ros.bags.layout import JOINT_STATE, STATES, TYPES
+from wam_power_ros.bags.layout import JOINT_STATE, STAMP_END, STATES, TYPES
 from wam_power_ros.bags.quality import Remark
 from wam_power_ros.bags.reader import States
 from wam_power_ros.bags.writer import BagWriter
-
-STAMP_END = 2**31 * 1_000_000_000  # of a header [ns]
 
 
 def import_bag(
@@ -103,12 +101,12 @@ def import_bag(
 
 
 def _only_states(bag: Bag) -> str:
-    """Name of the only topic of joint states."""
-    found = [name for name, topic in bag.topics.items() if topic.msgtype == JOINT_STATE]
+    """Name of the only topic of joint states that has any."""
+    found = [name for name, of in bag.topics.items() if of.msgtype == JOINT_STATE and of.found]
     if len(found) != 1:
-        names = ", ".join(found or bag.topics) or "nothing"
-        what = "several topics" if found else "no topic"
-        raise ValueError(f"{bag.path} has {what} of joint states: {names}; name one with --topic")
+        names = ", ".join(found or [f"{n} of {of.msgtype}" for n, of in bag.topics.items()])
+        what, how = ("several", "; name one with --topic") if found else ("no", "")
+        raise ValueError(f"{bag.path} has {what} topics of joint states: {names or 'nothing'}{how}")
     return found[0]
 
 

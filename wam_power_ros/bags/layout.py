@@ -37,6 +37,7 @@ STRING = "std_msgs/msg/String"
 STATES = "/joint_states"
 EVENT = "/recorder/event"  # start and stop of the recording; only written to the bag
 STOP_REQUESTED = "asked to"  # reason of a recording stopped on request
+STAMP_END = 2**31 * 1_000_000_000  # of a header [ns]
 UNFINISHED = ".unfinished"
 INFINITE = QosTime(9223372036, 854775807)  # an infinite duration, as written by rosbag2
 # rosbag2's names of the policies that are not the default; before Jazzy numbers

@@ -47,12 +47,7 @@ class Limits(NamedTuple):
 
 
 def smoothness(speed: np.ndarray, period: float) -> float:
-    """Spectral arc length of a speed profile: the closer to 0, the smoother; independent of scale.
-
-    Args:
-        speed: Speed of a movement, in any unit. Shape (N,).
-        period: Sampling period [s].
-    """
+    """Spectral arc length of speeds (N,) of any unit, `period` [s] apart: near 0 is smooth."""
     size = 1 << (int(np.ceil(np.log2(len(speed)))) + PADDING)
     frequency = np.fft.rfftfreq(size, period)
     spectrum = np.abs(np.fft.rfft(speed, size))
@@ -120,9 +115,8 @@ def completeness_remarks(
     counts: Mapping[str, int], missing: Mapping[str, int], ended: str
 ) -> list[Remark]:
     """Remarks on missing messages and on a recording that was not stopped on request."""
-    cut = (
-        [] if ended in ("", layout.STOP_REQUESTED) else [Remark(Grade.FAIR, f"cut short: {ended}")]
-    )
+    usual = ended in ("", layout.STOP_REQUESTED)
+    cut = [] if usual else [Remark(Grade.FAIR, f"cut short: {ended}")]
     return cut + [
         Remark(Grade.FAIR, f"{lost} of {lost + counts[topic]} messages missing on {topic}")
         for topic, lost in missing.items()

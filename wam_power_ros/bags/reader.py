@@ -16,6 +16,7 @@ from wam_power_ros.bags.layout import JOINT_STATE, STATES, decoded, noted_names
 from wam_power_ros.bags.quality import Grade, Remark
 
 LATE_MAX = 50_000_000  # a state may come this much after a newer one; more is a wrong clock [ns]
+CLOCK_MAX = 1e9  # the delay of a reception differs less from the usual one, by any clock [ns]
 JOIN_MAX = 50_000_000  # longest interval over which joints are interpolated to be joined [ns]
 
 
@@ -89,10 +90,13 @@ def read_states(
         )
     except ValueError as error:
         raise ValueError(f"{bag.path}: {topic}: {error}") from None
+    remarks = list(states.remarks)
     if (lost := bag.topics[topic].counted - len(messages)) > 0:
         text = f"{lost} of {bag.topics[topic].counted} messages that the bag counts are not in it"
-        states = replace(states, remarks=(Remark(Grade.FAIR, text), *states.remarks))
-    return states
+        remarks.insert(0, Remark(Grade.FAIR, text))
+    if foreign := [f"{name} ({of.msgtype})" for name, of in bag.topics.items() if of.foreign]:
+        remarks.append(Remark(Grade.GOOD, f"not read: {', '.join(foreign)}"))
+    return replace(states, remarks=tuple(remarks))
 
 
 def _states(
@@ -128,12 +132,33 @@ def _states(
     for found, group in groups.items():
         stamped = [] if by_reception else [state for state in group if state[1]]
         timed = stamped or [(number, received[number], row) for number, _, row in group]
-        of = _of_same_joints(timed, found, simulated, part)
-        if unstamped := len(group) - len(timed):
-            text = f"{unstamped} of {len(group)} states left out: they have no stamp"
+        ordered = _by_clocks(timed, received)
+        of = _of_same_joints(ordered, found, simulated, part)
+        if left := len(group) - len(ordered):
+            text = f"{left} of {len(group)} states left out: they have no stamp, or of another time"
             of = replace(of, remarks=(Remark(Grade.FAIR, text), *of.remarks))
         parts[found] = of
     return _joined(parts, names) if len(parts) > 1 else parts[names]
+
+
+def _by_clocks(
+    group: Sequence[tuple[int, int, np.ndarray]], received: Sequence[int]
+) -> Sequence[tuple[int, int, np.ndarray]]:
+    """States in the order of reception, but for a few by whose delay one of two clocks was wrong.
+
+    Those have the place of their stamp, or none if no other state is near: a latched one of before.
+    """
+    delays = np.array([received[number] - stamp for number, stamp, _ in group], dtype=float)
+    usual = np.median(delays)
+    wrong = np.abs(delays - usual) > CLOCK_MAX
+    if not 0 < wrong.sum() <= max(1, jumps.LEFT_OUT_MAX * len(group)):
+        return group
+    stamps = [stamp for (_, stamp, _), odd in zip(group, wrong, strict=True) if not odd]
+    low, high = min(stamps) - CLOCK_MAX, max(stamps) + CLOCK_MAX
+    expected = [stamp + int(usual) for _, stamp, _ in group]
+    received = [received[number] for number, _, _ in group]
+    order = np.where(wrong, expected, received)
+    return [group[i] for i in np.argsort(order, kind="stable") if low <= group[i][1] <= high]
 
 
 def _of_same_joints(
@@ -156,8 +181,8 @@ def _of_same_joints(
             rows = {}
         elif stamp_ns in rows or stamp_ns < newest - LATE_MAX:
             raise ValueError(
-                f"stamp {stamp_ns} follows {newest}; stamps must increase. If the driver's clock "
-                "is wrong, use the times of reception: wam-power bags import BAG --by-reception"
+                f"stamp {stamp_ns} follows {newest}; stamps must increase. Two publishers: record "
+                "one. A wrong clock: wam-power bags import BAG --by-reception"
             )
         late += stamp_ns < newest
         newest = max(newest, stamp_ns)
@@ -219,9 +244,9 @@ def _joint_angles(cdr: bytes, known: Collection[str]) -> tuple[int, dict[str, fl
     message = decoded(cdr, JOINT_STATE)
     stamp = message.header.stamp
     names, position = message.name, message.position.tolist()
-    malformed = len(names) != len(position) or len(set(names)) != len(names)
+    angles = dict(zip(names, position, strict=False))
+    malformed = len(names) != len(position) or [angles[name] for name in names] != position
     if malformed and not known.isdisjoint(names):
-        twice = "; a name is there twice" if len(set(names)) != len(names) else ""
+        twice = "" if len(set(names)) == len(names) else "; a name is there twice, with two angles"
         raise ValueError(f"{len(position)} positions for names {names}{twice}")
-    angles = dict(zip(names, position, strict=not malformed))
     return stamp.sec * 1_000_000_000 + stamp.nanosec, angles

@@ -42,13 +42,7 @@ R = TypeVar("R", bound=McapRecord)
 
 @dataclass(frozen=True)
 class Recovered:
-    """Result of a recovery.
-
-    Attributes:
-        path: Folder of the new bag; the damaged one is not changed.
-        messages: Number of messages in it, by topic.
-        left_out: Reason for each topic or damaged part of a file that is not in it.
-    """
+    """The new bag, its messages by topic, and why a topic or part of a file is not in it."""
 
     path: Path
     messages: Mapping[str, int]

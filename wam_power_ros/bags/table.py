@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables for other programs: columns of a bag, and their file, CSV or Parquet.
+"""Tables for and of other programs: columns of a bag, and their file, CSV or Parquet.
 
 A table is a dictionary of columns of equal length, whose cells are int, float, bool, str or None.
 """
@@ -7,7 +7,9 @@ A table is a dictionary of columns of equal length, whose cells are int, float, 
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Mapping, Sequence
+import math
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +17,19 @@ import numpy as np
 
 from wam_power_ros import durable_files
 from wam_power_ros.bags.bag import Bag
-from wam_power_ros.bags.layout import JOINT_STATE, STATES, decoded
+from wam_power_ros.bags.files import TABLES
+from wam_power_ros.bags.layout import JOINT_STATE, STAMP_END, STATES, TYPES, decoded, qos
 from wam_power_ros.bags.quality import Grade, Remark
 from wam_power_ros.bags.reader import States
-from wam_power_ros.bags.writer import header_stamp
+from wam_power_ros.bags.writer import BagWriter, header_stamp
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 STATE = "/state"  # topic of a body below its name
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")  # [m], quaternion
-SUFFIXES = (".csv", ".parquet")
+STAMP = "stamp_ns"
+TIMES = ("t", "time", "timestamp", "__time")  # columns of a time [s], if there is no STAMP
+# Column of a joint's angle: its name, alone or as `bags export`, LeRobot or PlotJuggler write it
+JOINT = re.compile(r"(?:q\.)?(?P<name>[^/]+?)(?:\.pos)?|.*/(?P<last>[^/]+)/position")
 
 
 def joint_columns(bag: Bag, states: States) -> dict[str, list[Any]]:
@@ -70,7 +76,7 @@ def body_columns(bag: Bag, stamps: np.ndarray) -> tuple[dict[str, list[Any]], tu
         if not topic.endswith(STATE) or bag.topics[topic].msgtype != ODOMETRY:
             continue
         name = topic.removesuffix(STATE).strip("/").replace("/", ".")
-        poses = {None: (None,) * len(POSE)} | dict(_poses(bag, topic))
+        poses = {None: (None,) * len(POSE)} | dict(body_poses(bag, topic))
         known = np.array(sorted(stamp for stamp in poses if stamp is not None), dtype=np.int64)
         last = np.searchsorted(known, stamps, side="right") - 1
         found = [int(known[index]) if index >= 0 else None for index in last]
@@ -83,10 +89,10 @@ def body_columns(bag: Bag, stamps: np.ndarray) -> tuple[dict[str, list[Any]], tu
     return columns, tuple(remarks)
 
 
-def _poses(bag: Bag, topic: str) -> Iterable[tuple[int, tuple[float, ...]]]:
+def body_poses(bag: Bag, topic: str) -> Iterable[tuple[int, tuple[float, ...]]]:
+    """Stamp [ns], position [m] and quaternion xyzw of each state of a body."""
     for _, _, cdr in bag.messages([topic]):
-        pose = decoded(cdr, ODOMETRY).pose.pose
-        p, o = pose.position, pose.orientation
+        p, o = (pose := decoded(cdr, ODOMETRY).pose.pose).position, pose.orientation
         yield header_stamp(cdr), (p.x, p.y, p.z, o.x, o.y, o.z, o.w)
 
 
@@ -97,17 +103,12 @@ def check_new(path: Path) -> None:
         ValueError: The suffix is unknown, or pyarrow is missing for Parquet.
         FileExistsError: The file exists.
     """
-    if path.suffix not in SUFFIXES:
-        raise ValueError(f"{path} must end in {' or '.join(SUFFIXES)}")
+    if path.suffix not in TABLES:
+        raise ValueError(f"{path} must end in {' or '.join(TABLES)}")
     if path.exists():
         raise FileExistsError(f"{path} exists already; name another file")
     if path.suffix == ".parquet":
-        try:
-            import pyarrow.parquet  # noqa: F401
-        except ImportError:
-            raise ValueError(
-                f"{path}: Parquet needs pyarrow: pip install pyarrow; or name a .csv file"
-            ) from None
+        _require_pyarrow()
 
 
 def write(columns: Mapping[str, Sequence[Any]], path: Path) -> int:
@@ -159,3 +160,132 @@ def _write_parquet(columns: Mapping[str, Sequence[Any]], path: Path) -> int:
     table = pyarrow.table({name: array(values) for name, values in columns.items()})
     parquet.write_table(table, path)
     return int(parquet.read_table(path).num_rows)
+
+
+def _require_pyarrow() -> None:
+    try:
+        import pyarrow.parquet  # noqa: F401
+    except ImportError:
+        raise ValueError(
+            'Parquet needs pyarrow: pip install "wam_power_ros[export]"; or name a .csv file'
+        ) from None
+
+
+def with_bags(paths: Sequence[Path], folder: Path) -> list[Path]:
+    """Paths, with bags in a folder in the place of tables; see `as_bag`."""
+    return [as_bag(p, folder) if p.suffix in TABLES and p.is_file() else p for p in paths]
+
+
+def as_bag(path: Path, folder: Path) -> Path:
+    """Write the joint angles of a table into a folder, as a bag that is named as the file.
+
+    Every column of numbers is a joint's angles [rad], but the time: STAMP [ns], or one of TIMES [s]
+    from the first row on, which is at 1 s.
+
+    Raises:
+        ValueError: The file is no table, has no time or joint, or its times do not increase.
+    """
+    read = _read_csv if path.suffix == ".csv" else _read_parquet
+    try:
+        return _written(read(path), folder / path.name)
+    except (ValueError, csv.Error) as error:
+        raise ValueError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
+
+
+def _written(columns: Sequence[tuple[str, Sequence[Any]]], to: Path) -> Path:
+    numeric = [(name, cells) for name, cells in columns if _of_numbers(cells)]
+    clock = next((name for name in (STAMP, *TIMES) if name in dict(numeric)), "")
+    angles = [(name, _numbers(*each)) for name, *each in _joints(numeric)]
+    if not clock or not angles:
+        others = [name for name, cells in columns if not _of_numbers(cells)]
+        raise ValueError(
+            f"a table needs a time, {STAMP} [ns] or {' or '.join(TIMES)} [s], and a column of "
+            f"angles [rad] with the name of each joint; it has {[*dict(numeric)]}, others: {others}"
+        )
+    times = _numbers(clock, dict(numeric)[clock], int if clock == STAMP else float)
+    for row, (time, last) in enumerate(zip(times, [-math.inf, *times], strict=False), 2):
+        if not last < time < math.inf:
+            raise ValueError(
+                f"{clock} of row {row} is {time} and follows {last}: times must increase, and each "
+                "demonstration needs a file of its own"
+            )
+    unit = 1 if clock == STAMP else 1e9
+    zero = 0 if clock == STAMP else times[0] - 1.0
+    stamps = [round((time - zero) * unit) for time in times]
+    if not 0 < stamps[0] <= stamps[-1] < STAMP_END:
+        raise ValueError(f"{clock} from {times[0]} to {times[-1]} is no time of ROS")
+    writer = BagWriter(to)
+    writer.add(STATES, JOINT_STATE, [qos(reliable=True, latched=False)])
+    of, none = TYPES.types, np.zeros(0)
+    names = np.array([name for name, _ in angles])
+    for stamp, q in zip(stamps, np.column_stack([q for _, q in angles]), strict=True):
+        time = of["builtin_interfaces/msg/Time"](*divmod(stamp, 1_000_000_000))
+        header = of["std_msgs/msg/Header"](stamp=time, frame_id="")
+        there = ~np.isnan(q)  # rows of other devices have no angle of the arm
+        state = of[JOINT_STATE](header, names[there].tolist(), q[there], none, none)
+        writer.write(STATES, stamp, bytes(TYPES.serialize_cdr(state, JOINT_STATE)))
+    return writer.close({})
+
+
+def _joints(columns: Iterable[tuple[str, Sequence[Any]]]) -> Iterator[tuple[str, str, Any]]:
+    """Joint, column and cells of each column that is not the time."""
+    for name, cells in columns:
+        if name not in (STAMP, *TIMES):
+            match = JOINT.fullmatch(name)
+            yield (match["name"] or match["last"] if match else name), name, cells
+
+
+def _of_numbers(cells: Sequence[Any]) -> bool:
+    """Whether the first cell that is not empty is a number."""
+    first = next((cell for cell in cells if cell not in ("", None)), math.nan)
+    try:
+        return isinstance(float(first), float)
+    except (TypeError, ValueError):
+        return False
+
+
+def _numbers(name: str, cells: Sequence[Any], of: Callable[[Any], float] = float) -> list[float]:
+    """Numbers of a column, NaN in an empty cell."""
+    found = []
+    for row, cell in enumerate(cells, 2):
+        try:
+            found.append(math.nan if cell in ("", None) else of(cell))
+        except (TypeError, ValueError):
+            raise ValueError(f"{name} of row {row} is {cell!r}, which is no number") from None
+    return found
+
+
+def _read_csv(path: Path) -> list[tuple[str, Sequence[Any]]]:
+    """Columns of text; what separates the names separates all cells."""
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        delimiter = max(",;\t", key=file.readline().count)
+        file.seek(0)
+        rows = [row for row in csv.reader(file, delimiter=delimiter) if row]
+    if delimiter == ";":  # of a program that writes decimal commas
+        rows = [[cell.replace(",", ".") for cell in row] for row in rows]
+    if len(rows) < 2:
+        raise ValueError("a table needs a row of names, and a row for each state")
+    for number, row in enumerate(rows, 1):
+        if len(row) != len(rows[0]):
+            raise ValueError(f"row {number} has {len(row)} cells for {len(rows[0])} columns")
+    names, *cells = rows
+    return [
+        (name.strip(), each) for name, each in zip(names, zip(*cells, strict=True), strict=True)
+    ]
+
+
+def _read_parquet(path: Path) -> list[tuple[str, Sequence[Any]]]:
+    _require_pyarrow()
+    from pyarrow import ArrowException, parquet
+
+    try:
+        found = parquet.read_table(path)
+    except (ArrowException, OSError) as error:
+        raise ValueError(f"is no Parquet file: {error}") from None
+    columns = dict(zip(found.column_names, (of.to_pylist() for of in found.columns), strict=True))
+    lists = [name for name, of in columns.items() if of and all(type(x) is list for x in of)]
+    for name in lists:
+        cells = columns.pop(name)  # as of LeRobot, whose names are in another file
+        each = zip(*cells, strict=True)
+        columns |= {f"{name}.{number}": [*of] for number, of in enumerate(each)}
+    return [*columns.items()]

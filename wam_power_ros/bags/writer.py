@@ -13,6 +13,7 @@ import os
 import struct
 from array import array
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -176,19 +177,14 @@ class BagWriter:
         self.write(EVENT, stamp_ns, bytes(TYPES.serialize_cdr(message, STRING)))
 
     def flush(self) -> None:
-        """Flush everything written so far to the disk, readable after a crash.
-
-        Raises:
-            OSError: The disk refuses the data.
-        """
+        """Flush everything written so far to the disk, readable after a crash."""
         self._writer.flush()
         os.fsync(self._file.fileno())
 
     def completeness(self, notes: Mapping[str, str]) -> dict[str, str]:
         """Notes for the metadata: rate of the arm's states [Hz], and missing messages by topic.
 
-        Args:
-            notes: Other notes, which may name the arm's joints and the topic of its states.
+        Other notes may name the arm's joints and the topic of its states.
         """
         state_topic, joints = notes.get("state_topic", STATES), noted_names(notes)
         found = {topic: of for topic in self._channels if (of := self.gaps(topic, joints))}
@@ -221,10 +217,8 @@ class BagWriter:
 
     def abandon(self) -> None:
         """Stop writing and leave the bag unfinished, as a kill would."""
-        try:
+        with suppress(OSError):  # a disk that refused data before refuses the rest, too
             self._file.close()
-        except OSError:
-            pass  # a disk that refused data before refuses the rest, too
         os.close(self._lock)
 
     def _information(self, custom_data: Mapping[str, str]) -> dict[str, Any]:

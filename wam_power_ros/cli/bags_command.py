@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import shutil
+import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from wam_power_ros import installed
 from wam_power_ros.cli.launcher import UsageError, pasteable, short_path, task_stems
 from wam_power_ros.cli.node_log import progress_messages
-from wam_power_ros.cli.parser import add_command, config_option
+from wam_power_ros.cli.parser import add_command, config_option, task_option
 from wam_power_ros.cli.session_options import DEFAULT_TASK
 from wam_power_ros.durable_files import check_name, printable
 from wam_power_ros.params import overlay
@@ -29,13 +30,7 @@ NAME_WIDTH_MAX = 40  # columns of a name in the table
 
 
 class InspectedTake(NamedTuple):
-    """A take and its quality.
-
-    Attributes:
-        t: Times of the smoothed movement [s]. Shape (N,).
-        q: Smoothed joint angles [rad]. Shape (N, n).
-        remarks: Reasons for its grade.
-    """
+    """A take, its smoothed movement t (N,) [s] and q (N, n) [rad], and reasons for its grade."""
 
     take: Take
     t: np.ndarray
@@ -58,15 +53,15 @@ def add_to(subparsers: argparse._SubParsersAction) -> None:
     plotted.add_argument("bag", type=Path, nargs="+")
     plotted.add_argument("--output", type=Path, help=".png or .svg (default: BAG.png)")
     imported = add("import", import_, "make a demonstration of any bag with joint states")
-    help_bags = "folder, .mcap or .db3 file; several that follow each other become one"
+    help_bags = "folder, .mcap, .db3, .csv or .parquet; several that follow each other become one"
     imported.add_argument("bag", type=Path, nargs="+", help=help_bags)
     help_part = "only the states between two times since the first [s]"
     imported.add_argument("--part", type=float, nargs=2, metavar=("START", "END"), help=help_part)
     help_joints = "names of the arm's joints in that bag, base to tip"
     imported.add_argument("--joints", nargs="+", default=[], metavar="NAME", help=help_joints)
     imported.add_argument("--topic", default="", help="of the joint states (default: the only one)")
-    help_task = f"of the demonstration (default: {DEFAULT_TASK})"
-    imported.add_argument("--task", default=DEFAULT_TASK, help=help_task)
+    task_option(imported)
+    imported.set_defaults(task=DEFAULT_TASK)
     help_reception = "use the times of reception, where the stamps of the driver are wrong"
     imported.add_argument("--by-reception", action="store_true", help=help_reception)
     imported.add_argument("--output", type=Path, help="new bag (default: TASK_NAME)")
@@ -206,11 +201,7 @@ def _row(path: Path, judge: Callable[[Path], tuple[str, str, str]]) -> tuple[str
 
 
 def _noted(path: Path) -> tuple[str, str, str]:
-    """What `_verdict` returns, from name and description of a take alone, without a quality.
-
-    Raises:
-        ValueError: It was never closed, or its metadata.yaml is damaged.
-    """
+    """What `_verdict` returns, without a quality, from name and description of a take alone."""
     from wam_power_ros.bags.bag import information
 
     duration = information(path).get("duration")
@@ -265,7 +256,7 @@ def import_(
     by_reception: bool,
 ) -> None:
     """Make a demonstration of bags of any recorder; what nothing can be learnt from is not kept."""
-    from wam_power_ros.bags import importing, layout
+    from wam_power_ros.bags import importing, layout, table
     from wam_power_ros.bags.bag import Bag
 
     if part is not None and not 0.0 <= part[0] < part[1]:
@@ -274,16 +265,22 @@ def import_(
     names, arm = setup.joint_names, setup.arm()
     kind = setup["demonstration_recorder"]["stem"]
     output = output or layout.free_path(Path(), f"{kind}_{bag[0].resolve().stem}")
-    with progress_messages(f"importing {', '.join(map(str, bag))}"):
-        made, remarks = importing.import_bag(
-            Bag(*bag), output, names, joints, topic, kind, by_reception, part and (part[0], part[1])
-        )
+    called = ", ".join(map(str, bag))
+    within = part and (part[0], part[1])
+    with progress_messages(f"importing {called}"), tempfile.TemporaryDirectory() as folder:
+        try:
+            opened = Bag(*table.with_bags(bag, Path(folder)))
+            made, remarks = importing.import_bag(
+                opened, output, names, joints, topic, kind, by_reception, within
+            )
+        except ValueError as error:
+            raise ValueError(str(error).replace(f"{folder}/", "")) from None
         try:
             judged = _judged(made, names, arm, {kind: {task}})
         except ValueError as error:
             shutil.rmtree(made)
             why = str(error).removeprefix(f"{made}: ")
-            raise ValueError(f"{', '.join(map(str, bag))}: nothing was imported: {why}") from None
+            raise ValueError(f"{called}: nothing was imported: {why}") from None
     print(f"Bag: {short_path(made.resolve())}")
     for remark in remarks:
         print(f"  {remark.text}")

@@ -20,6 +20,7 @@ from wam_power_ros.cli.launcher import (
     Launcher,
     UsageError,
     domain_environment,
+    folder_lock,
     interrupt,
     launch,
     learner_is_running,
@@ -41,6 +42,7 @@ from wam_power_ros.cli.session_options import (
     existing_session,
     learner_parameters,
     method_words,
+    settings_of,
     with_origin,
 )
 from wam_power_ros.console import prompt
@@ -92,11 +94,21 @@ def teach(
 
 
 def learn(
-    asked: SessionOptions, session: Path | None, resume: bool, devices: Devices, bell: bool
+    asked: SessionOptions,
+    session: Path | None,
+    resume: bool,
+    devices: Devices,
+    bell: bool,
+    in_process: bool = False,
 ) -> int:
     """Start or resume a session, run it to its end and write its report."""
     from wam_power_ros.practice.session import Session, read
 
+    if in_process and (asked.bags or asked.origin or not devices.stand_ins):
+        raise UsageError(
+            "--in-process simulates arm and demonstrations: it takes no --bags, no --from, and "
+            "--config only with --simulate"
+        )
     if resume:
         folder = existing_session(session)
     else:
@@ -114,6 +126,9 @@ def learn(
 
     try:
         parameters = devices.parameters(task, seed, folder)
+        if in_process:
+            print(text)
+            return _learn_in_process(folder, asked, seed, task, parameters)
         given = learner_parameters(folder, asked, seed, task)
         parameters = parameters.changed({LEARNER: given})
         also = (TRACKER, LEARNER)
@@ -127,7 +142,7 @@ def learn(
             _follow(folder, launcher.processes, practising, bell)
     except KeyboardInterrupt:
         print("\nStopped.")
-        _print_how_to_go_on(folder, asked, devices)
+        _print_how_to_go_on(folder, asked, devices, ["--in-process"] * in_process)
         return INTERRUPTED
     except ProcessError as error:  # the advice comes last, below the end of the log
         print(f"wam-power: {pasteable(str(error))}", file=sys.stderr, flush=True)
@@ -137,13 +152,32 @@ def learn(
     return report(folder)
 
 
-def _print_how_to_go_on(folder: Path, asked: SessionOptions, devices: Devices) -> None:
+def _learn_in_process(
+    folder: Path, asked: SessionOptions, seed: int, task: str, parameters: overlay.Setup
+) -> int:
+    """Teach and learn in simulation without nodes, and write the report."""
+    from wam_power_ros.in_process import learn as in_process
+    from wam_power_ros.reporting import terminal
+
+    with folder_lock(folder), terminal.Display() as display:
+        for file, text in plan_of(folder, parameters, stand_ins=True).written.items():
+            file.write_text(text, encoding="utf-8")
+        settings, count = settings_of(task, asked), asked.demonstrations
+        for session in in_process.run(folder, parameters, settings, seed, count):
+            display.show(session.log, session.header.settings, session.task)
+    _print_summary(session)
+    return report(folder)
+
+
+def _print_how_to_go_on(
+    folder: Path, asked: SessionOptions, devices: Devices, also: Sequence[str] = ()
+) -> None:
     """Print what a session that was stopped has on disk, and the command that goes on with it."""
     from wam_power_ros.bags import series
     from wam_power_ros.practice.session import Session, read
     from wam_power_ros.reporting.terminal import counted
 
-    words, where = ["learn", "--session", str(short_path(folder))], short_path(folder)
+    words, where = ["learn", "--session", str(short_path(folder)), *also], short_path(folder)
     if not Session.exists(folder):  # the options are not on disk yet
         words += asked.words
     try:
@@ -186,7 +220,7 @@ def _print_summary(session: Session) -> None:
     """Print how a session practised, and its result."""
     from wam_power_ros.reporting import terminal
 
-    method = terminal.method(session.header.settings, session.task)
+    method = session.header.settings.described(session.task)
     result = terminal.summary(session.records, session.task)
     print(terminal.wrapped(f"{method[0].upper()}{method[1:]}\n{result}"))
 
@@ -196,82 +230,58 @@ def _print_command(purpose: str, words: Sequence[str]) -> None:
     print(f"{purpose}\n  {program_command()} {shlex.join(words)}")
 
 
-def replay(bag: Path, speed: float, folder: Path | None, devices: Devices) -> int:
+def replay(bag: Path, speed: float, task: str | None, folder: Path | None, devices: Devices) -> int:
     """Repeat a recorded movement with the arm."""
-    from wam_power_ros import arm_identity
     from wam_power_ros.bags import reader
     from wam_power_ros.bags.bag import Bag
+    from wam_power_ros.console import replay as replaying
     from wam_power_ros.control import replay_trajectory
 
     if bag.is_file() and bag.suffix == ".json":
         raise UsageError(f"{bag} is not a bag; to execute a policy: wam-power run-policy {bag}")
     folder = (folder or Path("replays") / timestamp()).resolve()
-    parameters = devices.parameters(folder=folder).changed({RECORDER: {"stem": "replay"}})
+    parameters = devices.parameters(task or "", folder=folder)
+    parameters = parameters.changed({RECORDER: {"stem": "replay"}})
     arm = parameters.arm()
-    identity = arm and arm.identity()
-    states = reader.read_states(Bag(bag), parameters.joint_names, arm=identity)
+    states = reader.read_states(Bag(bag), parameters.joint_names, arm=arm and arm.identity())
     for remark in states.remarks:
         print(f"{bag}: {remark.text}")
-    replay_trajectory.movement(states.stamps, states.q, speed)
+    movement = replay_trajectory.movement(states.stamps, states.q, speed)
     signal.signal(signal.SIGTERM, interrupt)
-    with launch(plan_of(folder, parameters, devices.stand_ins, secure=secured())) as launcher:
-        replaying = launcher.script(
-            "replay",
-            bag=str(bag.resolve()),
-            speed=speed,
-            joint_names=parameters.joint_names,
-            arm=arm_identity.to_json(identity),
-            person=not devices.stand_ins,
-            running=False,
-        )
-        return _end_of_motion(launcher, replaying)
+    plan = plan_of(folder, parameters, devices.stand_ins, secure=secured())
+    with launch(plan) as launcher, launcher.robot() as robot:
+        name, person = bag.resolve().name, not devices.stand_ins
+        return replaying.replay(robot, name, *movement, speed, person)
 
 
 def run_policy(
     policy: Path, rollouts: int, task: str | None, folder: Path | None, devices: Devices
 ) -> int:
     """Execute a saved policy with the arm, as often as asked."""
+    from wam_power_ros.console import run_policy as running
     from wam_power_ros.practice.session import Session, read, read_policy
 
     if policy.is_dir():
         policy = policy / "policy.json"
     beside = policy.resolve().parent
-    of_session = Session.exists(beside)
-    name = task or (read(beside).header.settings.task if of_session else DEFAULT_TASK)
-    used = str(beside) if of_session and name == read(beside).header.settings.task else ""
+    session = read(beside) if Session.exists(beside) else None
+    name = task or (session.header.settings.task if session else DEFAULT_TASK)
     folder = (folder or Path("runs") / timestamp()).resolve()
-    parameters = devices.parameters(name, folder=folder)
+    parameters = devices.parameters(name, folder=folder).changed(
+        {LEARNER: {"record_rollouts": True}}
+    )
     if (arm := parameters.arm()) is None:
         raise UsageError("the set-up has no URDF file of the arm: choose one with --config")
-    read_policy(policy, arm.identity())
-    learner = parameters[LEARNER]
-    settings = ("scene_reset", "reset_faults", "service_timeout", "rollout_timeout", "patience")
-    model = ("urdf", "model_joint_names", "tool_frame")
+    saved = read_policy(policy, arm.identity())
+    scoring, unscored = running.task_of(session, name)
     signal.signal(signal.SIGTERM, interrupt)
     plan = plan_of(folder, parameters, devices.stand_ins, also=[TRACKER], secure=secured())
-    with launch(plan) as launcher:
-        running = launcher.script(
-            "run_policy",
-            policy=str(policy.resolve()),
-            rollouts=rollouts,
-            session=used,
-            task=name,
-            person=not devices.stand_ins,
-            record_rollouts=True,
-            **{key: learner[key] for key in (*settings, *model)},
-        )
-        status = _end_of_motion(launcher, running)
+    with launch(plan) as launcher, launcher.robot() as robot:
+        if unscored:
+            print(f"No returns: {unscored}")
+        status = running.run(robot, saved, scoring, rollouts, person=not devices.stand_ins)
     print(f"Bags: {short_path(folder / 'bags')}")
     return status
-
-
-def _end_of_motion(launcher: Launcher, script: Running) -> int:
-    """Exit status of a script that moves the arm, which it stops at Ctrl-C before the nodes end."""
-    while True:
-        try:
-            return launcher.processes.wait(script)
-        except KeyboardInterrupt:
-            script.process.send_signal(signal.SIGINT)
 
 
 def enable() -> int:
@@ -305,22 +315,14 @@ def _record_demonstrations(launcher: Launcher, folder: Path, wanted: int, bell: 
 
 def _teach(launcher: Launcher, file: Path, count: int, bell: bool, review: bool) -> None:
     """Record demonstrations and add them to a series."""
+    from wam_power_ros.console.teach import record_series
     from wam_power_ros.reporting.terminal import counted
 
-    plan = launcher.plan
-    teacher = "the simulated demonstrator" if plan.stand_ins else "a person"
-    print(f"Teaching: {counted(count, 'demonstration')} by {teacher}")
-    teaching = launcher.script(
-        "teach",
-        demonstrations=count,
-        series=str(file),
-        person=not plan.stand_ins,
-        review=review,
-        bell=bell,
-        body=plan.parameters["pancake_tracker"]["body"],
-        state_topic=plan.parameters["torque_controller"]["state_topic"],
-    )
-    launcher.processes.finish(teaching)
+    person = not launcher.plan.stand_ins
+    teacher = "a person" if person else "the simulated demonstrator"
+    print(f"Teaching: {counted(count, 'demonstration')} by {teacher}", flush=True)
+    with launcher.robot() as robot:
+        record_series(robot, file, count, person=person, review=review, bell=bell)
 
 
 def _follow(folder: Path, processes: Processes, learner: Running, bell: bool) -> None:
@@ -377,12 +379,8 @@ def view(path: Path | None, address: str, port: int) -> int:
     from wam_power_ros.practice.session import Session
 
     print("Preparing the page …", file=sys.stderr, flush=True)
-    try:
-        from wam_power_ros.view import guarded_server, viewer
-    except ImportError as error:
-        raise UsageError(
-            f"the page needs viser ({error}): pip install 'viser>=1.1.1,<1.2'"
-        ) from None
+    from wam_power_ros.view import guarded_server, viewer
+
     signal.signal(signal.SIGTERM, interrupt)
     if path is not None:
         check_name(path)
@@ -394,7 +392,7 @@ def view(path: Path | None, address: str, port: int) -> int:
             time.sleep(1.0)
     is_bag = path is not None and not Session.exists(path) and path.exists()
     folder = path.resolve() if is_bag else existing_session(path)
-    server = guarded_server.open_server(address, port)
+    server = guarded_server.GuardedServer(address, port)
     try:
         host = f"[{address}]" if ":" in address else address
         url = f"http://{host}:{server.get_port()}"
@@ -406,7 +404,7 @@ def view(path: Path | None, address: str, port: int) -> int:
     except KeyboardInterrupt:
         pass
     finally:
-        guarded_server.close(server)
+        server.stop()
     return 0
 
 

@@ -108,6 +108,7 @@ def _move(
     devices: Devices,
 ) -> int:
     """Plan the movement, let the arm execute it and record it; returns the exit status."""
+    from wam_power_ros.console.commission import move
     from wam_power_ros.params.resources import robot_description
 
     limits = controller.controller(robot_description(controller.urdf)).limits
@@ -118,19 +119,8 @@ def _move(
     signal.signal(signal.SIGTERM, interrupt)
     also = [TRACKER]
     planned = plan_of(movement.parent, setup, devices.stand_ins, also=also, secure=secured())
-    with launch(planned) as launcher:
-        moving = launcher.script(
-            "commission",
-            movement=str(movement),
-            joint_names=setup.joint_names,
-            state_topic=controller.state_topic,
-            person=not devices.stand_ins,
-        )
-        while True:
-            try:
-                return launcher.processes.wait(moving)
-            except KeyboardInterrupt:
-                moving.process.send_signal(signal.SIGINT)
+    with launch(planned) as launcher, launcher.robot() as robot:
+        return move(robot, plan.t, plan.q, person=not devices.stand_ins)
 
 
 def _recording(path: Path, setup: overlay.Setup) -> Recording:

@@ -18,6 +18,7 @@ import numpy as np
 
 from wam_power_ros import compiled
 from wam_power_ros.cli.launcher import Devices, program_command
+from wam_power_ros.cli.parser import task_option
 from wam_power_ros.params import overlay
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 
@@ -35,9 +36,9 @@ class Row(NamedTuple):
     then: str = ""
 
 
-def doctor(devices: Devices) -> int:
+def doctor(devices: Devices, task: str | None = None) -> int:
     """Print the rows and what comes next; returns 0 if nothing is missing, else 1."""
-    setup = devices.parameters()
+    setup = devices.parameters(task or "")
     words = shlex.join(devices.words)
     rows = [*machine(), *described(setup), *measured(setup)]
     for number, row in enumerate(rows, start=1):
@@ -124,8 +125,9 @@ def add_to(
     """Add the command to the parser."""
     parser = add(
         "doctor",
-        lambda devices: doctor(devices),
+        doctor,
         "say what is missing before the first demonstration, and what comes next",
         "Read this machine and the set-up; start nothing. Status 1 if something is missing.",
     )
+    task_option(parser, "none")
     arm_options(parser)

@@ -8,6 +8,7 @@ import os
 import re
 import shlex
 import shutil
+import signal
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -15,7 +16,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from types import FrameType
-from typing import IO
+from typing import IO, TYPE_CHECKING
 
 from wam_power_ros import installed
 from wam_power_ros.cli.plan import (
@@ -26,11 +27,11 @@ from wam_power_ros.cli.plan import (
     TRACKER,
     Plan,
     overrides,
-    script,
 )
-from wam_power_ros.cli.processes import Processes, Running
+from wam_power_ros.cli.processes import ProcessError, Processes, Running
 from wam_power_ros.console.prompt import ask, show
 from wam_power_ros.durable_files import check_name
+from wam_power_ros.entry import SIGNALS
 from wam_power_ros.params import overlay
 from wam_power_ros.params.body_tracker_params import BodyTrackerParams
 from wam_power_ros.params.resources import robot_description
@@ -38,7 +39,11 @@ from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.ros import network
 from wam_power_ros.ros.domain import exported, hold, private_domain, shared
 
+if TYPE_CHECKING:
+    from wam_power_ros.client.robot import Robot
+
 MEGABYTE = 1e6
+ENCLAVE = "ROS_SECURITY_ENCLAVE_OVERRIDE"  # environment variable
 
 
 class UsageError(Exception):
@@ -122,10 +127,34 @@ class Launcher:
         (planned,) = (process for process in self.plan.processes if process.name == name)
         return self.processes.start(name, [*planned.command, *overrides(f"{name}:", parameters)])
 
-    def script(self, name: str, **parameters: object) -> Running:
-        """Start a script of `console`, which uses this terminal."""
-        command = script(name, secured(), **parameters)
-        return self.processes.start(name, command, interactive=True)
+    @contextmanager
+    def robot(self) -> Iterator[Robot]:
+        """Connect this process to the nodes; the first SIGINT or SIGTERM interrupts, others do not.
+
+        Raises:
+            ProcessError: A node has ended, or a service does not appear, answer in time or agree.
+        """
+        from wam_power_ros.client.link import LOG_AFTER
+        from wam_power_ros.client.robot import connected
+        from wam_power_ros.ros.node_runner import interrupt_on_signals
+        from wam_power_ros.ros.outcomes import ServiceError
+
+        plan = self.plan
+        where = session_domain(plan.folder), plan.namespace, plan.stand_ins
+        with ExitStack() as stack:
+            for number in SIGNALS:
+                stack.callback(signal.signal, number, signal.getsignal(number))
+            interrupt_on_signals()
+            if secured() and ENCLAVE not in os.environ:
+                os.environ[ENCLAVE] = "/operator"
+                stack.callback(os.environ.pop, ENCLAVE)
+            try:
+                robot = stack.enter_context(connected(plan.parameters, *where))
+                robot.link.log_period = LOG_AFTER
+                with self.processes.watched(robot.link.fail):
+                    yield robot
+            except ServiceError as error:
+                raise ProcessError(str(error)) from None
 
 
 @contextmanager
@@ -140,6 +169,9 @@ def launch(plan: Plan, text: str = "") -> Iterator[Launcher]:
         UsageError: Another session or learner uses the folder, or its disk is nearly full.
         DomainError: Another session holds the robot's DDS domain, or ROS_DOMAIN_ID is invalid.
     """
+    # First, because an import of rclpy may execute the program anew.
+    from wam_power_ros.console.activation import activate
+
     check_space(plan.folder, plan.parameters[RECORDER]["free_to_start"])
     files = plan.written
     with ExitStack() as stack:
@@ -166,7 +198,8 @@ def launch(plan: Plan, text: str = "") -> Iterator[Launcher]:
             if process.name != LEARNER:
                 launcher.node(process.name)
         if not plan.stand_ins:
-            launcher.processes.finish(launcher.script("activation"))
+            with launcher.robot() as robot:
+                activate(robot.link)
         yield launcher
 
 

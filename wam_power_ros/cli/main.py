@@ -19,7 +19,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from wam_power_ros import __version__
+from wam_power_ros import __version__, installed
 from wam_power_ros.cli import (
     bags_command,
     commands,
@@ -41,15 +41,23 @@ from wam_power_ros.cli.parser import (
 from wam_power_ros.cli.processes import ProcessError
 from wam_power_ros.cli.session_options import SessionOptions
 from wam_power_ros.durable_files import explained
-from wam_power_ros.entry import INTERRUPTED
+from wam_power_ros.entry import INTERRUPTED, missing
 from wam_power_ros.params import overlay
 
-COMMAND_LINE = "wam-power"  # the only executable that is not a node
-NODES = {  # executable -> entry point, as setup.py declares them
-    entry.name: entry
-    for entry in metadata.distribution("wam_power_ros").entry_points.select(group="console_scripts")
-    if entry.name != COMMAND_LINE
+COMMAND_LINE = "wam-power"
+NODES = {  # executable of `ros2 run` -> entry point, as setup.py declares them
+    entry.name: entry for entry in metadata.entry_points(group="wam_power_ros.nodes")
 }
+
+
+HEADINGS = {
+    "First": ("learn", "teach", "replay", "view", "doctor"),
+    "Session": ("feedback", "stop", "report", "score", "run-policy"),
+    "Arm": ("commission", "enable"),
+    "Recordings": ("bags", "play", "recover"),
+    "Names, set-ups, nodes": ("list", "config", "run"),
+}
+LISTED = ("tasks", "learners", "presets", "set-ups")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -64,6 +72,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         command, values = _command(options)
         return int(command(**values) or 0)
+    except ImportError as error:
+        print(f"{COMMAND_LINE}: {missing(error)}", file=sys.stderr)
+        return 2
     except (UsageError, ProcessError, OSError, ValueError) as error:
         text = explained(error) if isinstance(error, OSError) else pasteable(str(error))
         print(f"{COMMAND_LINE}: {text}", file=sys.stderr)
@@ -106,11 +117,14 @@ def _replace_unencodable_characters() -> None:
 
 def _parser() -> argparse.ArgumentParser:
     parser = Parser(
-        prog=COMMAND_LINE, description="Teach a robot arm by hand; let it improve by practising."
+        prog=COMMAND_LINE,
+        usage=f"{COMMAND_LINE} COMMAND [option ...]",
+        description="Teach a robot arm by hand; let it improve by practising.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"wam_power_ros {__version__}")
     parser.set_defaults(command=parser.print_help)
-    subparsers = parser.add_subparsers(metavar="COMMAND")
+    subparsers = parser.add_subparsers(metavar="COMMAND", prog=COMMAND_LINE, help=argparse.SUPPRESS)
 
     add = partial(add_command, subparsers)
     learn = add(
@@ -124,6 +138,11 @@ def _parser() -> argparse.ArgumentParser:
     learn.add_argument("--session", type=Path, help="folder; resumed if it holds a session")
     learn.add_argument(
         "--resume", action="store_true", help="resume --session, or the newest session"
+    )
+    learn.add_argument(
+        "--in-process",
+        action="store_true",
+        help="simulate arm, controller and cameras in this process: without ROS, and faster",
     )
     _arm_options(learn)
 
@@ -141,10 +160,11 @@ def _parser() -> argparse.ArgumentParser:
         "Print the parameter file that learn starts the nodes with, for "
         "ros2 run wam_power_ros NODE --ros-args --params-file FILE.",
     )
-    names = ", ".join(overlay.known())
-    config.add_argument("config", nargs="*", metavar="NAME", help=f"{names}, or a .yaml file")
     task_option(config)
-    config.add_argument("--simulate", action="store_true", help="replace the devices by stand-ins")
+    _arm_options(config)
+
+    listing = add("list", _list, "print a line for each task, learner, preset or set-up")
+    listing.add_argument("what", choices=LISTED, metavar="WHAT", help=", ".join(LISTED))
 
     commission_command.add_to(add, _arm_options)
     doctor_command.add_to(add, _arm_options)
@@ -153,7 +173,6 @@ def _parser() -> argparse.ArgumentParser:
         "feedback",
         commands.feedback,
         "reward or punish the last rollout, or give a demonstration, during a session",
-        "Call a service of the learner of a running session.",
     )
     feedback.add_argument(
         "kind",
@@ -202,6 +221,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     replay.add_argument("bag", type=Path, help="a demonstration, or any bag with joint states")
     replay.add_argument("--speed", type=float, default=1.0, help="1: as recorded (default)")
+    task_option(replay, "none")
     replay.add_argument("--folder", type=Path, help="for the recording (default: replays/NOW)")
     _arm_options(replay)
 
@@ -258,6 +278,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     run.add_argument("node", choices=NODES, metavar="NODE", help=", ".join(NODES))
     run.add_argument("rest", nargs=argparse.REMAINDER, metavar="...", help="arguments of the node")
+    parser.list_commands(subparsers.choices, HEADINGS)
     return parser
 
 
@@ -275,15 +296,32 @@ def _skill_options(parser: argparse.ArgumentParser) -> None:
 def _arm_options(parser: argparse.ArgumentParser) -> None:
     config_option(
         parser,
-        "set-up of a driver, a motion capture, ...: "
-        f"{', '.join(overlay.known())}, or a .yaml file; may be repeated, later ones override "
-        "earlier ones. Starts no stand-ins",
+        "set-up of a driver, a motion capture, ... (`wam-power list set-ups`), or a .yaml file; "
+        "may be repeated, later ones override earlier ones. Starts no stand-ins",
     )
     parser.add_argument(
         "--simulate",
         action="store_true",
         help="with --config: replace the devices by stand-ins with the same interfaces",
     )
+
+
+def _list(what: str) -> None:
+    """Print a line for each name of a kind, with what it is."""
+    from wam_power_ros.practice.settings import preset
+
+    tasks, kind = installed.names("task"), what.removesuffix("s")
+    if what == "presets":
+        pairs = [(task, name) for task in tasks for name in installed.task_type(task).presets]
+        rows = {" ".join(pair): f"learner {preset(*pair).learner}" for pair in pairs}
+    elif what == "set-ups":
+        rows = {name: overlay.summary(name) for name in overlay.known() if name not in tasks}
+    else:
+        docs = {name: installed.find(kind, name).__doc__ for name in installed.names(kind)}
+        rows = {name: (text or "").strip().partition("\n")[0] for name, text in docs.items()}
+    width = max(map(len, rows))
+    for name, text in rows.items():
+        print(f"{name:{width}}  {text}")
 
 
 def _run(node: str, rest: Sequence[str]) -> int:

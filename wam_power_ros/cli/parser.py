@@ -4,9 +4,11 @@
 from __future__ import annotations
 
 import argparse
-import difflib
 import math
-from collections.abc import Callable, Iterable, Sequence
+import shutil
+import textwrap
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +17,35 @@ from wam_power_ros.cli.session_options import DEFAULT_TASK
 
 
 class Parser(argparse.ArgumentParser):
-    """An `ArgumentParser` whose errors suggest the nearest valid name."""
+    """An `ArgumentParser` whose errors suggest the nearest valid name; options are written out.
+
+    Attributes:
+        summary: What a command does, for the list of commands.
+    """
+
+    summary = ""
+
+    def __init__(self, **given: Any) -> None:  # noqa: ANN401 - of any kind
+        super().__init__(**given, allow_abbrev=False)
+
+    def list_commands(
+        self, commands: Mapping[str, Parser], headings: Mapping[str, Sequence[str]]
+    ) -> None:
+        """Let the help end with the commands, under their headings."""
+        width = max(shutil.get_terminal_size().columns - 2, 40)
+        lines = []
+        for heading, names in headings.items():
+            lines.append(f"\n{heading}:")
+            for name in names:
+                text = f"  {name:12}{commands[name].summary}"
+                lines += textwrap.wrap(text, width, subsequent_indent=14 * " ")
+        self.epilog = "\n".join(lines).lstrip()
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:  # noqa: ANN401
         """Refuse a value that is not a choice; argparse calls this for every value."""
         if action.choices is not None and value not in action.choices:
             known = ", ".join(map(str, action.choices))
-            hint = did_you_mean(str(value), map(str, action.choices))
+            hint = installed.did_you_mean(str(value), map(str, action.choices))
             raise argparse.ArgumentError(action, f"{value!r} is not one of {known}{hint}")
 
     def parse_known_args(  # type: ignore[override]
@@ -31,25 +55,10 @@ class Parser(argparse.ArgumentParser):
         found, rest = super().parse_known_args(args, namespace)
         if unknown := [word for word in rest if word.startswith("-")]:
             options = [name for action in self._actions for name in action.option_strings]
-            hints = [f"{word}{did_you_mean(word.partition('=')[0], options)}" for word in unknown]
+            meant = partial(installed.did_you_mean, known=options)
+            hints = [f"{word}{meant(word.partition('=')[0])}" for word in unknown]
             self.error(f"unknown option {', '.join(hints)}")
         return found, rest
-
-
-def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """Return a question that suggests the nearest known word; empty if none is near."""
-    near = difflib.get_close_matches(word, list(known), n=1)
-    return f"; did you mean {near[0]!r}?" if near else ""
-
-
-def natural(text: str) -> int:
-    """Parse a whole number of at least 0."""
-    return _at_least(0, text)
-
-
-def positive(text: str) -> int:
-    """Parse a whole number of at least 1."""
-    return _at_least(1, text)
 
 
 def _at_least(minimum: int, text: str) -> int:
@@ -62,6 +71,9 @@ def _at_least(minimum: int, text: str) -> int:
     return value
 
 
+natural, positive = partial(_at_least, 0), partial(_at_least, 1)
+
+
 def add_command(
     subparsers: argparse._SubParsersAction,
     name: str,
@@ -69,19 +81,13 @@ def add_command(
     summary: str,
     description: str = "",
 ) -> argparse.ArgumentParser:
-    """Add a command.
+    """Add a command, a function whose arguments are its options, or None for a group of commands.
 
-    Args:
-        subparsers: Commands of the parser to which it is added.
-        name: Name of the command.
-        command: Function that runs it, whose arguments are its options; None for a group.
-        summary: Its line in the list of commands.
-        description: Sentence above its options; the summary if omitted.
+    Its description is the sentence above its options, if omitted its summary.
     """
     description = description or f"{summary.capitalize()}."
-    added: argparse.ArgumentParser = subparsers.add_parser(
-        name, help=summary, description=description
-    )
+    added: Parser = subparsers.add_parser(name, help=summary, description=description)
+    added.summary = summary
     if command is not None:
         added.set_defaults(command=command)
     return added
@@ -110,10 +116,17 @@ def goal_value(text: str) -> tuple[str, float]:
     return name, number
 
 
-def task_option(parser: argparse.ArgumentParser) -> None:
-    """Add the option `--task`."""
-    text = f"one of {', '.join(installed.names('task'))} (default: {DEFAULT_TASK})"
-    parser.add_argument("--task", metavar="NAME", help=text)
+def task_option(parser: argparse.ArgumentParser, default: str = DEFAULT_TASK) -> None:
+    """Add the option `--task`, whose value is imported if it is a class."""
+    text = f"one of {', '.join(installed.names('task'))}, or a class, module:Class or file.py:Class"
+    parser.add_argument("--task", type=_task, metavar="NAME", help=f"{text} (default: {default})")
+
+
+def _task(text: str) -> str:
+    try:
+        return installed.import_task(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def seed_option(parser: argparse.ArgumentParser) -> None:

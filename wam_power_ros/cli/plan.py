@@ -85,13 +85,6 @@ def plan_of(
     return Plan(folder, parameters, tuple(processes), stand_ins, namespace)
 
 
-def script(name: str, secure: bool = False, **parameters: object) -> list[str]:
-    """Command of a script of `console`, which uses the terminal and ends by itself."""
-    command = [*MODULE, f"wam_power_ros.console.{name}", "--ros-args"]
-    command += enclave("operator") if secure else []
-    return command + overrides("", parameters)
-
-
 def overrides(prefix: str, parameters: Mapping[str, object]) -> list[str]:
     """ROS arguments that set parameters; `prefix` names a node, such as `learner:`."""
     given = [f"{prefix}{name}:={json.dumps(value)}" for name, value in parameters.items()]

@@ -2,8 +2,8 @@
 """Processes of the nodes of one session: start them, watch them, always end them.
 
 Each has its own process group, so that Ctrl-C in the terminal reaches only the parent, which ends
-them in order. If the parent is killed, the kernel sends them a signal: SIGTERM, because Python may
-lose a SIGINT while it starts; one that reads the terminal gets SIGINT, which interrupts reading.
+them in order. If the parent is killed, the kernel sends them SIGTERM, because Python may lose a
+SIGINT while it starts.
 """
 
 from __future__ import annotations
@@ -13,16 +13,20 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
+LIBC = ctypes.CDLL(None)  # loaded before a process is forked, when other threads may load, too
 PR_SET_PDEATHSIG = 1
 TAIL_LINES = 15  # of a log, shown when a process dies
 
 
+LOG_FORM = {  # that `node_log` reads, whatever the terminal has
+    "RCUTILS_CONSOLE_OUTPUT_FORMAT": "[{severity}] [{time}] [{name}]: {message}",
+    "RCUTILS_COLORIZED_OUTPUT": "0",
+}
 MEMORY = " (by a person, or by the kernel for lack of memory: see `dmesg`)"
 SPACE_MIN = 1e6  # free bytes of a disk, below which nothing can be logged
 
@@ -37,7 +41,7 @@ def full_disk(folder: Path) -> str:
 
 
 class ProcessError(RuntimeError):
-    """A process ended that should still run; the message has the end of its log."""
+    """A process ended that should still run, with the end of its log, or it does not answer."""
 
 
 @dataclass(frozen=True)
@@ -82,47 +86,36 @@ class Processes:
     def __init__(self, logs: Path, environment: Mapping[str, str]) -> None:
         """Logs go to `logs`/<name>.log, appended; `environment` is added to this process's own."""
         self._logs = logs
-        self._environment = {**os.environ, "PYTHONUNBUFFERED": "1", **environment}
+        self._environment = {**os.environ, "PYTHONUNBUFFERED": "1", **LOG_FORM, **environment}
         self._running: list[Running] = []
 
-    def start(self, name: str, command: Sequence[str], interactive: bool = False) -> Running:
-        """Start a command; its output goes to a log, or to the terminal if `interactive`."""
+    def start(self, name: str, command: Sequence[str]) -> Running:
+        """Start a command; its output goes to a log."""
         self._logs.mkdir(parents=True, exist_ok=True)
         log = self._logs / f"{name}.log"
-        at_death = signal.SIGINT if interactive else signal.SIGTERM
         with log.open("ab") as output:
             process = subprocess.Popen(
                 command,
                 env=self._environment,
-                stdin=None if interactive else subprocess.DEVNULL,
-                stdout=None if interactive else output,
-                stderr=None if interactive else output,
-                start_new_session=not interactive,
-                preexec_fn=partial(_end_with_parent, at_death) if sys.platform == "linux" else None,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=output,
+                start_new_session=True,
+                preexec_fn=_end_with_parent if sys.platform == "linux" else None,
             )
         self._running.append(Running(name, process, log))
         return self._running[-1]
 
     def finish(self, running: Running) -> None:
-        """Wait for a process that ends by itself, while the others keep running.
+        """Wait for a process that ends by itself.
 
         Raises:
-            ProcessError: It failed, or another one ended.
+            ProcessError: It failed.
         """
-        if self.wait(running):
-            raise running.error()
-
-    def wait(self, running: Running) -> int:
-        """Wait for a process that ends by itself and reports its own errors; return its status.
-
-        Raises:
-            ProcessError: Another process ended.
-        """
-        while (status := running.process.poll()) is None:
-            self.check(but=running)
-            time.sleep(0.05)
+        failed = running.process.wait()
         self._running.remove(running)
-        return status
+        if failed:
+            raise running.error()
 
     def check(self, but: Running | None = None) -> None:
         """Check that no process has ended, whatever its exit status, except one that may end.
@@ -133,6 +126,32 @@ class Processes:
         for running in self._running:
             if running is not but and running.process.poll() is not None:
                 raise running.error()
+
+    @contextmanager
+    def watched(self, fail: Callable[[ProcessError], object]) -> Iterator[None]:
+        """Raise in the main thread once a process ends, even while it waits for a person's input.
+
+        Args:
+            fail: Called before, so that what is cleaned up waits for no answer of that process.
+
+        Raises:
+            ProcessError: A process has ended.
+        """
+
+        def check(*_: object) -> None:
+            try:
+                self.check()
+            except ProcessError as error:
+                signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+                fail(error)
+                raise
+
+        before = signal.signal(signal.SIGCHLD, check)
+        try:
+            check()  # what ended before
+            yield
+        finally:
+            signal.signal(signal.SIGCHLD, before)
 
     @property
     def stopped(self) -> list[str]:
@@ -159,5 +178,5 @@ class Processes:
         self.stop()
 
 
-def _end_with_parent(number: signal.Signals) -> None:
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, number)
+def _end_with_parent() -> None:
+    LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGTERM)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from wam_power_ros import installed
-from wam_power_ros.cli.parser import add_command, preset_option
+from wam_power_ros.cli.parser import add_command, preset_option, task_option
 from wam_power_ros.cli.session_options import DEFAULT_TASK
 
 if TYPE_CHECKING:
@@ -25,8 +25,7 @@ def add_to(subparsers: argparse._SubParsersAction) -> None:
     text = "print the return of bags or of a whole session under any task and preset"
     parser = add_command(subparsers, "score", score, text)
     parser.add_argument("recorded", type=Path, nargs="+", help="bags, or folder of a session")
-    default = f"task (default: the session's, else {DEFAULT_TASK})"
-    parser.add_argument("--task", metavar="NAME", help=default)
+    task_option(parser, f"the session's, else {DEFAULT_TASK}")
     preset_option(parser)
 
 

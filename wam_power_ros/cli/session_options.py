@@ -146,6 +146,15 @@ def learner_parameters(folder: Path, asked: SessionOptions, seed: int, task: str
     }
 
 
+def settings_of(task: str, asked: SessionOptions) -> SessionSettings:
+    """Settings of a new session; a ValueError names what is unknown or out of range."""
+    from wam_power_ros.practice.settings import preset
+
+    learner = {"name": asked.learner} if asked.learner else None
+    limits = {"budget": asked.trials, "minutes": asked.minutes}
+    return preset(task, asked.preset, learner, **{k: v for k, v in limits.items() if v is not None})
+
+
 def method_words(settings: SessionSettings) -> list[str]:
     """Command-line words that ask for the preset and the learner of a session."""
     from wam_power_ros.practice.settings import preset
@@ -187,11 +196,8 @@ def _differences(asked: SessionOptions, header: SessionHeader) -> Iterator[str]:
 def _check_new(folder: Path, task: str, asked: SessionOptions, devices: Devices) -> None:
     from wam_power_ros.bags import reader, series
     from wam_power_ros.bags.bag import Bag
-    from wam_power_ros.practice.settings import preset
 
-    learner = {"name": asked.learner} if asked.learner else None
-    changes = {} if asked.trials is None else {"budget": asked.trials}
-    settings = preset(task, asked.preset, learner, **changes)
+    settings = settings_of(task, asked)
     taught = max(asked.demonstrations, len(series.read(folder / series.FILE)))
     settings.check(1 if asked.origin else len(asked.bags) or taught)
     setup, tasks = devices.parameters(task), task_stems()
@@ -200,6 +206,6 @@ def _check_new(folder: Path, task: str, asked: SessionOptions, devices: Devices)
         bag = Bag(path)
         reader.read_states(bag, setup.joint_names, arm=arm and arm.identity())
         tasks_of_bag = tasks.get(bag.kind, {task})
-        if task not in tasks_of_bag:
+        if task not in tasks_of_bag and bag.kind != setup["demonstration_recorder"]["stem"]:
             listed = ", ".join(tasks_of_bag)
             raise UsageError(f"{path} is a demonstration of {listed}, not of {task}: use --task")

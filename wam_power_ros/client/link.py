@@ -50,28 +50,22 @@ Data = bool | Transition | Pause.Request | AddDemonstration.Request | None
 class Link:
     """Calls services and waits for conditions; a context manager, which ends its thread.
 
-    Attributes:
-        appear_timeout: Time for a service to appear [s of wall time].
-
-    Args:
+    Args, which are attributes, too:
         node: Node that nothing else spins.
         appear_timeout: Time for a service to appear [s of wall time].
         log_period: Time between two log entries about one wait [s of wall time].
     """
 
     def __init__(
-        self,
-        node: Node,
-        appear_timeout: float = TIMEOUT,
-        log_period: float = LOG_PERIOD,
+        self, node: Node, appear_timeout: float = TIMEOUT, log_period: float = LOG_PERIOD
     ) -> None:
         self.node = node
-        self.appear_timeout, self._log_period = appear_timeout, log_period
+        self.appear_timeout, self.log_period = appear_timeout, log_period
         self._clients: dict[str, Client] = {}
         self._ready_times: dict[str, float] = {}  # since when a service has been seen ready
         self._changed = threading.Condition()  # notified of every message and answer
         self._ended = False
-        self._error: Exception | None = None  # of a callback; it ends the thread
+        self._error: Exception | None = None  # of a callback, whose thread it ends; or see `fail`
         self._executor: Executor
         self._thread = threading.Thread(target=self._dispatch, name="callbacks", daemon=True)
 
@@ -93,6 +87,10 @@ class Link:
                 self._executor.shutdown()
         except Exception as error:  # raised by the waits of other threads
             self._error = error
+
+    def fail(self, error: Exception) -> None:
+        """Let every wait raise an error from now on, as when a node has ended."""
+        self._error = error
 
     def schedule(self, work: Callable[[], object]) -> Future:
         """Let short work be done by the thread that dispatches the callbacks.
@@ -123,7 +121,7 @@ class Link:
 
         Raises:
             ExternalShutdownException: The node is being ended.
-            Exception: One that a callback has raised.
+            Exception: One that a callback has raised, or of `fail`.
         """
         begun, log_at = time.monotonic(), LOG_AFTER if what else math.inf
         with self._changed:
@@ -138,7 +136,7 @@ class Link:
                 if waited > log_at:
                     awaited = what() if callable(what) else what
                     self.node.get_logger().info(f"waiting for {awaited}, {waited:.0f} s so far")
-                    log_at = waited + self._log_period
+                    log_at = waited + self.log_period
                 self._changed.wait(min(CHECK_PERIOD, timeout - waited))
         return True
 

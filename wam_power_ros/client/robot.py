@@ -27,18 +27,16 @@ from wam_power_ros.client.reports import ControllerReports
 from wam_power_ros.client.rollouts import Executed, Ready, Rollouts, RolloutSettings
 from wam_power_ros.control import replay_trajectory
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.control.corrections import Corrections
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.params import overlay
-from wam_power_ros.params.resources import robot_description
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.joint_messages import JointMovement, JointStateReader, movement_message
 from wam_power_ros.ros.node_runner import participant
-from wam_power_ros.ros.outcomes import Answer, ServiceError
+from wam_power_ros.ros.outcomes import Answer, Code, ServiceError
 
 RECORDER = "demonstration_recorder"  # node
 MOVE_TIMEOUT = 3600.0  # [s of wall time]
-RETRY_PERIOD = 0.05  # [s of wall time] between requests to a controller that has not read it yet
+RETRY_PERIOD = 0.05  # [s of wall time] between requests to a controller that is still starting
 TAKE_PERIOD = 0.002  # [s of wall time] between looks for the next state
 REST_TIMES = np.linspace(0.0, 0.1, 6)  # [s] of a movement that rests at one posture
 
@@ -83,7 +81,6 @@ class Robot:
     service does not appear, does not answer in time or refuses.
 
     Attributes:
-        link: Link to the nodes.
         joint_names: Joint names of the driver, base to tip.
         arm: Model of the arm; only for `state`, `move_to` and `replay`.
 
@@ -187,8 +184,18 @@ class Robot:
         movement, goal = movement_message(self.joint_names, JointMovement(t, q)), None
         try:
             self.stop()  # succeeds once the controller is active
-            goal = self._replays.send(movement=movement)
-            return str(goal.done(MOVE_TIMEOUT).outcome.text)
+            deadline = time.monotonic() + TIMEOUT
+            while True:
+                goal = self._replays.send(movement=movement)
+                try:
+                    return str(goal.done(MOVE_TIMEOUT).outcome.text)
+                except ServiceError as error:
+                    if error.answer.code is not Code.NOT_ACTIVE or time.monotonic() > deadline:
+                        raise
+                    goal, active = None, self.link.call(interface.STOP)
+                    if active is None or not active.success:
+                        raise
+                self.link.sleep(RETRY_PERIOD)  # its process that reads movements still starts
         except KeyboardInterrupt:
             self._stop(self._replays)
             if goal is not None:
@@ -319,7 +326,10 @@ def connect(*config: str, namespace: str = "", domain: int | None = None) -> Ite
     Raises:
         ValueError: A set-up is unknown, or none names a URDF.
     """
-    with connected(overlay.setup(config), domain, namespace) as robot:
+    setup = overlay.setup(config)
+    if not setup["torque_controller"]["urdf"]:
+        raise ValueError("the set-up names no urdf: give the one of the nodes")
+    with connected(setup, domain, namespace) as robot:
         yield robot
 
 
@@ -329,20 +339,11 @@ def connected(
 ) -> Iterator[Robot]:
     """Connect to the nodes of a set-up; see `node_runner.participant` for the arguments."""
     controller, context = setup["torque_controller"], Context()
-    if not controller["urdf"]:
-        raise ValueError("the set-up names no urdf: give the one of the nodes")
-    urdf = robot_description(controller["urdf"])
     make = lambda: rclpy.create_node("robot", namespace=namespace, context=context)  # noqa: E731
     with participant(make, domain, context, on_loopback) as node, Link(node) as link:
         yield Robot(
-            link,
-            controller["state_topic"],
-            controller["joint_names"],
-            setup["pancake_tracker"]["body"],
-            Arm(
-                *(urdf, controller["model_joint_names"], controller["tool_frame"], ()),
-                Corrections.of_parameters(controller),
-            ),
+            *(link, controller["state_topic"], controller["joint_names"]),
+            *(setup["pancake_tracker"]["body"], setup.arm()),
             RolloutSettings.of(setup["learner"]),
             float(controller["settle_time"]),
         )

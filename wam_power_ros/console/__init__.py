@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ROS scripts that a person runs: teach, replay, play a bag, enabling switch, feedback."""
+"""What a person does at a terminal: teach, replay, run a policy, play a bag, give feedback."""

@@ -3,62 +3,33 @@
 
 from __future__ import annotations
 
-if __name__ == "__main__":  # before the other imports, which a signal may interrupt
-    from wam_power_ros.entry import INTERRUPTED, start
-
-    raise SystemExit(start("wam_power_ros.console.commission", INTERRUPTED))
-
-from pathlib import Path
-
 import numpy as np
-from pydantic import Field
-from rclpy.node import Node
 
-from wam_power_ros.client.link import Link
 from wam_power_ros.client.robot import Robot, Stopped
-from wam_power_ros.console.prompt import ask, show
+from wam_power_ros.console.prompt import ask, let_go_after, show
+from wam_power_ros.console.replay import SETTLE_TIME
 from wam_power_ros.entry import INTERRUPTED
-from wam_power_ros.params.node_params import Params
-from wam_power_ros.ros.node_runner import run_script
 from wam_power_ros.ros.outcomes import ServiceError
 
 LOG_PERIOD = 30.0  # [s] between two lines about the movement under way
-SETTLE_TIME = 1.0  # [s] recorded after a stop, while the arm comes to rest
 
 
-class CommissionParams(Params):
-    """Parameters of the movement.
+def move(robot: Robot, t: np.ndarray, q: np.ndarray, person: bool) -> int:
+    """Execute the movement once and record it; returns the exit status.
 
-    Attributes:
-        movement: File of NumPy with `t` [s], shape (T,), and `q` [rad], shape (T, n).
-        joint_names: Joint names of the driver.
-        state_topic: Topic of the joint states, to which the recorder subscribes.
-        person: True to ask the person beside a real arm before it moves.
+    Args:
+        robot: The arm.
+        t: Times [s]. Shape (T,).
+        q: Joint angles [rad]. Shape (T, n).
+        person: Whether to ask the person beside a real arm before it moves.
+
+    Raises:
+        ServiceError: A service does not appear, does not answer in time, or refuses.
     """
-
-    movement: str
-    joint_names: tuple[str, ...] = Field(min_length=1, max_length=16)
-    state_topic: str
-    person: bool
-
-
-class Commissioning(Node):
-    """Node of the script, with its parameters."""
-
-    def __init__(self) -> None:
-        super().__init__("commissioning", automatically_declare_parameters_from_overrides=True)
-        self.params = CommissionParams.of(self)
-
-
-def move(node: Commissioning) -> int:
-    """Execute the movement once and record it; returns the exit status."""
-    params = node.params
-    with np.load(Path(params.movement)) as file:
-        t, q = file["t"], file["q"]
-    with Link(node, log_period=LOG_PERIOD) as link:
-        robot = Robot(link, params.state_topic, joint_names=params.joint_names)
-        robot.stop()  # succeeds once the controller is active
-        if params.person:
+    robot.link.log_period = LOG_PERIOD
+    robot.stop()  # succeeds once the controller is active
+    with let_go_after(person):
+        if person:
             ask(
                 f"The arm will move by itself for {t[-1] / 60:.1f} minutes, tool below 1.2 m/s. "
                 "Nobody within reach, a hand on the pendant. Press Enter: "
@@ -69,17 +40,10 @@ def move(node: Commissioning) -> int:
             try:
                 show(robot.follow(t, q).splitlines()[0])
             except Stopped:
-                link.sleep(SETTLE_TIME)
+                robot.link.sleep(SETTLE_TIME)
                 show("Stopped: the arm holds.")
                 return INTERRUPTED
             except ServiceError as error:
                 show(str(error))
                 return 1
-        if params.person:
-            ask("The arm holds. Support it, then press Enter to let it go: ")
     return 0
-
-
-def main() -> int:
-    """Run `python -m wam_power_ros.console.commission`."""
-    return run_script(Commissioning, move)

@@ -6,7 +6,8 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 
 
 def show(text: str) -> None:
@@ -20,6 +21,16 @@ def ask(text: str) -> bool:
     sys.stderr.write(text)
     sys.stderr.flush()
     return bool(sys.stdin.readline())
+
+
+@contextmanager
+def let_go_after(person: bool) -> Iterator[None]:
+    """Ask a person to support the arm, however the block ends: after it, no controller holds it."""
+    try:
+        yield
+    finally:
+        if person:
+            ask("Support the arm, then press Enter to let it go: ")
 
 
 def choose(default: str, keys: Mapping[str, str]) -> str:

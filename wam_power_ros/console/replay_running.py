@@ -20,9 +20,11 @@ from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 from rclpy.utilities import remove_ros_args
 
-from wam_power_ros.arm_identity import to_json
+from wam_power_ros.bags import reader
 from wam_power_ros.client.link import LOG_AFTER, Link
-from wam_power_ros.console.replay import ReplayParams, replay
+from wam_power_ros.client.robot import Robot
+from wam_power_ros.console.replay import replay
+from wam_power_ros.control import replay_trajectory
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.params.resources import robot_description
 from wam_power_ros.ros.node_runner import run_script
@@ -60,15 +62,10 @@ def replay_running(link: Link, bag: Path, speed: float) -> int:
     if found["urdf"]:
         urdf = robot_description(found["urdf"])
         identity = Arm(urdf, found["model_joint_names"], found["tool_frame"]).identity()
-    params = ReplayParams(
-        bag=str(bag),
-        speed=speed,
-        joint_names=tuple(found["joint_names"]),
-        arm=to_json(identity),
-        person=not found["simulation"],
-        running=True,
-    )
-    return replay(link, params)
+    robot = Robot(link, joint_names=found["joint_names"])
+    recorded = reader.read_demonstration(bag, robot.joint_names, arm=identity)
+    movement = replay_trajectory.movement(*recorded, speed)
+    return replay(robot, bag.name, *movement, speed, not found["simulation"], running=True)
 
 
 def main() -> int:
@@ -82,4 +79,4 @@ def main() -> int:
         with Link(node, log_period=LOG_AFTER) as link:
             return replay_running(link, asked.bag, asked.speed)
 
-    return run_script(lambda: Node("replaying"), work)
+    return run_script(lambda: Node("robot"), work)

@@ -20,12 +20,19 @@ import pinocchio as pin
 from wam_power_ros import compiled
 from wam_power_ros.arm_identity import ArmIdentity
 from wam_power_ros.control.corrections import Corrections
-from wam_power_ros.control.urdf_checks import number, require_physical, require_usable
+from wam_power_ros.control.urdf_checks import (
+    number,
+    parsed,
+    require_physical,
+    require_usable,
+    soft_limits,
+)
 from wam_power_ros.learning.policy import read_only
 
 JOINTS_MAX = 64  # of a chain: the compiled loops have room for no more
 FRICTION_SPEED = 0.02  # [rad/s] width of the tanh that smooths Coulomb friction at standstill
 STRIBECK_SPEED = 0.05  # [rad/s] at which friction at low speed has fallen by a factor of e
+_LINK = pin.FrameType.BODY
 _AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED  # origin of the tool, axes of the base
 
 
@@ -55,13 +62,8 @@ def guarded_points(
 ) -> tuple[GuardedPoint, ...]:
     """Build the guarded points from parameters; one name "" means none: ROS has no empty lists.
 
-    Args:
-        names: Names of the points.
-        links: Link of each.
-        offsets: Position of each in the frame of its link [m], three numbers a point.
-
     Raises:
-        ValueError: The numbers of names, links and offsets do not match.
+        ValueError: The numbers of names, links and offsets, three numbers a point, do not match.
     """
     if tuple(names) == ("",):
         return ()
@@ -164,20 +166,19 @@ class Arm:
         corrections: Corrections | None = None,
     ) -> None:
         self.joint_names = tuple(joint_names)
-        refusal = "the robot description is not a URDF"
-        try:
-            tree = ElementTree.fromstring(urdf)
-        except ElementTree.ParseError as error:
-            raise ValueError(f"{refusal}: {error}") from None
+        tree = parsed(urdf)
         require_usable(tree, self.joint_names)
         self._given = urdf, self.joint_names, tool_frame, tuple(guarded)
         try:
             full = pin.buildModelFromXML(urdf)
         except (ValueError, RuntimeError) as error:
-            raise ValueError(f"{refusal}: {error}") from None
+            raise ValueError(f"the robot description is not a URDF: {error}") from None
         self.name = tree.get("name", "")
         self.model = _chain(full, self.joint_names)
         require_physical(tree, self.model)
+        low, high = np.transpose([soft_limits(tree, name) for name in self.joint_names])
+        self.model.lowerPositionLimit = np.maximum(self.model.lowerPositionLimit, low)
+        self.model.upperPositionLimit = np.minimum(self.model.upperPositionLimit, high)
         self.n = self.model.nv
         if self.n > JOINTS_MAX:
             raise ValueError(f"{self.n} joints are too many, at most {JOINTS_MAX} are possible")
@@ -225,10 +226,10 @@ class Arm:
         return Arm(*self._given, corrections)
 
     def _frame(self, name: str) -> int:
-        if not self.model.existFrame(name):
-            known = [frame.name for frame in self.model.frames]
-            raise ValueError(f"no frame {name!r} in the robot description; known: {known}")
-        return int(self.model.getFrameId(name))
+        if not self.model.existFrame(name, _LINK):  # a joint may have the same name
+            known = [frame.name for frame in self.model.frames if frame.type == _LINK]
+            raise ValueError(f"no link {name!r} in the robot description; known: {known}")
+        return int(self.model.getFrameId(name, _LINK))
 
     def _point(self, frame: int, offset: np.ndarray) -> _Point:
         """Point at an offset (3,) [m] in a frame."""
@@ -273,13 +274,7 @@ class Arm:
         return Speeds(guarded, tool)
 
     def dynamics(self, q: np.ndarray, qd: np.ndarray, bias: np.ndarray | None = None) -> Dynamics:
-        """Jacobian, inverse mass matrix and bias torque of one state.
-
-        Args:
-            q: Joint positions [rad]. Shape (n,).
-            qd: Joint speeds [rad/s]. Shape (n,).
-            bias: Bias torque, if it has been computed for this state [N m]. Shape (n,).
-        """
+        """Jacobian, inverse mass matrix and bias torque of one state; the bias may be given."""
         model, data = self.model, self._data
         return Dynamics(
             jacobian=pin.computeFrameJacobian(model, data, q, self._tool, _AXES),
@@ -412,7 +407,14 @@ def _chain(full: pin.Model, joint_names: tuple[str, ...]) -> pin.Model:
     if chain_order != joint_names:
         raise ValueError(f"joint names {joint_names} must be, base to tip, {chain_order}")
     locked = [full.getJointId(name) for name in known if name not in joint_names]
-    return pin.buildReducedModel(full, locked, pin.neutral(full))
+    for frame in full.frames:  # the reduction finds the frame of a joint by its name alone
+        if frame.type == _LINK:
+            frame.name = f"link {frame.name}"
+    reduced = pin.buildReducedModel(full, locked, pin.neutral(full))
+    for frame in reduced.frames:
+        if frame.type == _LINK:
+            frame.name = frame.name.removeprefix("link ")
+    return reduced
 
 
 def _armature(tree: ElementTree.Element, joint_name: str) -> float:

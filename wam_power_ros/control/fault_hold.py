@@ -75,11 +75,9 @@ class BrakeWithoutModel:
         self._reference = None
 
     def torque(self, state: JointState | None, dt: float) -> np.ndarray | None:
-        """Torque to send [N m], shape (n,); None if no state has been observed.
+        """Torque to send [N m], shape (n,), `dt` [s] after the last; None if no state was observed.
 
-        Args:
-            state: Measured state; without one gravity alone is carried.
-            dt: Time since the last torque [s].
+        Without a measured state gravity alone is carried.
         """
         if self._gravity is None:
             return None

@@ -28,12 +28,9 @@ Step = JointReference | Callable[[np.ndarray], JointReference]
 
 
 class MinJerk:
-    """Minimum-jerk move along a straight line from one posture to another, from rest to rest.
+    """Minimum-jerk move from a posture to another (n,) [rad], straight and from rest to rest.
 
-    Args:
-        q_from: Posture at the beginning [rad]. Shape (n,).
-        q_to: Posture at the end [rad]. Shape (n,).
-        speed: Peak speed of the joint with the largest displacement [rad/s].
+    The joint with the largest displacement has the peak `speed` [rad/s].
     """
 
     def __init__(self, q_from: np.ndarray, q_to: np.ndarray, speed: float) -> None:
@@ -56,12 +53,8 @@ class MinJerk:
 class Brake:
     """Smooth deceleration to rest; a joint slower than 0.05 rad/s keeps its position.
 
-    Args:
-        q: Posture at the beginning [rad]. Shape (n,).
-        qd: Speed at the beginning [rad/s]. Shape (n,).
-        duration: Braking time [s].
-        q_min: Lower position limits; no joint comes to rest below [rad]. Shape (n,).
-        q_max: Upper position limits; no joint comes to rest above [rad]. Shape (n,).
+    It begins at posture q [rad] and speed qd [rad/s], takes `duration` [s], and no joint comes to
+    rest beyond its limits [rad]. Shapes (n,).
     """
 
     def __init__(
@@ -110,12 +103,9 @@ class Sampled:
 
 
 def interpolated(t: npt.ArrayLike, q: npt.ArrayLike, period: float) -> Sampled:
-    """Interpolate a recorded movement by a cubic spline and sample it at the control period.
+    """Interpolate a movement (N, n) [rad] by a cubic spline, and sample it every period [s].
 
-    Args:
-        t: Times, strictly increasing [s]. Shape (N,), N >= 4.
-        q: Joint positions, smooth [rad]. Shape (N, n).
-        period: Sampling period of the control loop [s].
+    The times t (N,) [s] increase; N >= 4.
 
     Raises:
         ValueError: A shape or value is not allowed; the message names it.

@@ -146,18 +146,9 @@ def limits_of(arm: Arm, **overrides: object) -> Limits:
 
 
 def limit_torque(tau: np.ndarray, previous: np.ndarray, dt: float, limits: Limits) -> np.ndarray:
-    """Clip a torque to the limits of magnitude and rate.
+    """Clip a torque (n,) [N m] to the limits of magnitude, and of rate since the `previous` one.
 
-    When `tau` is within both limits, the result is `tau` itself.
-
-    Args:
-        tau: Requested torque, finite [N m]. Shape (n,).
-        previous: Last torque sent, within the torque limits [N m]. Shape (n,).
-        dt: Time since the last torque was sent [s].
-        limits: Limits of the arm.
-
-    Returns:
-        [N m]. Shape (n,).
+    When `tau` is within both limits, the result is `tau` itself. `dt` is the time since that [s].
     """
     if _keeps(tau, previous, dt, limits):
         return tau
@@ -188,17 +179,10 @@ def _within(values: np.ndarray, bounds: list[list[float]]) -> bool:
 
 
 def limit_springs(q: np.ndarray, limits: Limits) -> np.ndarray | None:
-    """Torque of the soft springs that keep joints off their limits, None when none acts.
+    """Torque (n,) [N m] of the soft springs that keep joints off their limits, None if none acts.
 
     It rises linearly from zero at `SPRING_RANGE` inside a limit to `spring_torque` at the limit and
     to twice that at `SPRING_RANGE` beyond it, where it saturates.
-
-    Args:
-        q: Joint positions [rad]. Shape (n,).
-        limits: Limits of the arm.
-
-    Returns:
-        [N m]. Shape (n,).
     """
     if _within(q, limits._spring_free):
         return None
@@ -237,16 +221,9 @@ class LimitSprings:
 def damped_gravity(
     gravity: np.ndarray, mass: np.ndarray, qd: np.ndarray, damping: float
 ) -> np.ndarray:
-    """g(q) - d M(q) qd: gravity compensation in which all joint motion decays at the rate d.
+    """g(q) - d M(q) qd [N m]: gravity compensation in which all motion decays at the rate d [1/s].
 
-    Args:
-        gravity: g(q) [N m]. Shape (n,).
-        mass: M(q) [kg m^2]. Shape (n, n).
-        qd: Joint speeds [rad/s]. Shape (n,).
-        damping: d [1/s]; its product with the delay of the loop must stay well below pi / 2.
-
-    Returns:
-        [N m]. Shape (n,).
+    The product of d and the delay of the loop must stay well below pi / 2. Shape (n,).
     """
     return gravity - damping * mass.dot(qd)
 
@@ -335,12 +312,7 @@ def motion_fault(
 
 
 def plane_fault(points: Mapping[str, Sequence[float]], limits: Limits) -> Fault | None:
-    """Fault of the first point behind the keep-out plane, or None.
-
-    Args:
-        points: Positions in the base frame by name [m], three numbers each.
-        limits: Limits of the arm.
-    """
+    """Fault of the first point, by name [m], behind the keep-out plane, or None."""
     nx, ny, nz, distance = limits._plane
     for name, (x, y, z) in points.items():
         if not nx * x + ny * y + nz * z >= distance:

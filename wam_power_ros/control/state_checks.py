@@ -88,12 +88,7 @@ class PastState(NamedTuple):
 
 
 def plausible(values: list[float], bound: float) -> bool:
-    """Whether every value is finite and below the bound in magnitude.
-
-    Args:
-        values: Positions [rad] or speeds [rad/s].
-        bound: IMPLAUSIBLE_Q or IMPLAUSIBLE_QD.
-    """
+    """Whether every position [rad] or speed [rad/s] is finite and below a bound in magnitude."""
     if math.hypot(*values) < bound:  # then each value is, too; False for a NaN
         return True
     # The sum, because every comparison with a NaN is false.

@@ -22,16 +22,9 @@ VIRTUAL_INERTIA = np.repeat((1.0, 0.01), 3)  # (6,) mass [kg], moment of inertia
 
 
 def operational_space(motion: Motion, dynamics: Dynamics, acceleration: np.ndarray) -> np.ndarray:
-    """Joint torques by the tool's apparent inertia, regularized by `DAMPING`.
+    """Joint torques (n,) [N m] by the tool's apparent inertia, regularized by `DAMPING`.
 
-    Args:
-        motion: Kinematics of the state.
-        dynamics: Dynamics of the same state.
-        acceleration: Commanded linear [m/s^2] and angular [rad/s^2] acceleration in the base frame.
-            Shape (6,).
-
-    Returns:
-        Joint torques [N m]. Shape (n,).
+    The acceleration (6,) is linear [m/s^2] and angular [rad/s^2], in the base frame.
 
     Raises:
         numpy.linalg.LinAlgError: The apparent inertia is not positive definite.

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from xml.etree import ElementTree
+from xml.parsers import expat
 
 import numpy as np
 import pinocchio as pin
@@ -26,6 +27,40 @@ EIGENVALUE_MIN = 1e-9
 _POSTURES = 8  # at which the mass matrix is checked
 _MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 _LIMITED = ("revolute", "prismatic")
+
+
+def parsed(urdf: str) -> ElementTree.Element:
+    """Parse a URDF as urdfdom does, which knows no namespaces: a prefix needs no declaration.
+
+    Attributes and elements with a prefix are left out.
+
+    Raises:
+        ValueError: The text is no URDF.
+    """
+    builder, parser = ElementTree.TreeBuilder(), expat.ParserCreate()
+    parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
+    parser.CharacterDataHandler = builder.data
+    try:
+        parser.Parse(urdf, True)
+    except (expat.ExpatError, ValueError) as error:
+        raise ValueError(f"the robot description is not a URDF: {error}") from None
+    tree = builder.close()
+    if tree.tag != "robot":
+        of = {"mujoco": " of MuJoCo", "sdf": " of Gazebo"}.get(tree.tag, "")
+        raise ValueError(f"the robot description is not a URDF: it begins with <{tree.tag}>{of}")
+    for element in tree.iter():
+        element[:] = [child for child in element if ":" not in child.tag]
+        for name in [name for name in element.keys() if name == "xmlns" or ":" in name]:
+            del element.attrib[name]
+    return tree
+
+
+def soft_limits(tree: ElementTree.Element, joint_name: str) -> tuple[float, float]:
+    """Bounds of a position by the maker's own controller [rad]; infinite if there are none."""
+    safety = tree.find(f"./joint[@name='{joint_name}']/safety_controller")
+    found = {} if safety is None else safety.attrib
+    low, high = (number(found.get(f"soft_{end}_limit", "0")) for end in ("lower", "upper"))
+    return (low, high) if low < high else (-math.inf, math.inf)
 
 
 def require_usable(tree: ElementTree.Element, joint_names: Sequence[str]) -> None:

@@ -14,13 +14,9 @@ class CmaEs(GaussianLearner):
     """CMA-ES, started with unit step size."""
 
     class Settings(LearnerSettings):
-        """Settings of CMA-ES.
+        """Settings of CMA-ES."""
 
-        Attributes:
-            population: Number of rollouts per generation; by default that of the library,
-                4 + 3 ln(size).
-        """
-
+        # Rollouts per generation; by default as many as the library takes, 4 + 3 ln(size)
         population: int | None = Field(default=None, ge=5)
 
     settings: Settings

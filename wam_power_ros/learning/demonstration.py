@@ -152,14 +152,9 @@ def from_joint_samples(
 
 
 def smooth_joints(
-    stamps_ns: Sequence[int] | np.ndarray,
-    q: np.ndarray,
+    stamps_ns: Sequence[int] | np.ndarray, q: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Resample a whole recording by the device's stamps and smooth it without delay.
-
-    Args:
-        stamps_ns: Header stamps, strictly increasing [ns]. Shape (M,).
-        q: Joint angles [rad]. Shape (M, n).
+    """Resample a whole recording, as of `from_joint_samples`, and smooth it without delay.
 
     Returns:
         Times from 0 [s], shape (N,), and joint angles [rad], shape (N, n).
@@ -174,11 +169,7 @@ def smooth_joints(
 
 
 def from_positions(position: np.ndarray, period: float) -> Demonstration:
-    """Make a demonstration from positions only: no arm, no rotation, no smoothing.
-
-    Args:
-        position: Position of the tool [m]. Shape (N, 3).
-        period: Sampling period [s].
+    """Make a demonstration of positions (N, 3) [m] alone, one each `period` [s]; no smoothing.
 
     Raises:
         ValueError: If there are fewer than three samples, a shape is wrong or a value not finite.
@@ -201,9 +192,7 @@ def from_positions(position: np.ndarray, period: float) -> Demonstration:
 def rotation_from(quat_xyzw: np.ndarray, reference_xyzw: np.ndarray) -> np.ndarray:
     """Continuous rotation vectors r [rad] with R = exp(r) R_ref. Shape (N, 3).
 
-    Args:
-        quat_xyzw: Orientations R, unit quaternions. Shape (N, 4).
-        reference_xyzw: R_ref, unit quaternion. Shape (4,).
+    Orientations R (N, 4) and R_ref (4,) are unit quaternions.
     """
     inverse = np.asarray(reference_xyzw) * np.array([-1.0, -1.0, -1.0, 1.0])
     relative = rotations.multiply(quat_xyzw, np.broadcast_to(inverse, np.shape(quat_xyzw)))
@@ -224,9 +213,9 @@ def _checked_stamps(stamps_ns: Sequence[int] | np.ndarray) -> np.ndarray:
         raise ValueError(f"stamp {stamps[at + 1]} follows {stamps[at]}; stamps must increase")
     at = int(np.argmax(steps))
     if steps[at] > GAP_MAX * 1e9:
-        raise ValueError(
-            f"gap of {steps[at] * 1e-9} s after stamp {stamps[at]}; at most {GAP_MAX} s allowed"
-        )
+        when = f"{(stamps[at] - stamps[0]) * 1e-9:.3f} s after the first state"
+        how = "if a part is enough: wam-power bags import BAG --part START END"
+        raise ValueError(f"gap of {steps[at] * 1e-9} s, {when}; at most {GAP_MAX} s allowed; {how}")
     return stamps
 
 

@@ -31,14 +31,9 @@ STANDSTILL = 1e-3  # spread of a position that does not move: noise, or a slip o
 
 
 def activations(basis: Basis, t: np.ndarray) -> np.ndarray:
-    """Weights h_i(t) of the spring-dampers (Eq. 1); each row sums to one.
+    """Weights h_i of the spring-dampers (Eq. 1) at times t (T,) [s]. Shape (T, n).
 
-    Args:
-        basis: Number, duration and variance of the Gaussians.
-        t: Time since the start, clamped to [0, duration] [s]. Shape (T,).
-
-    Returns:
-        Weights. Shape (T, n).
+    Times are clamped to [0, duration]; each row sums to one.
     """
     t = np.clip(np.asarray(t, dtype=float), 0.0, basis.duration)
     exponent = -0.5 * (t[:, None] - basis.centres) ** 2 / basis.variance  # (T, n)
@@ -231,15 +226,8 @@ def fit(demonstrations: Sequence[Demonstration], settings: FitSettings, policy_i
        at the start of the demonstrations, follows them and stays at their end.
 
     The rotation attractors come from the same least squares on the rotation vectors.
-    Demonstrations of different length are stretched in time to their mean duration.
-
-    Args:
-        demonstrations: One or more demonstrations; q_start and R_ref are those of the first.
-        settings: Settings of the fit.
-        policy_id: Id of the policy.
-
-    Returns:
-        The policy; its K_i are symmetric.
+    Demonstrations of different length are stretched in time to their mean duration. The K_i are
+    symmetric; q_start and R_ref are those of the first demonstration.
 
     Raises:
         ValueError: If there is no demonstration, there are too few samples, or a value of the
@@ -286,17 +274,9 @@ def fit(demonstrations: Sequence[Demonstration], settings: FitSettings, policy_i
 
 
 def positive_definite(stiffness: np.ndarray, k_min: float) -> np.ndarray:
-    """Raise the eigenvalues of the symmetric parts to at least k_min; keep the skew parts.
+    """Raise the eigenvalues of the symmetric parts of matrices (n, 3, 3) to at least k_min.
 
-    Args:
-        stiffness: Stiffness matrices [1/s^2]. Shape (n, 3, 3).
-        k_min: Smallest eigenvalue allowed [1/s^2].
-
-    Returns:
-        Stiffness matrices [1/s^2]; those within the limit are unchanged. Shape (n, 3, 3).
-
-    Raises:
-        ValueError: If k_min is not positive.
+    Skew parts are kept, and matrices within the limit are unchanged; a ValueError if it is not > 0.
     """
     if not k_min > 0.0:
         raise ValueError(f"k_min = {k_min} must be positive")

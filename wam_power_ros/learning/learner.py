@@ -111,13 +111,9 @@ class LearnerClass(Protocol):
         rng: np.random.Generator,
         model: ErrorModel | None = None,
     ) -> Learner:
-        """Construct a learner.
+        """Construct a learner of `size` parameters, with an instance of `Settings`.
 
-        Args:
-            size: Number of parameters.
-            settings: Instance of `Settings`.
-            rng: Source of the exploration noise; used by `ask` only.
-            model: Predictor of errors, given if and only if it is needed.
+        Exploration is drawn from `rng`; a model is given if and only if it is needed.
 
         Raises:
             ValueError: If `size` is too small, or a model is missing or unused.

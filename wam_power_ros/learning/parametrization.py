@@ -127,9 +127,7 @@ class Stiffness(Group):
     def raised(self, stiffness: np.ndarray, k_min: float) -> np.ndarray:
         """Make matrices (m, 3, 3) positive definite, changing only learnt entries.
 
-        Args:
-            stiffness: Stiffness matrices [1/s^2]; diagonal if the form is.
-            k_min: Smallest eigenvalue of their symmetric parts [1/s^2].
+        They are diagonal if the form is; k_min is that of `positive_definite`.
         """
         if len(self.axes) == 3:
             return positive_definite(stiffness, k_min)
@@ -248,11 +246,7 @@ class Parametrization:
     """
 
     def __init__(self, policy0: Policy, groups: Sequence[Group]) -> None:
-        """Combine groups of parameters.
-
-        Args:
-            policy0: Policy at z = 0.
-            groups: Learnt parameters, in the order of theta.
+        """Combine groups of parameters, in the order of theta.
 
         Raises:
             ValueError: A group does not fit the policy, or two have the same name.
@@ -281,15 +275,10 @@ class Parametrization:
         return self.theta0 + self.scale * self._checked(z)
 
     def policy(self, z: np.ndarray, policy_id: str) -> tuple[Policy, np.ndarray]:
-        """Policy at z, with every stiffness matrix positive definite.
+        """Policy at z (size,), with every stiffness matrix positive definite.
 
-        Args:
-            z: Requested coordinates. Shape (size,).
-            policy_id: Id of the new policy.
-
-        Returns:
-            The policy and its coordinates, `clip(z)`, which are the ones to learn from.
-            `policy(clip(z), policy_id)` is the same policy, bit for bit.
+        Returned with its coordinates, `clip(z)`, which are the ones to learn from.
+        `policy(clip(z), policy_id)` is the same policy, bit for bit.
         """
         z = self.clip(z)
         stiffness, attractors, rotation = self._moved(z)
@@ -310,12 +299,9 @@ class Parametrization:
         return np.exp(self.scale[index] * z[..., index])
 
     def arrays(self, z: np.ndarray) -> Arrays:
-        """Arrays of the policies at many z at once, at the tempo of `policy0`.
+        """Arrays of the policies at many z (B, size) at once, at the tempo of `policy0`.
 
         At a tempo of one they equal those of `policy` up to rounding.
-
-        Args:
-            z: Requested coordinates. Shape (B, size).
         """
         arrays = self._moved(np.asarray(z, dtype=float))
         if self._stiffness is not None:

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from wam_power_ros import rotations
-from wam_power_ros.learning.dmp import reproduce_many
-from wam_power_ros.learning.policy import PERIOD, Policy, symmetric_part
+from wam_power_ros.learning.policy import Policy, symmetric_part
+from wam_power_ros.learning.skill import path
 
 SEMI_AXIS_MAX = 0.06  # longest semi-axis of all ellipsoids of a policy [m]
 PLAN_STRIDE = 5  # control periods between two points of a planned path
@@ -39,15 +39,4 @@ def ellipsoids(policy: Policy) -> Ellipsoids:
 
 def plan(policy: Policy, start: np.ndarray) -> np.ndarray:
     """Path of Eq. 1, integrated open loop from rest at `start` (3,) [m]. Shape (T, 3)."""
-    steps = round(policy.basis.duration / PERIOD) + 1
-    x, _ = reproduce_many(
-        policy.basis,
-        policy.stiffness[None],
-        policy.attractors[None],
-        policy.damping,
-        start,
-        np.zeros(3),
-        steps,
-        PERIOD,
-    )
-    return x[0, ::PLAN_STRIDE]
+    return path(policy, start)[1][::PLAN_STRIDE]

@@ -40,6 +40,7 @@ from wam_power_ros.tracking.tracker import (
 )
 
 DISCOVERY_PERIOD = 0.1  # [s] between two looks for the publisher of the frames in lockstep
+AT_REST = 0.05  # [m/s] of a body that rests, with the noise of its velocity
 REPAIR_TIME = 5.0  # [s of wall time] in lockstep: Fast DDS's own profile repairs in 3 s
 STANDSTILL_MIN = 0.5  # [s] between two runs of a timer, after which the node stood still
 LEVELS = {Validity.OK: "ok", Validity.OCCLUDED: "warn"}  # any other validity is an error
@@ -83,10 +84,10 @@ class BodyTracker(Node):
         self._diagnostics = Diagnostics(self, params.body, "motion capture")
         self._source = self.resolve_topic_name(params.markers_topic or params.pose_topic)
         self._message_type, self._qos = PoseStamped, interface.MOCAP_BEST_EFFORT
-        self._read, self._add = pose_messages.pose, self._tracker.add
+        self._read = pose_messages.pose
         if params.markers_topic:
             self._message_type = PointCloud2
-            self._read, self._add = pose_messages.markers, self._tracker.add_markers
+            self._read = pose_messages.markers
         self._unmatched = ""  # publishers from which nothing is received, as text
         self._discovery = self.create_timer(DISCOVERY_PERIOD, self._discover, clock=steady)
         if not self._sim_time:
@@ -95,6 +96,15 @@ class BodyTracker(Node):
         self.create_timer(0.5 / params.rate, self._check_silence, clock=steady)
         self.get_logger().info(f"waiting for frames of the {params.body} on {self._source}")
         self.create_timer(1.0, self._report, clock=steady)
+        params.follow(self, self._accept)
+
+    def _accept(self, params: BodyTrackerParams) -> None:
+        """Track by other gates from now on, as after a start; not while a path may be under way."""
+        state = self._tracker.at(self._tracker.latest_ns)
+        if self._pending is not None or (state and math.hypot(*state.velocity) > AT_REST):
+            raise ValueError(f"the {params.body} moves, or its path is waited for: set it at rest")
+        counts, self._tracker = self._tracker.counts, Tracker(params)
+        self._params, self._tracker.counts = params, counts
 
     def _discover(self) -> None:
         """In lockstep, subscribe to the frames once their publisher is known: reliably if it is.
@@ -126,7 +136,8 @@ class BodyTracker(Node):
             self.get_logger().info("first frame received")
         if not self._sim_time:
             self._clock_offset.add(stamp_ns, self.get_clock().now().nanoseconds)
-        state = self._add(stamp_ns, *measured)
+        add = self._tracker.add_markers if self._params.markers_topic else self._tracker.add
+        state = add(stamp_ns, *measured)
         if state is not None:
             self._publish(state)
         elif fault := self._tracker.fault:

@@ -49,6 +49,7 @@ class ControllerReport:
         self, node: Node, params: TorqueControllerParams, preparation: Preparation
     ) -> None:
         self._node, self._params, self._preparation = node, params, preparation
+        preparation.logger = node.get_logger().name  # as in the diagnostics
         self._refused: Counter[str] = Counter()
         self._last_refusal, self._refused_since_report = "", False
         self._failed_ns = -FAILURE_PERIOD_NS  # when an exception was last logged

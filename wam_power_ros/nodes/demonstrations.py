@@ -25,14 +25,7 @@ class Demonstrations:
     def __init__(
         self, kind: type[Task], arm: SimulatedArm, joint_names: Sequence[str], log: Logger
     ) -> None:
-        """Read and fit for a task and an arm.
-
-        Args:
-            kind: Class of the task.
-            arm: Model to check the feasibility of policies.
-            joint_names: Names of the joints in the bags.
-            log: Logger for remarks on bags, and for demonstrations that are left out.
-        """
+        """Read and fit for a task and an arm."""
         self._kind, self._arm, self._joint_names, self._log = kind, arm, joint_names, log
 
     def candidates(

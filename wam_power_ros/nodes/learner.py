@@ -344,7 +344,8 @@ class Learner(Node):
         """Task of the session if it exists, else of the parameters."""
         folder, name = FilePath(self.params.session), self.params.task
         begun = read(folder).header.settings.task if Session.exists(folder) else ""
-        return installed.task_type(begun or name)
+        own = installed.import_task(name)  # of the parameters: a session may be a stranger's
+        return installed.task_type(begun or own)
 
     def _settings(self) -> SessionSettings:
         params = self.params

@@ -67,7 +67,7 @@ class Preparation:
         self._domain = domain
         self._on_request, self._on_cancel = on_request, on_cancel
         self._on_refusal, self._on_lost = on_refusal, on_lost
-        self.starts = 0
+        self.starts, self.logger = 0, "torque_controller"
         self.pid: int | None = None
         self._reading = ""  # id of the request that the process is reading; "" for none
         self._started = -RESTART_PERIOD  # [s, steady clock]
@@ -86,9 +86,7 @@ class Preparation:
     def configure(self, settings: ControllerSettings | None, joint_names: Sequence[str]) -> None:
         """Set the arm for which policies and movements are prepared.
 
-        Args:
-            settings: Settings of the controller, with limits; None to refuse all messages.
-            joint_names: Names of the joints in trajectories.
+        With None for the settings, which have limits, all messages are refused.
         """
         self._configuration += 1
         self._settings = {
@@ -141,7 +139,8 @@ class Preparation:
             if now - self._warned_ns < LOG_PERIOD_NS:
                 return
             self._warned_ns = now
-        self._send({"what": "log", "severity": severity, "text": text[:8000]})
+        named = {"name": self.logger, "severity": severity, "text": text[:8000]}
+        self._send({"what": "log", **named})
 
     def _send(self, values: dict[str, object], arrays: dict[str, np.ndarray] | None = None) -> None:
         self._unsent.append((values, arrays))

@@ -20,8 +20,11 @@ import numpy as np
 from control_msgs.action import FollowJointTrajectory
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Path
+from rcl_interfaces.msg import Log
+from rclpy.clock import Clock
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 from trajectory_msgs.msg import JointTrajectory
@@ -84,6 +87,7 @@ class PreparationWorker(Node):
         self._diagnostics = self.create_publisher(
             DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
         )
+        self._log = self.create_publisher(Log, interface.LOG, interface.LOG_QOS)
         self._actions = [
             Action(self, kind, name, begin, self._cancel, result)
             for kind, name, begin, result in (
@@ -163,13 +167,17 @@ class PreparationWorker(Node):
         self._diagnostics.publish(diagnostics_message(time_message(values["stamp_ns"]), *parts))
 
     def _do_log(self, values: dict[str, Any], _: object) -> None:
-        log = self.get_logger()  # rclpy requires a separate line of code for each severity
-        if values["severity"] == "error":
-            log.error(values["text"])
-        elif values["severity"] == "warning":
-            log.warning(values["text"])
+        severity, name, text = (values[key] for key in ("severity", "name", "text"))
+        log = get_logger(name)  # rclpy requires a separate line of code for each severity
+        if severity == "error":
+            log.error(text)
+        elif severity == "warning":
+            log.warning(text)
         else:
-            log.info(values["text"])
+            log.info(text)
+        level = getattr(Log, severity.upper().removesuffix("ING"))
+        stamp = Clock().now().to_msg()
+        self._log.publish(Log(stamp=stamp, level=level, name=name, msg=text))
 
     # From the network
 

@@ -136,6 +136,25 @@ class TorqueController(LifecycleNode):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(0.1, self._supervise, clock=steady)
         self.create_timer(1.0, self._publish_report, clock=steady)
+        params.follow(self, self._accept)
+
+    def _accept(self, params: TorqueControllerParams) -> None:
+        """Move at another speed if the arm rests; limit torques more if the node is not active."""
+        lowered, core = params.torque_share - self._params.torque_share, self._controller
+        if lowered > 0.0:
+            raise ValueError("torque_share is only lowered while the node runs: restart it")
+        if self._active and (lowered or core.mode is not Mode.HOLD or not core.at_rest):
+            raise ValueError(
+                "move_speed is set while the arm holds still, torque_share while the controller is "
+                f"not active; it is active, in mode {core.mode.value}"
+            )
+        if core is not None and lowered:  # its arm and its tables are made anew
+            core = self._controller = params.controller(self._urdf, core.latched)
+            self._preparation.configure(core.settings, params.joint_names)
+        self._params = params
+        if core is not None:
+            speed = {"move_speed": params.move_speed}
+            core.settings = core.settings.model_copy(update=speed)
 
     # Life cycle
 

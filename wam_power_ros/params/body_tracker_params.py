@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from pydantic import Field, model_validator
 from typing_extensions import Self
 
@@ -17,6 +19,14 @@ class BodyTrackerParams(Params, TrackerSettings):
     """
 
     file = "pancake_tracker.yaml"
+    settable: ClassVar[set[str]] = {
+        "latency_offset",
+        "workspace_low",
+        "workspace_high",
+        "speed_max",
+        "noise",
+        "silence",
+    }
 
     body: str  # name of the tracked body
     tethered: bool  # by a string, say: its falls do not tell whether the base frame is right

@@ -4,13 +4,13 @@
 A node subclasses `Params` with typed fields and no defaults, is constructed with
 `automatically_declare_parameters_from_overrides=True`, and reads its parameters once:
 `MyParams.of(self)`. Every number has a lower and an upper bound; the field's description gives the
-reasons.
+reasons. What is `settable` may change later, if the node accepts it (`follow`).
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 
@@ -22,12 +22,15 @@ from wam_power_ros.params.resources import share
 if TYPE_CHECKING:  # in-process simulations read the same parameters without ROS
     from pydantic_core import ErrorDetails
     from rclpy.node import Node
+    from rclpy.parameter import Parameter
 
 P = TypeVar("P", bound="Params")
 Names = Annotated[tuple[str, ...], Field(max_length=64, description="at most 64 names")]
 Timeout = Annotated[
     float, Field(ge=0.1, le=86_400.0, description="in s: an answer takes 0.1 s; at most a day")
 ]
+AT_START = "read at start: change the YAML and restart the node"
+AT_REST = "may be set at rest; the node says what it refuses"
 SHOWN_LENGTH_MAX = 80  # characters of a refused value in its message
 
 
@@ -40,6 +43,7 @@ class Params(BaseModel):
 
     file: ClassVar[str] = ""  # file in config/ with defaults and comments, named after the node
     constants: ClassVar[set[str]] = set()  # included settings that are no parameters
+    settable: ClassVar[set[str]] = set()  # while the node runs
 
     model_config = ConfigDict(
         frozen=True, extra="forbid", strict=True, allow_inf_nan=False, str_max_length=10_000
@@ -91,6 +95,9 @@ class Params(BaseModel):
             common = sections.get(parameter_file.ALL_NODES, {})
             foreign |= common.keys()
             passed |= common | sections.get(name, {})
+        given = {each: _plain(node.get_parameter_or(each).value) for each in setup[kind]}
+        words = {k: v for k, v in given.items() if v is not None and v != passed.get(k)}
+        setup = overlay.of_files(files, namespace, name, kind, words)
         for each in foreign - setup[kind].keys():
             if node.has_parameter(each) and not each.startswith(parameter_file.ROS_PARAMETERS):
                 node.undeclare_parameter(each)
@@ -113,8 +120,8 @@ class Params(BaseModel):
             descriptor = ParameterDescriptor(
                 type=given.type_.value,
                 description=". ".join(filter(None, sentences)),
-                additional_constraints="read at start: change the YAML and restart the node",
-                read_only=True,
+                additional_constraints=AT_REST if name in cls.settable else AT_START,
+                read_only=name not in cls.settable,
                 **_range(field.metadata, given.value),
             )
             node.set_descriptor(name, descriptor)
@@ -124,6 +131,26 @@ class Params(BaseModel):
             read_only=True,
         )
         node.set_descriptor("use_sim_time", clock)
+
+    def follow(self: P, node: Node, accept: Callable[[P], None]) -> None:
+        """Let `accept` take the parameters when some are set, or refuse them by a ValueError."""
+        from rcl_interfaces.msg import SetParametersResult
+
+        known = self
+
+        def on_set(given: Sequence[Parameter[Any]]) -> SetParametersResult:
+            nonlocal known
+            own = {each.name: each.value for each in given if each.name in type(self).settable}
+            own = {k: v if isinstance(v, (str, int, float)) else tuple(v) for k, v in own.items()}
+            try:
+                values = known.model_dump(exclude=type(self).constants) | own
+                accept(changed := self._checked(node.get_name(), values))
+            except ValueError as error:
+                return SetParametersResult(successful=False, reason=str(error))
+            known = changed
+            return SetParametersResult(successful=True)
+
+        node.add_on_set_parameters_callback(on_set)
 
     @classmethod
     def of_setup(cls: type[P], setup: overlay.Setup) -> P:

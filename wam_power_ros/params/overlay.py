@@ -12,6 +12,7 @@ import difflib
 import reprlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -112,8 +113,17 @@ def find(name: str) -> Path:
     if given.suffix == ".yaml" and given.is_file():
         return given.resolve()
     if name not in known():
-        raise ValueError(f"no set-up {name!r}: give the path of a .yaml file or one of {known()}")
+        hint = installed.did_you_mean(name, known())
+        raise ValueError(
+            f"no set-up {name!r}: give the path of a .yaml file or one of {known()}{hint}"
+        )
     return share(f"config/{name}.yaml")
+
+
+def summary(name: str) -> str:
+    """First sentence of the comment at the top of a set-up in config/."""
+    comment = takewhile(lambda line: line.startswith("#"), find(name).read_text().splitlines())
+    return " ".join(line.strip("# ") for line in comment).partition(". ")[0].rstrip(".")
 
 
 def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") -> Setup:
@@ -173,7 +183,13 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
     return Setup(parameters)
 
 
-def of_files(files: Sequence[Path], namespace: str = "/", node: str = "", kind: str = "") -> Setup:
+def of_files(
+    files: Sequence[Path],
+    namespace: str = "/",
+    node: str = "",
+    kind: str = "",
+    own_values: Mapping[str, Any] | None = None,
+) -> Setup:
     """Compute the parameters of every node from plain files, which may leave out any.
 
     They are those of the nodes' own files, changed by each other file in turn: by its sections,
@@ -185,6 +201,7 @@ def of_files(files: Sequence[Path], namespace: str = "/", node: str = "", kind: 
         namespace: Namespace of the nodes; sections of others are ignored.
         node: Name that a node was started with, whose sections are those of its kind as well.
         kind: Its name in `NODES`.
+        own_values: What its command line gives it, over all files.
 
     Raises:
         ValueError: A file is malformed, or a section has an unknown parameter or a value of another
@@ -193,7 +210,8 @@ def of_files(files: Sequence[Path], namespace: str = "/", node: str = "", kind: 
     own, defaults = _own(), {share(f"config/{each}.yaml").resolve() for each in NODES}
     others = [path for path in map(Path.resolve, files) if path not in defaults]
     sections = [(file, _sections(file, own, namespace, {node: kind})) for file in others]
-    return Setup(_folded(own, own, sections))
+    given = {k: v for k, v in (own_values or {}).items() if _same_kind(v, own[kind].get(k))}
+    return Setup(_folded(own, own, [*sections, (None, {kind: given} if given else {})]))
 
 
 def _folded(
@@ -233,9 +251,6 @@ def read(file: Path) -> Setup:
     """Read a set-up that was written with `text`, such as `logs/parameters.yaml` of a session.
 
     Parameters that it lacks, because an older version wrote it, are those of the nodes' own files.
-
-    Raises:
-        ValueError: As for `parameter_file.of_nodes`.
     """
     return Setup(_own()).changed(parameter_file.of_nodes(file))
 
@@ -245,12 +260,7 @@ def _own() -> Parameters:
 
 
 def text(setup: Setup, namespace: str = "") -> str:
-    """Write a set-up as the text of one parameter file for all nodes.
-
-    Args:
-        setup: Parameters by node.
-        namespace: Namespace of the nodes, such as `/left`; empty to match any namespace.
-    """
+    """Text of one parameter file for all nodes of a namespace such as `/left`; of any if empty."""
     above = namespace or "/**"
     nodes = {f"{above}/{node}": {"ros__parameters": values} for node, values in setup.items()}
     return yaml.dump(nodes, Dumper=_Plain, sort_keys=False, width=1000)

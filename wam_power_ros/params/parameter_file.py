@@ -78,9 +78,7 @@ Loader.add_implicit_resolver(_TAG + "float", _FLOAT, list("-+.0123456789"))
 def read(file: Path, loader: type = Loader) -> dict[str, dict[str, Any]]:
     """Read the parameters by node from one file; names of nodes include their namespace.
 
-    Args:
-        file: Parameter file.
-        loader: `PlainLoader` for a file that ROS itself is to read.
+    A file that ROS itself is to read needs the loader `PlainLoader`.
 
     Raises:
         ValueError: The file is not a regular file, too large, not YAML, or does not contain
@@ -114,9 +112,7 @@ def _mapping(value: object, where: str) -> dict[Any, Any]:
 def of_nodes(file: Path, namespace: str = "") -> dict[str, dict[str, Any]]:
     """Read the parameters by name of the node, without its namespace; ALL_NODES for all.
 
-    Args:
-        file: Parameter file.
-        namespace: Namespace of the nodes to read, such as `/left`, or `/`; empty for any.
+    With a namespace, such as `/left` or `/`, those of its nodes alone.
 
     Raises:
         ValueError: As for `read`, or the file has a node in two namespaces and none is given.

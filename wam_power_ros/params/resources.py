@@ -7,19 +7,18 @@ the same copy, whatever other workspaces are sourced.
 """
 
 import os
+import re
 import tempfile
 from pathlib import Path
 from xml.etree import ElementTree
 
 PACKAGE = "wam_power_ros"
+PACKAGE_URL = "package://"
 _LEVELS = 4  # folders above a xacro file in which packages are looked for
 
 
 def share(relative: str) -> Path:
     """Return the existing path of a file or folder that comes with the package.
-
-    Args:
-        relative: Path below the checkout or the share folder, e.g. `"config/learner.yaml"`.
 
     Raises:
         FileNotFoundError: There is no such file or folder; the message lists the searched folders.
@@ -38,18 +37,31 @@ def share(relative: str) -> Path:
 def robot_description(urdf: str) -> str:
     """Read a URDF; a file that ends in .xacro is expanded.
 
+    Its path is absolute, from ~, as for `share`, or of a sourced package: package://NAME/FILE.
     Packages that the file names are those of the sourced workspaces, and folders with a
     package.xml beside the file or above it: a vendor's description without ROS.
-
-    Args:
-        urdf: Path, absolute or as for `share`.
 
     Raises:
         FileNotFoundError: There is no such file.
         ValueError: A xacro file cannot be expanded; the message says what is missing.
     """
-    file = share(urdf)
-    return _expanded(file.resolve()) if file.suffix == ".xacro" else file.read_text()
+    file = _in_package(urdf) if urdf.startswith(PACKAGE_URL) else share(os.path.expanduser(urdf))
+    if file.suffix == ".xacro":
+        return _expanded(file.resolve())
+    data = file.read_bytes()
+    declared = re.match(rb"\s*<\?xml[^>]*?encoding\s*=\s*[\"']([\w.-]+)", data)
+    try:
+        return data.decode(declared[1].decode() if declared else "utf-8-sig")
+    except (LookupError, UnicodeDecodeError):
+        return data.decode("latin-1")  # which all bytes are: urdfdom reads names as bytes
+
+
+def _in_package(url: str) -> Path:
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    for file in (Path(each, "share", url.removeprefix(PACKAGE_URL)) for each in prefixes):
+        if file.is_file():
+            return file
+    raise FileNotFoundError(f"{url} is in none of the sourced packages in {prefixes}")
 
 
 def _expanded(file: Path) -> str:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -77,6 +77,7 @@ class TorqueControllerParams(Params, MotionSettings):
     """Parameters of config/torque_controller.yaml, whose comments explain them."""
 
     file = "torque_controller.yaml"
+    settable: ClassVar[set[str]] = {"move_speed", "torque_share"}
 
     autostart: bool
     simulation: bool
@@ -157,11 +158,10 @@ class TorqueControllerParams(Params, MotionSettings):
 
     @classmethod
     def of(cls, node: Node) -> Self:
-        """Read the parameters of `node`, see `Params.of`.
+        """Read the parameters as `Params.of`; simulated time would disable a real arm's watchdog.
 
         Raises:
-            ValueError: As for `Params.of`, or a real arm has simulated time, which would disable
-                the watchdog for its states.
+            ValueError: As for `Params.of`, or a real arm has simulated time.
         """
         params = super().of(node)
         if not params.simulation and node.get_parameter("use_sim_time").value:

@@ -43,13 +43,10 @@ def choose_best(
     with the highest lower bound is chosen among those of the current demonstration; the later one
     wins a tie. Once the session has stopped, its answer is chosen.
 
-    Args:
-        records: Rollouts of the session.
-        parametrizations: Those of the demonstrations, by id.
-        demonstration: Id of the current one, None before the choice.
-        answer: Coordinates of the session's answer, shape (size,), None while learning.
-        stopped: Reason why learning stopped.
-        return_noise: Standard deviation of the return of one policy.
+    `parametrizations` are by the ids of demonstrations, of which `demonstration` is the current
+    one, None before the choice. `answer` are the coordinates of the session's answer, shape
+    (size,), None while learning; `stopped` is the reason why learning stopped, `return_noise` the
+    standard deviation of the return of one policy.
     """
     refused = {record.executed for record in records if record.refused}
     runs_of: dict[tuple[str, tuple[float, ...]], list[Record]] = {}  # in the order of first runs

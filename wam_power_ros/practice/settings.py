@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, ValidationErr
 
 from wam_power_ros import installed
 from wam_power_ros.learning.demonstration import Demonstration, from_positions
-from wam_power_ros.learning.learner import ErrorModel, Learner
+from wam_power_ros.learning.learner import ErrorModel, Learner, needs_errors
 from wam_power_ros.learning.model_based import ModelBased
 from wam_power_ros.learning.policy import PERIOD
 from wam_power_ros.tasks.task import Task
@@ -81,6 +81,14 @@ class SessionSettings(BaseModel):
     def make_task(self, context: Mapping[str, Any]) -> Task:
         """Create the task; `context` as returned by its `context_of`."""
         return installed.task_type(self.task)(self.task_settings, context)
+
+    def described(self, task: Task) -> str:
+        """Task, learner and what it learns from, in a few words."""
+        errors = ", ".join(error.name.replace("_", " ") for error in task.learnt_errors())
+        told = (needs_errors(installed.find("learner", self.learner)) and errors) or "the return"
+        if told != errors and task.corrections:
+            told += f", corrected by {errors}"
+        return f"task {self.task}, learner {self.learner}: learns from {told}"
 
     def check(self, demonstrations: int) -> None:
         """Refuse what no demonstration mends, before anybody teaches; a made-up one stands for it.
@@ -155,13 +163,9 @@ def preset(
 ) -> SessionSettings:
     """Settings of a preset of a task, its first without a name, with changes.
 
-    Args:
-        task: Name of the task.
-        name: Name of the preset.
-        learner: Changes of the learner's settings; of the defaults of another learner if its key
-            `name` is not the preset's.
-        **changes: Fields of `PracticeSettings` or of the task's settings; a mapping for a field
-            that is a mapping changes only the keys it contains.
+    `learner` changes the learner's settings, or the defaults of another learner if its key `name`
+    is not the preset's; `changes` are fields of `PracticeSettings` or of the task's settings. A
+    mapping for a field that is a mapping changes only the keys it contains.
 
     Raises:
         ValueError: The task, preset, learner or a field is unknown, or a value is out of range.
@@ -169,7 +173,9 @@ def preset(
     kind = installed.task_type(task)
     name = name or next(iter(kind.presets))
     if name not in kind.presets:
-        raise ValueError(f"preset {name!r} of {task!r} is not one of {', '.join(kind.presets)}")
+        hint = installed.did_you_mean(name, kind.presets)
+        known = ", ".join(kind.presets)
+        raise ValueError(f"preset {name!r} of {task!r} is not one of {known}{hint}")
     values = dict(kind.presets[name])
     errors = kind.learns_from_errors()
     learning = {"name": "model_based" if errors else "power", **values.pop("learner", {})}

@@ -49,10 +49,8 @@ def rate_shown(count: int) -> float:
 def tolerance_factor(count: int, freedom: int, rate: float) -> float:
     """Mean margin, in standard deviations, that shows a share of positive margins.
 
-    Args:
-        count: Number of independent, normally distributed margins.
-        freedom: Degrees of freedom of their standard deviation, at least 1.
-        rate: Share to be shown, with `LOOK_CONFIDENCE`.
+    They are `count` independent, normally distributed margins, whose standard deviation has
+    `freedom` >= 1 degrees of freedom; `rate` is to be shown with `LOOK_CONFIDENCE`.
     """
     root = math.sqrt(count)
     return float(nctdtrit(freedom, root * ndtri(rate), LOOK_CONFIDENCE)) / root

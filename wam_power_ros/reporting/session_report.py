@@ -11,12 +11,12 @@ import math
 import statistics
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
+from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from wam_power_ros import durable_files, plotting
@@ -30,8 +30,8 @@ from wam_power_ros.practice.session_log import KIND_NAMES, Record
 from wam_power_ros.reporting import figures, html_page
 from wam_power_ros.reporting.terminal import (
     before_and_after,
+    choice,
     counted,
-    method,
     number,
     peaks,
     resets,
@@ -66,16 +66,10 @@ def render(
 ) -> str:
     """Render the report as HTML.
 
-    Args:
-        header: Header of the session.
-        task: Task of the session.
-        start: Policy of the demonstration that was learnt from, None before the choice.
-        answer: Best policy so far, None before there is one.
-        records: The rollouts.
-        shown: Rollout to show in detail, None for none.
-        why_no_film: Reason why that rollout has no film.
+    `start` is the policy of the demonstration that was learnt from, None before the choice;
+    `answer` the best policy so far; `shown` a rollout in detail, whose film may be missing.
     """
-    parts = [_cards(task, records), _verdict(header, task, records)]
+    parts = [_cards(task, records), _verdict(header, task, answer, records)]
     if shown is not None:
         parts.append(_shown(task, shown, why_no_film))
     if records:
@@ -126,11 +120,11 @@ def _first(task: Task, records: Sequence[Record]) -> int | None:
     return next((record.number for record in records if task.achieved(record)), None)
 
 
-def _svg(drawn: Figure, alt: str) -> str:
+def _svg(drawn: Figure, alt: str) -> Markup:
     return html_page.image(plotting.svg(drawn), alt, style="drawn")
 
 
-def _cards(task: Task, records: Sequence[Record]) -> str:
+def _cards(task: Task, records: Sequence[Record]) -> Markup:
     usable = [record.ret for record in records if record.ret is not None]
     tests = [record for record in records if record.kind == "retest"]
     cards = [("rollouts", str(len(records)))]
@@ -147,10 +141,12 @@ def _cards(task: Task, records: Sequence[Record]) -> str:
     return html_page.cards(cards)
 
 
-def _verdict(header: SessionHeader, task: Task, records: Sequence[Record]) -> str:
+def _verdict(
+    header: SessionHeader, task: Task, answer: policy.Policy | None, records: Sequence[Record]
+) -> Markup:
     settings = header.settings
     text = [
-        f"Seed {header.seed}, {method(settings, task)}; at most "
+        f"Seed {header.seed}, {settings.described(task)}; at most "
         f"{counted(settings.practice.budget, 'rollout')}, then "
         f"{counted(settings.practice.retests, 're-test')} of the final policy."
     ]
@@ -180,19 +176,20 @@ def _verdict(header: SessionHeader, task: Task, records: Sequence[Record]) -> st
         )
     lines = [*before_and_after(records, task), *task.summary(records), *resets(records)]
     lines += peaks(records)
+    lines += [] if answer is None else choice(records, answer.id)
     text += [f"{line[0].upper()}{line[1:]}." for line in lines]
     if decisions := [record.note for record in records if record.note]:
         text.append(f"Last decision: {decisions[-1]}.")
     return html_page.items([line.strip() for line in text])
 
 
-def _shown(task: Task, shown: ShownRollout, why_no_film: str) -> str:
+def _shown(task: Task, shown: ShownRollout, why_no_film: str) -> Markup:
     rollout = shown.rollout
     if shown.film is not None:
         alt = f"Film of the arm that executes {rollout.tool.id}: {shown.caption}"
         content = html_page.image(shown.film, alt, "image/webp")
     else:
-        content = f'<p class="quiet">No film: {escape(why_no_film)}</p>'
+        content = Markup('<p class="quiet">No film: {}</p>').format(why_no_film)
     text = shown.caption
     if (drawn := task.figure(rollout)) is not None:
         figure, remark = drawn
@@ -201,7 +198,7 @@ def _shown(task: Task, shown: ShownRollout, why_no_film: str) -> str:
     return html_page.section(f"The session's policy, {rollout.tool.id}", [text], content)
 
 
-def _curves(task: Task, records: Sequence[Record]) -> str:
+def _curves(task: Task, records: Sequence[Record]) -> Markup:
     first = _first(task, records)
     marks = {} if first is None else {first: task.goal.first}
     kinds = [record.kind for record in records]
@@ -227,7 +224,7 @@ def _curve(
     kinds: Sequence[str],
     marks: Mapping[int, str],
     published: Curve | None = None,
-) -> str:
+) -> Markup:
     drawn = figures.learning_curve(returns, kinds, marks, published)
     if published is not None:
         text = f"{text} {published.remark}"
@@ -237,18 +234,18 @@ def _curve(
     return html_page.section(title, [text], _svg(drawn, alt))
 
 
-def _errors(task: Task, records: Sequence[Record]) -> str:
+def _errors(task: Task, records: Sequence[Record]) -> Markup:
     """Errors of every rollout; empty if the task measures none."""
     values = [task.measure(r.observation or {}) or {} if r.observation else {} for r in records]
     wanted = [error for error in task.wanted_errors() if any(error.name in one for one in values)]
     if not wanted:
-        return ""
+        return Markup()
     drawn = figures.errors(wanted, values, [record.kind for record in records])
     text = "What every rollout measured; hollow points are far outside, at the edge."
     return html_page.section("Errors", [text], _svg(drawn, text))
 
 
-def _table(task: Task, records: Sequence[Record]) -> str:
+def _table(task: Task, records: Sequence[Record]) -> Markup:
     names = term_names(records)
     heads = ["#", "kind", "return", *names, "outcome", "decision"]
     rows = []
@@ -257,10 +254,11 @@ def _table(task: Task, records: Sequence[Record]) -> str:
         cells += [number(record.terms.get(name)) for name in names]
         rows.append([*cells, task.outcome(record), record.note])
     good = [index for index, record in enumerate(records) if record.success]
-    return html_page.section("Every rollout", content=html_page.table(heads, rows, good=good))
+    return html_page.section("Every rollout", (), html_page.table(heads, rows, good=good))
 
 
-def _settings(header: SessionHeader) -> str:
+def _settings(header: SessionHeader) -> Markup:
     data: dict[str, Any] = header.model_dump(mode="json", by_alias=True)
     text = yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
-    return f"<details><summary>session.yaml</summary><pre>{escape(text)}</pre></details>"
+    html = "<details><summary>session.yaml</summary><pre>{}</pre></details>"
+    return Markup(html).format(text)

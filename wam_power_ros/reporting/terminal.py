@@ -14,8 +14,6 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
-from wam_power_ros import installed
-from wam_power_ros.learning.learner import needs_errors
 from wam_power_ros.practice.best_policy import reproduction_learnt_from
 from wam_power_ros.practice.session_log import KIND_NAMES, Line, Record, with_ratings
 from wam_power_ros.practice.settings import SessionSettings
@@ -54,14 +52,7 @@ def spark(values: Sequence[float], width: int = 60) -> str:
 
 
 def rollout_table(records: Sequence[Record], outcome: Outcome, width: int = 160) -> Table:
-    """Table of the newest rollouts: return and its terms, best measured return, outcome.
-
-    Args:
-        records: Rollouts, oldest first.
-        outcome: Outcome of a rollout in a few words.
-        width: Columns of the terminal. If it is too narrow for the outcome, terms are omitted,
-            last first.
-    """
+    """Newest rollouts: return, its terms, those that `width` has no room for by name, outcome."""
     newest, bests, best = records[-ROLLOUTS_SHOWN:], [], 0.0
     for record in records:
         better = record.ret is not None and record.ret > best
@@ -73,6 +64,8 @@ def rollout_table(records: Sequence[Record], outcome: Outcome, width: int = 160)
     while terms and sum(max(len(term), 5) + 1 for term in terms) > room:
         terms.pop()
     table = Table(box=None, pad_edge=False, header_style="bold", padding=(0, 1, 0, 0))
+    if hidden := term_names(records)[len(terms) :]:
+        table.caption, table.caption_justify = f"no room for {', '.join(hidden)}", "left"
     table.add_column("#", justify="right", no_wrap=True)
     table.add_column("kind", no_wrap=True)
     for name in ["return", *terms, "best"]:
@@ -88,16 +81,6 @@ def rollout_table(records: Sequence[Record], outcome: Outcome, width: int = 160)
             Text(outcome(record), style="green" if record.success else ""),
         )
     return table
-
-
-def method(settings: SessionSettings, task: Task) -> str:
-    """Task, learner and what it learns from, in a few words."""
-    learner = installed.find("learner", settings.learner)
-    errors = ", ".join(error.name.replace("_", " ") for error in task.learnt_errors())
-    told = (needs_errors(learner) and errors) or "the return"
-    if told != errors and task.corrections:
-        told += f", corrected by {errors}"
-    return f"task {settings.task}, learner {settings.learner}: learns from {told}"
 
 
 def summary(records: Sequence[Record], task: Task) -> str:
@@ -167,6 +150,25 @@ def before_and_after(records: Sequence[Record], task: Task) -> list[str]:
     return [line]
 
 
+def choice(records: Sequence[Record], id: str) -> list[str]:
+    """Why the session's policy, first run by trial `id`, is not that of the highest return."""
+    usable = [record for record in records if record.ret is not None]
+    own = {record.executed for record in usable if record.id == id}
+    runs = [r for r in usable if r.executed in own and r.kind != "explore" and not r.refused]
+    if not runs:
+        return []
+    mean, succeeded = np.mean([run.ret for run in runs]), sum(run.success for run in runs)
+    line = (
+        f"the session's policy is that of {id}: mean return {mean:.3f}, {succeeded} of "
+        f"{counted(len(runs), 'run')} without exploration succeeded; only such runs decide"
+    )
+    best = max(usable, key=lambda record: record.ret or 0.0)
+    if best in runs:
+        return [line]
+    kind = "an exploration" if best.kind == "explore" else "one run of another policy"
+    return [f"{line}; the highest return, {best.ret:.3f} in rollout {best.number}, was of {kind}"]
+
+
 def peaks(records: Sequence[Record]) -> list[str]:
     """Peak speeds of the arm in the ground truth of re-tests; empty if unknown."""
     truths = [record.truth for record in records if record.kind == "retest" and record.truth]
@@ -222,7 +224,7 @@ class Display:
         """Show the present log of a session."""
         new = log[len(self._log) :]
         if not self._method:
-            self._method = method(settings, task)
+            self._method = settings.described(task)
             self._print(self._method[0].upper() + self._method[1:])
         self._outcome, self._log = task.outcome, log
         records = [entry for entry in log if isinstance(entry, Record)]

@@ -26,7 +26,7 @@ PRIVATE_DOMAINS = range(1, 102)  # ports of higher domains are also assigned by 
 HELD = "WAM_POWER_HELD_DOMAIN"  # environment variable: domain that a parent process holds
 
 
-class DomainError(ValueError):
+class DomainError(network.VariableError):
     """The domain does not exist, or another process holds it."""
 
 
@@ -78,9 +78,7 @@ def private_domain() -> Iterator[int]:
 def hold(domain: int, namespace: str = "") -> ExitStack | None:
     """Hold a domain until the returned locks are closed or the process ends.
 
-    Args:
-        domain: Number of the domain.
-        namespace: Namespace to hold beside those of other processes; empty for the whole domain.
+    With a namespace only that one, beside those of other processes.
 
     Returns:
         The locks; None if a parent process holds the domain, as its environment says (`shared`).

@@ -25,6 +25,7 @@ LEARNER_MARKERS = "learner/markers"
 ROBOT_DESCRIPTION = "robot_description"
 DIAGNOSTICS = "/diagnostics"
 CLOCK = "/clock"
+LOG = "/rosout"
 ENABLE = "controller/enable"
 
 REPLAY = "controller/replay"  # a movement to follow, for who wants no answer
@@ -120,6 +121,7 @@ MOCAP_BEST_EFFORT = _qos(500, "BEST_EFFORT")
 LATCHED = _qos(1, durability="TRANSIENT_LOCAL")
 REPLAYS = _qos(10)
 DIAGNOSTICS_QOS = _qos(10)
+LOG_QOS = _qos(1000, durability="TRANSIENT_LOCAL")
 CLOCK_QOS = _qos(1, "BEST_EFFORT")
 ENABLE_OUT, ENABLE_IN = _qos(1), _qos(1, "BEST_EFFORT")
 # A request to idle that is delayed by a cut network would drop an arm that is held again by then.

@@ -111,7 +111,7 @@ class JointStateReader:
         if missing:
             raise ValueError(f"joints {missing} missing in names {list(names)}")
         if len(place) != len(names):
-            raise ValueError(f"names {list(names)} must be distinct")
+            raise ValueError(f"names {list(names)} must be distinct: restart their broadcaster")
         return np.array([place[name] for name in self.joint_names], dtype=np.intp)
 
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import socket
 import struct
+import tempfile
 from collections.abc import Mapping, MutableMapping
 from contextlib import suppress
 from functools import cache
@@ -30,6 +31,12 @@ RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 ON_LOOPBACK = {RANGE: "LOCALHOST", "ROS_STATIC_PEERS": "", "ROS_DISCOVERY_SERVER": ""}
 TRANSPORTS = "FASTDDS_BUILTIN_TRANSPORTS"  # where no profile names them
 MIDDLEWARE = "rmw_fastrtps_cpp"  # the only one with a profile here
+SWITCHES = ("RCUTILS_LOGGING_USE_STDOUT", "RCUTILS_LOGGING_BUFFERED_STREAM")
+RANGES = ("LOCALHOST", "SUBNET", "OFF", "SYSTEM_DEFAULT")
+
+
+class VariableError(ValueError):
+    """An environment variable cannot be used; the message names it, its value and the remedy."""
 
 
 class Profile(NamedTuple):
@@ -84,6 +91,37 @@ def unconfined_middleware() -> str | None:
     return f"{loaded}, for which there is no profile of the loopback interface here"
 
 
+def check(environment: Mapping[str, str]) -> None:
+    """Refuse variables of which ROS and Fast DDS say too little, or nothing.
+
+    Raises:
+        VariableError: As it says.
+    """
+    get = environment.get
+    wrong = [f"{RANGE}={get(RANGE)} is not one of {', '.join(RANGES)}"]
+    wrong *= bool(get(RANGE)) and get(RANGE) not in RANGES
+    for variable in (profile().variable, FAST_DDS_2.variable):
+        if (file := get(variable)) and not Path(file).is_file():
+            wrong.append(f"{variable}={file}: there is no such file")
+    for variable in SWITCHES:
+        if (value := get(variable) or "0") not in ("0", "1"):
+            wrong.append(f"{variable}={value} is not 0 or 1")
+    for peer in filter(None, get("ROS_STATIC_PEERS", "").split(";")):
+        try:
+            socket.getaddrinfo(peer, None)
+        except OSError as error:
+            text = f"is no address or known host ({error.strerror})"
+            wrong.append(f"ROS_STATIC_PEERS: {peer!r} {text}")
+    if folder := get("ROS_LOG_DIR"):
+        try:
+            Path(folder).mkdir(parents=True, exist_ok=True)
+            tempfile.TemporaryFile(dir=folder).close()
+        except OSError as error:
+            wrong.append(f"ROS_LOG_DIR={folder}: no log can be written there ({error.strerror})")
+    if wrong:
+        raise VariableError(f"{'; '.join(wrong)}: correct it, or unset the variable")
+
+
 def confine(environment: MutableMapping[str, str]) -> None:
     """Set the variables that select transports: on loopback unless the environment asks for more.
 
@@ -91,6 +129,8 @@ def confine(environment: MutableMapping[str, str]) -> None:
         environment: Variables of a process that has not initialised rclpy yet; changed.
     """
     own = profile()
+    if environment.pop("ROS_LOCALHOST_ONLY", "0") == "1":  # overrules the range, for all interfaces
+        environment |= ON_LOOPBACK
     if environment.get(own.variable) == own.path:  # set by a parent process
         del environment[own.variable]
         if environment.get(RANGE) == "SYSTEM_DEFAULT":

@@ -39,14 +39,13 @@ RCLError = rclpy_implementation.RCLError  # error of the middleware, such as inv
 def init(context: Context | None = None, domain: int | None = None) -> None:
     """Initialise rclpy, on the loopback interface only unless the environment asks for more.
 
-    Args:
-        context: Context to initialise; that of the process by default.
-        domain: DDS domain; that of ROS_DOMAIN_ID by default.
+    Context and domain are those of the process and of ROS_DOMAIN_ID by default.
 
     Raises:
         ValueError: ROS_DOMAIN_ID is not a domain, security is enforced without keys, or a
             parameter file is malformed.
     """
+    network.check(os.environ)
     for file in parameter_file.given(sys.argv):
         parameter_file.read(file, parameter_file.PlainLoader)
     domain = exported(os.environ) if domain is None else domain
@@ -61,12 +60,7 @@ def init(context: Context | None = None, domain: int | None = None) -> None:
 def started(
     make_node: Callable[[], N], context: Context | None = None, domain: int | None = None
 ) -> N:
-    """Initialise rclpy and make a node.
-
-    Args:
-        make_node: Makes the node, in `context`.
-        context: Context to initialise; that of the process by default.
-        domain: DDS domain; that of ROS_DOMAIN_ID by default.
+    """Initialise rclpy, as `init` does, and make a node in its context.
 
     Raises:
         ValueError: As for `init`; or sockets of the node are open to the network although no
@@ -107,13 +101,9 @@ def spin(
 ) -> None:
     """Dispatch the callbacks of a node until `ended()`.
 
-    Args:
-        node: Node.
-        ended: Condition, checked after every callback and at least once a `period`.
-        between: Function that is called as often.
-        period: Returns the longest time between two checks [s].
-        on_error: Called with an exception that a callback did not catch, after which the node
-            goes on; without it, the exception ends the node.
+    `ended` is checked, and `between` called, after every callback and at least once a `period()`
+    [s]. `on_error` is called with an exception that a callback did not catch, after which the node
+    goes on; without it, the exception ends the node.
     """
     executor = executor_for(node)
     while not ended() and rclpy.ok():  # not executor.spin(): it hangs in builds for Jazzy
@@ -151,7 +141,10 @@ def run(
     except (ValueError, RCLError) as error:
         if node is not None:
             raise
-        get_logger("wam_power_ros").fatal(f"{error}{parameter_file_hint()}")
+        if isinstance(error, network.VariableError):  # maybe of the log itself
+            sys.stderr.write(f"{error}\n")
+        else:
+            get_logger("wam_power_ros").fatal(f"{error}{parameter_file_hint()}")
         return REFUSED
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
@@ -183,9 +176,9 @@ def parameter_file_hint() -> str:
     if parameter_file.given(sys.argv):
         return ""
     return (
-        "\nStarted without a parameter file, with the values of config/. `wam-power config NAME > "
-        "parameters.yaml` prints one for all nodes on the arm of set-up NAME, without NAME for the "
-        "simulation; pass it with --ros-args --params-file parameters.yaml"
+        "\nStarted without a parameter file, with the values of config/. `wam-power config "
+        "--config NAME > parameters.yaml` prints one for all nodes on the arm of set-up NAME, "
+        "without a NAME for the simulation; pass it with --ros-args --params-file parameters.yaml"
     )
 
 

@@ -2,33 +2,32 @@
 """A viser server that refuses pages of another origin.
 
 A browser lets any page open a websocket to this machine, but no other page may press buttons that
-move an arm. A request with a foreign host name (DNS rebinding) or from a page of another origin is
-refused with 403. Sharing through viser's public relay is switched off. A client that is no page is
-told what becomes of its messages.
+move an arm. Viser has no option for it, so it listens at a loopback address that nobody can guess
+(one of 10^11, with its port), and a relay in front of it refuses a request with a foreign host name
+(DNS rebinding) or from a page of another origin with 403. Viser's public relay is switched off.
 """
 
 from __future__ import annotations
 
-import http
+import asyncio
+import errno
 import io
 import ipaddress
-import logging
 import re
+import secrets
 import socket
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, redirect_stdout, suppress
-from typing import Any
+from collections.abc import Callable
+from contextlib import redirect_stdout, suppress
+from email.parser import BytesHeaderParser
+from typing import TypeVar
 
 import viser
-from viser import _messages
-from viser.infra import _infra
-from websockets.datastructures import Headers
-from websockets.http11 import Request, Response
-
-from wam_power_ros.view.message_buffer import MessageBuffer
 
 PORT_MAX = 65535
-_LOG = logging.getLogger(__name__)
+HEAD_TIMEOUT = 10.0  # [s of wall time] for the head of a request
+CHUNK = 65536  # [byte]
+ENDED = (OSError, EOFError, asyncio.LimitOverrunError, asyncio.TimeoutError)  # of a connection
+T = TypeVar("T")
 
 
 def refusal(host: str | None, origin: str | None) -> str:
@@ -43,94 +42,85 @@ def refusal(host: str | None, origin: str | None) -> str:
     return "" if origin in (None, f"http://{host}") else f"origin {origin!r} is not this page"
 
 
-def open_server(address: str, port: int) -> viser.ViserServer:
-    """Open a server at an address, on the first free port from `port` on.
+class GuardedServer(viser.ViserServer):
+    """A server at an address, on the first free port from `port` on.
 
     Raises:
         ValueError: The address is not one of this machine, or no such port is free.
     """
+
+    def __init__(self, address: str, port: int) -> None:
+        listening = _listening(address, port)
+        hidden = ".".join(["127", *(str(1 + secrets.randbelow(254)) for _ in range(3))])
+        with redirect_stdout(io.StringIO()):  # drops viser's banner
+            super().__init__(host=hidden, port=0, label="wam_power_ros", verbose=False)
+        self._behind = hidden, super().get_port()
+        self._relays: set[asyncio.Task] = set()
+        starting = asyncio.start_server(self._relay, sock=listening)
+        self._front = asyncio.run_coroutine_threadsafe(starting, self.get_event_loop()).result()
+
+    def get_port(self) -> int:
+        """Port of the page."""
+        return self._front.sockets[0].getsockname()[1]
+
+    def request_share_url(self, verbose: bool = True) -> None:
+        """Do nothing: the page is never shared through viser's public relay."""
+
+    def draw(self, work: Callable[[], T]) -> T:
+        """Do work in the thread of the event loop and return its result.
+
+        Viser's messages to browsers are sent by this thread, and sometimes raise "deque mutated
+        during iteration" where another thread adds one.
+        """
+
+        async def run() -> T:
+            return work()
+
+        return asyncio.run_coroutine_threadsafe(run(), self.get_event_loop()).result()
+
+    def stop(self) -> None:
+        """Close the server and all connections."""
+
+        def close() -> None:
+            self._front.close()
+            for relay in self._relays:
+                relay.cancel()
+
+        self.draw(close)
+        with redirect_stdout(io.StringIO()):  # drops viser's farewell
+            super().stop()
+
+    async def _relay(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Check the head of a connection's request, then pass everything on."""
+        self._relays.add(task := asyncio.current_task())
+        task.add_done_callback(self._relays.discard)
+        with suppress(*ENDED, asyncio.CancelledError):
+            head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), HEAD_TIMEOUT)
+            headers = BytesHeaderParser().parsebytes(head.partition(b"\r\n")[2])
+            if reason := refusal(headers["Host"], headers["Origin"]):
+                text = f"HTTP/1.1 403 Forbidden\r\nConnection: close\r\n\r\n{reason}"
+                writer.write(text.encode())
+            else:
+                answers, requests = await asyncio.open_connection(*self._behind)
+                requests.write(head)
+                await asyncio.gather(_pass(reader, requests), _pass(answers, writer))
+        writer.close()
+
+
+async def _pass(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    with suppress(*ENDED):
+        while chunk := await reader.read(CHUNK):
+            writer.write(chunk)
+            await writer.drain()
+    writer.close()
+
+
+def _listening(address: str, port: int) -> socket.socket:
     family = socket.AF_INET6 if ":" in address else socket.AF_INET
-    if not _free(family, address, 0):
-        raise ValueError(f"address {address!r} is not an address of this machine")
-    ports = range(port, PORT_MAX + 1)
-    free = next((each for each in ports if _free(family, address, each)), None)
-    if free is None:  # viser would wait for ever
-        raise ValueError(f"no port from {port} to {PORT_MAX} is free; choose a lower one")
-    _infra.AsyncMessageBuffer = MessageBuffer  # for all browsers, and later for each one
-    with _refusing(), redirect_stdout(io.StringIO()):  # drops viser's banner
-        server = viser.ViserServer(host=address, port=free, label="wam_power_ros", verbose=False)
-    for message in (_messages.ShareUrlRequest, _messages.ShareUrlDisconnect):
-        server._websock_server._incoming_handlers.pop(message, None)
-    _answer_strangers(server)
-    return server
-
-
-def _answer_strangers(server: viser.ViserServer) -> None:
-    """Tell clients that are not viser's page what becomes of their messages.
-
-    Viser drops the presses of a client that has not sent its camera, and prints a traceback for
-    each message that it cannot read, after which it drops the client.
-    """
-    websocket = server._websock_server
-
-    def unheard(client_id: Any, message: _messages.GuiUpdateMessage) -> None:  # noqa: ANN401
-        client = websocket._client_state_from_id.get(client_id)
-        if client is None or client_id in server._connected_clients:
-            return
-        text = "not done: a client must send its camera first, as the page in a browser does"
-        props = _messages.NotificationProps("wam-power", text, False, True, None, "red")
-        client.message_buffer.push(_messages.NotificationShowMessage(message.uuid, props))
-
-    def failed(_: object, context: Mapping[str, Any]) -> None:
-        cause = context.get("exception") or context.get("message")
-        _LOG.warning("message of a client ignored: %r", cause)
-
-    websocket.register_handler(_messages.GuiUpdateMessage, unheard)
-    loop = websocket._background_event_loop
-    loop.call_soon_threadsafe(loop.set_exception_handler, failed)
-    logging.getLogger("websockets.server").addFilter(_in_one_line)
-
-
-def _in_one_line(record: logging.LogRecord) -> bool:
-    """Replace the traceback of a failed connection by its error."""
-    if record.exc_info:
-        record.msg, record.args = "%s: %r", (record.getMessage(), record.exc_info[1])
-        record.exc_info = record.exc_text = None
-    return True
-
-
-def close(server: viser.ViserServer) -> None:
-    """Close a server."""
-    with redirect_stdout(io.StringIO()):  # drops viser's farewell
-        server.stop()
-
-
-def _free(family: socket.AddressFamily, address: str, port: int) -> bool:
-    """Whether a port (0: any port) can be bound at an address."""
-    with socket.socket(family) as probe, suppress(OSError):
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # also if just closed
-        probe.bind((address, port))
-        return True
-    return False
-
-
-@contextmanager
-def _refusing() -> Iterator[None]:
-    """Make viser's web server check every request; viser has no option for it."""
-    web = _infra.websockets.asyncio.server
-    serve = web.serve
-
-    def guarded(*args: Any, process_request: Callable, **options: Any) -> Any:  # noqa: ANN401
-        def check(connection: Any, request: Request) -> Response | None:  # noqa: ANN401
-            reason = refusal(request.headers.get("Host"), request.headers.get("Origin"))
-            if reason:
-                return Response(http.HTTPStatus.FORBIDDEN, "Forbidden", Headers(), reason.encode())
-            return process_request(connection, request)
-
-        return serve(*args, process_request=check, **options)
-
-    web.serve = guarded
-    try:
-        yield
-    finally:
-        web.serve = serve
+    for each in range(port, PORT_MAX + 1):
+        try:
+            return socket.create_server((address, each), family=family)
+        except OSError as error:
+            if error.errno not in (errno.EADDRINUSE, errno.EACCES):
+                raise ValueError(f"address {address!r} is not one of this machine") from None
+    raise ValueError(f"no port from {port} to {PORT_MAX} is free; choose a lower one")

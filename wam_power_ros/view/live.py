@@ -21,9 +21,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from wam_power_interfaces.msg import Policy as PolicyMessage
-from wam_power_interfaces.srv import Pause
-from wam_power_ros.client.feedback import Feedback
-from wam_power_ros.client.link import DISCOVERY, Data, Link
+from wam_power_ros.client.feedback import SERVICES, Feedback
+from wam_power_ros.client.link import DISCOVERY, Link
 from wam_power_ros.client.robot import Robot
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.policy import Policy
@@ -33,7 +32,6 @@ from wam_power_ros.ros.joint_messages import JointStateReader
 from wam_power_ros.ros.outcomes import Answer, Code, ServiceError
 
 APPEAR_TIMEOUT = 2.0  # [s of wall time] for the service of a button
-ANSWER_TIMEOUT = 10.0  # [s of wall time]
 
 
 @dataclass
@@ -86,16 +84,10 @@ class View(Node):
             link.last(String, interface.ROBOT_DESCRIPTION, self._on_urdf)
         qos = interface.DIAGNOSTICS_QOS
         link.listen(DiagnosticArray, interface.DIAGNOSTICS, self._on_diagnostics, qos)
-        switches = interface.GRAVITY_COMPENSATION, interface.RECORD
-        triggers = (
-            interface.LEARNER_REWARD,
-            interface.LEARNER_PUNISH,
-            interface.STOP,
-        )
-        link.prepare(*triggers)
-        link.prepare(*switches, data=True)
-        link.prepare(interface.LEARNER_PAUSE, data=Pause.Request())
-        self._offered = (*triggers, *switches, interface.LEARNER_PAUSE)
+        taught = (interface.GRAVITY_COMPENSATION, True), (interface.RECORD, True)
+        self._offered = {**dict(SERVICES.values()), **dict(taught)}
+        for name, data in self._offered.items():
+            link.prepare(name, data=data)
 
     def update(self) -> LiveState:
         """Take the newest messages received since the last update."""
@@ -111,14 +103,9 @@ class View(Node):
 
     # Called from the threads of the buttons
 
-    def call(self, name: str, data: Data = None) -> Answer:
-        """Call a service; the answer says why if there is none."""
-        return self._answered(
-            lambda: (
-                self.link.call(name, data, ANSWER_TIMEOUT)
-                or Answer(Code.UNKNOWN, f"{name} did not answer in {ANSWER_TIMEOUT:.0f} s")
-            )
-        )
+    def give(self, kind: str) -> Answer:
+        """Give feedback, see `Feedback.give`; the answer says why if it could not be given."""
+        return self._answered(lambda: self._feedback.give(kind))
 
     def teach(self, lead: Callable[[], object], notify: Callable[[str], object]) -> Answer:
         """Add a demonstration to the session, see `Feedback.teach`.

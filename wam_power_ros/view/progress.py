@@ -62,23 +62,19 @@ class Progress:
         self.bags: dict[str, Path] = {}
         self.records: tuple[Record, ...] = ()
 
-    def refresh(self) -> bool:
-        """Show new rollouts; returns True if the log has grown.
+    def refresh(self) -> None:
+        """Show new rollouts.
 
         Raises:
             ValueError: The log cannot be read.
         """
-        log = self._folder / "rollouts.jsonl"
+        log = self._folder / session.LOG
         size = log.stat().st_size if log.exists() else 0
         if size == self._size:
-            return False
+            return
         self._size = size
         self.records = session.read(self._folder).records
-        self.bags = {
-            entry(record): self._folder / "bags" / record.bag
-            for record in reversed(self.records)
-            if record.bag
-        }
+        with_bag = [record for record in reversed(self.records) if record.bag]
+        self.bags = {entry(each): self._folder / "bags" / each.bag for each in with_bag}
         self._chart.data = curve(self.records)
         self._page.terms.content = newest(self.records, self._task)
-        return True

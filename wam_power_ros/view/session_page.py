@@ -12,18 +12,14 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-import viser
 
-from wam_power_interfaces.srv import Pause
-from wam_power_ros.client.link import Data
-from wam_power_ros.learning.policy_shapes import plan
 from wam_power_ros.params import overlay
 from wam_power_ros.practice import session
-from wam_power_ros.ros import interface
 from wam_power_ros.view import recorded
+from wam_power_ros.view.guarded_server import GuardedServer
 from wam_power_ros.view.live import LiveState, View
-from wam_power_ros.view.page import EXECUTED, NO_SAFETY, PLANNED, TRAIL, Page
-from wam_power_ros.view.player import Player
+from wam_power_ros.view.page import LIGHT_ORANGE, NO_SAFETY, ORANGE, Page
+from wam_power_ros.view.player import LIVE, Player
 from wam_power_ros.view.progress import Progress
 from wam_power_ros.view.skeleton import Skeleton
 
@@ -64,61 +60,51 @@ class SessionPage:
         ValueError: The session cannot be read.
     """
 
-    def __init__(self, server: viser.ViserServer, folder: Path) -> None:
+    def __init__(self, server: GuardedServer, folder: Path) -> None:
         task = session.read(folder).task
         self._folder = folder
         self._page = Page(server, folder.name)
         self._node: View | None = None
         self._drawn = LiveState()
+        self._skeleton: Skeleton | None = None  # of the live arm
         self._trail: deque[np.ndarray] = deque(maxlen=TRAIL_LENGTH)
         self._still = 0  # number of updates since the arm has moved
         self._teaching: threading.Event | None = None  # set at the end of the movement
-        call, last, service = self._call, "the last finished rollout", interface.LEARNER_PAUSE
-        pause, go_on = (
-            (service, Pause.Request(pause=True)),
-            (service, Pause.Request(pause=False)),
-        )
+        self._leading = False  # whether a person moves the arm now
+        last = "the last finished rollout"
         buttons = {
-            REWARD: ("green", last, partial(call, REWARD, interface.LEARNER_REWARD)),
-            PUNISH: ("orange", last, partial(call, PUNISH, interface.LEARNER_PUNISH)),
-            PAUSE: ("blue", "after the current trial", partial(call, PAUSE, *pause)),
-            CONTINUE: ("blue", "after a pause", partial(call, CONTINUE, *go_on)),
+            REWARD: ("green", last, partial(self._give, REWARD, "reward")),
+            PUNISH: ("orange", last, partial(self._give, PUNISH, "punish")),
+            PAUSE: ("blue", "after the current trial", partial(self._give, PAUSE, "pause")),
+            CONTINUE: ("blue", "after a pause", partial(self._give, CONTINUE, "continue")),
             TEACH: ("violet", "pause, guide the arm by hand, learn from it", self._teach),
             END_TEACHING: ("violet", "the demonstration is complete", self._end_teaching),
-            STOP: ("red", "no safety function", partial(call, STOP, interface.STOP)),
+            STOP: ("red", "no safety function", partial(self._give, STOP, "stop")),
         }
         self._buttons = self._page.add_buttons("Practice", buttons, NO_SAFETY)
-        self._follow = server.gui.add_checkbox("follow the arm", True)
-        self._player = Player(self._page, [], self._movement)
-        self._player.on_choice = self._unfollow
+        self._player = Player(self._page, self._movement)
         self._progress = Progress(self._page, folder, task)
         self._page.add_legend(task.body)
         self._enable_buttons()
 
     def _movement(self, name: str) -> recorded.Movement:
-        if name not in self._progress.bags:
-            raise ValueError(f"{name!r} has no bag")
         return recorded.read(self._progress.bags[name])
 
     def tick(self, elapsed: float) -> None:
         """Update the page after an elapsed time [s]."""
-        if self._progress.refresh():
-            self._player.offer([*self._progress.bags])
+        self._progress.refresh()
+        self._player.offer([*[LIVE] * (self._node is not None), *self._progress.bags])
         self._enable_buttons()
         state = None if self._node is None else self._node.update()
-        if state is not None and self._follow.value:
+        if state is not None and self._player.live:
             self._draw(state)
-        else:
-            self._player.redraw()
-            self._player.advance(elapsed)
+        self._player.advance(elapsed)
         self._page.state(self._lines())
 
     def connect(self, node: View | None) -> None:
         """Follow a running session through a node; None once it has ended."""
-        self._node, self._drawn = node, LiveState()
+        self._node, self._skeleton = node, None
         self._end_teaching()
-        self._enable_buttons()
-        self._follow.disabled = self._node is None
 
     def _enable_buttons(self) -> None:
         """Enable the buttons whose requests would be heard now."""
@@ -126,37 +112,33 @@ class SessionPage:
         learns = practises and all(r.kind != "retest" for r in self._progress.records)
         usable = {STOP: self._node is not None, PAUSE: practises, CONTINUE: practises}
         rated = learns and bool(self._progress.records)
-        usable |= {REWARD: rated, PUNISH: rated, TEACH: learns}
+        usable |= {REWARD: rated, PUNISH: rated, TEACH: learns, END_TEACHING: self._leading}
         for label, use in usable.items():
             if self._buttons[label].disabled == use:
                 self._buttons[label].disabled = not use
 
     def _draw(self, state: LiveState) -> None:
-        drawn, node, page = self._drawn, self._node, self._page
+        node, page = self._node, self._page
         if state.q is None or not node.urdf:
             return
-        if drawn.q is None or not self._player.stale:  # a movement was played
-            drawn = LiveState()
+        if self._skeleton is None or page.skeleton is not self._skeleton:  # a movement was played
+            self._drawn, self._skeleton = LiveState(), Skeleton(node.urdf, node.model_joint_names)
             self._trail.clear()
-            page.show_arm(Skeleton(node.urdf, node.model_joint_names))
-            self._player.stale = True
+            page.show_arm(self._skeleton)
+        drawn = self._drawn
         rests = drawn.q is not None and np.abs(state.q - drawn.q).max() < STILL
         self._still = self._still + 1 if rests else 0
         shown = drawn.q if self._still > TRAIL_LENGTH else state.q
         if shown is not drawn.q:  # a browser renders the scene at every change
             self._trail.append(page.pose(shown))
-            page.show_path("trail", np.array(self._trail), TRAIL)
+            page.show_path("executed/trail", np.array(self._trail), LIGHT_ORANGE)
         page.place_body(state.body)
         if state.policy is not None and state.policy is not drawn.policy:
             start = page.skeleton.placements(state.policy.q_start)[0][-1]
-            page.show_path("planned", plan(state.policy, start), PLANNED)
-            page.show_attractors(state.policy)
+            page.show_policy(state.policy, start)
         if state.tool_path is not None and state.tool_path is not drawn.tool_path:
-            page.show_path("executed", state.tool_path, EXECUTED)
+            page.show_path("executed/path", state.tool_path, ORANGE)
         self._drawn = replace(state, q=shown)
-
-    def _unfollow(self) -> None:
-        self._follow.value = False
 
     def _lines(self) -> dict[str, str]:
         records = self._progress.records
@@ -181,14 +163,16 @@ class SessionPage:
 
     # Button callbacks, in threads of viser
 
-    def _call(self, label: str, name: str, data: Data = None) -> None:
-        """Call a service of the session and show the answer in the browser."""
-        node = self._node
-        if node is None:
-            self._page.notify(label, "the session is not running", good=False)
+    def _notify(self, label: str, text: str, good: bool = True) -> None:
+        self._page.server.draw(partial(self._page.notify, label, text, good))
+
+    def _give(self, label: str, kind: str) -> None:
+        """Give feedback to the session and show the answer in the browser."""
+        if (node := self._node) is None:
+            self._notify(label, "the session is not running", good=False)
             return
-        answer = node.call(name, data)
-        self._page.notify(label, answer.said, good=answer.success)
+        answer = node.give(kind)
+        self._notify(label, answer.said, answer.success)
 
     def _teach(self) -> None:
         if self._teaching is None and self._node is not None:
@@ -197,18 +181,16 @@ class SessionPage:
             threading.Thread(target=self._run_teaching, args=given, daemon=True).start()
 
     def _run_teaching(self, node: View, ended: threading.Event) -> None:
-        notify = partial(self._page.notify, TEACH)
-
         def lead() -> None:
-            notify("guide the arm by hand, then press End of movement")
-            self._buttons[END_TEACHING].disabled = False
+            self._notify(TEACH, "guide the arm by hand, then press End of movement")
+            self._leading = True
             ended.wait()
 
-        answer = node.teach(lead, notify)
-        notify(answer.text, good=answer.success)
-        self._teaching = None
+        answer = node.teach(lead, partial(self._notify, TEACH))
+        self._teaching, self._leading = None, False
+        self._notify(TEACH, answer.text, answer.success)
 
     def _end_teaching(self) -> None:
-        self._buttons[END_TEACHING].disabled = True
+        self._leading = False
         if self._teaching is not None:
             self._teaching.set()

@@ -8,11 +8,10 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-import viser
-
 from wam_power_ros.params import parameter_file
 from wam_power_ros.ros.node_runner import participant
 from wam_power_ros.view import recorded
+from wam_power_ros.view.guarded_server import GuardedServer
 from wam_power_ros.view.live import View
 from wam_power_ros.view.page import Page
 from wam_power_ros.view.player import Player
@@ -23,30 +22,30 @@ LIVE_PERIOD = 0.1  # [s] between updates of a running session
 CHECK_PERIOD = 1.0  # [s] between checks whether the session runs
 
 
-def of_bag(server: viser.ViserServer, bag: Path, ready: Callable[[], object]) -> None:
+def of_bag(server: GuardedServer, bag: Path, ready: Callable[[], object]) -> None:
     """Show a bag until interrupted.
 
     Raises:
         ValueError: The bag cannot be read.
     """
     movement = recorded.read(bag)
-    page = Page(server, bag.name)
-    player = Player(page, [bag.name], lambda name: movement)
-    page.add_legend(movement.body, movement.policy is not None)
-    kind = "demonstration" if movement.policy is None else f"rollout of {movement.policy.id}"
-    page.state({"bag": bag.name, "it is": kind, "length": f"{movement.duration:.2f} s"})
-    player.show(bag.name)
-    last = time.monotonic()
+
+    def made() -> Player:
+        page = Page(server, bag.name)
+        player = Player(page, lambda name: movement)
+        page.add_legend(movement.body, movement.policy is not None)
+        kind = "demonstration" if movement.policy is None else f"rollout of {movement.policy.id}"
+        page.state({"bag": bag.name, "it is": kind, "length": f"{movement.duration:.2f} s"})
+        player.offer([bag.name])
+        return player
+
+    player = server.draw(made)
     ready()
-    while True:
-        time.sleep(PLAYBACK_PERIOD)
-        now = time.monotonic()
-        player.advance(now - last)
-        last = now
+    _draw_until(server, player.advance, PLAYBACK_PERIOD, lambda: False)
 
 
 def of_session(
-    server: viser.ViserServer,
+    server: GuardedServer,
     folder: Path,
     ready: Callable[[], object],
     domain_of: Callable[[Path], int | None],
@@ -62,30 +61,38 @@ def of_session(
     Raises:
         ValueError: The session cannot be read.
     """
-    page = SessionPage(server, folder)
-    page.tick(0.0)
+    page = server.draw(lambda: SessionPage(server, folder))
+    server.draw(lambda: page.tick(0.0))
     ready()
     while True:
         if not running(folder):
-            _tick_until(page, PLAYBACK_PERIOD, lambda: running(folder))
+            _draw_until(server, page.tick, PLAYBACK_PERIOD, lambda: running(folder))
         setup = parameters(folder)
         body = setup["pancake_tracker"]["body"]
         namespace = parameter_file.namespace(folder / "logs/parameters.yaml")
         make = partial(View, setup["torque_controller"], body, namespace)
         domain = domain_of(folder)
         with participant(make, domain, on_loopback=domain is not None) as node, node.link:
-            page.connect(node)
-            _tick_until(page, LIVE_PERIOD, lambda: not running(folder))
-            page.connect(None)
+            server.draw(partial(page.connect, node))
+            _draw_until(server, page.tick, LIVE_PERIOD, lambda: not running(folder))
+            server.draw(partial(page.connect, None))
 
 
-def _tick_until(page: SessionPage, period: float, ended: Callable[[], bool]) -> None:
-    """Update the page every `period` [s] until `ended()`, which is called once a second."""
+def _draw_until(
+    server: GuardedServer,
+    tick: Callable[[float], None],
+    period: float,
+    ended: Callable[[], bool],
+) -> None:
+    """Draw `tick` of the time since the last one, every `period` [s], until `ended()`.
+
+    `ended` is called once a second.
+    """
     last = checked = time.monotonic()
     while True:
         time.sleep(period)
         now = time.monotonic()
-        page.tick(now - last)
+        server.draw(partial(tick, now - last))
         last = now
         if now - checked > CHECK_PERIOD:
             if ended():

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from reproduction.studies.reaching_runs import generator, learn_many
+from reproduction.studies.reaching_scenario import Scenario, midpoint
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.demonstration import Demonstration, from_positions
 from wam_power_ros.learning.rollout import EndEffectorPath, Rollout
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.regions import region_of
+from wam_power_ros.tasks.reach.paths import resampled
 from wam_power_ros.tasks.reach.returns import reaching_return
-from wam_power_ros.tasks.reach.scenario import midpoint, resampled
 from wam_power_ros.tasks.reach.task import Reach
 
 RADIUS = 0.05
@@ -140,12 +141,12 @@ def test_the_default_learns_to_pass_an_obstacle_at_which_nearly_all_rollouts_beg
     obstacle = region_of("obstacle", [*midpoint(resampled([demonstration])), 0.09])
     context = Reach.context_of([demonstration], obstacle)
     policy = Reach.policy_of([demonstration], "trial-0001")
+    scenario = Scenario(resampled([demonstration]), policy, demonstration.position[0])
     stuck = {}
     for name in ("reach", "full"):
         settings = preset("reach", name)
         practised = Reach(settings.task_settings, context)
         parameters = practised.parametrization(policy)
-        scenario = practised._scenario(policy, demonstration.position[0])
         size, budget = parameters.size, settings.practice.budget
         learners = [settings.make_learner(size, generator(seed)) for seed in range(40)]
         runs = learn_many(learners, parameters, scenario, budget)

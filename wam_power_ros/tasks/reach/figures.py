@@ -1,111 +1,43 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of the reaching task: paths around the obstacle."""
+"""Figure of a reach: paths around the obstacle."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
-
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from wam_power_ros.plotting import BLUE, INK, dress, shared_legend
+from wam_power_ros.plotting import BLUE, GREEN, legend, side_by_side
 from wam_power_ros.regions import Region
 
-OBSTACLE, GOAL, LEARNT, ROLLOUT, EXECUTED = "#c8504f", "#2f855a", "#1d5c3a", "#8fc3a5", "#e3a72f"
-MARGIN = 0.03  # around the paths [m]
+OBSTACLE = "#c8504f"
 
 
-@dataclass(frozen=True, eq=False)
-class Panel:
-    """A panel of Fig. 2: paths of shapes (T, 3) [m]."""
+def executed(tool: np.ndarray, demonstrated: np.ndarray, obstacle: Region | None) -> Figure:
+    """Executed path (T, 3) and demonstrated one (K, 3) [m], from the side and from above.
 
-    demonstrations: Sequence[np.ndarray]
-    obstacle: Region | None
-    learnt: np.ndarray | None = None  # of the learnt policy, drawn bold
-    rollouts: Sequence[np.ndarray] = ()  # further ones
-    executed: np.ndarray | None = None  # by the arm
-
-    @property
-    def start(self) -> np.ndarray:
-        """Mean first position of the demonstrations [m]. Shape (3,)."""
-        return np.mean([path[0] for path in self.demonstrations], axis=0)
-
-    @property
-    def goal(self) -> np.ndarray:
-        """Mean last position of the demonstrations [m]. Shape (3,)."""
-        return np.mean([path[-1] for path in self.demonstrations], axis=0)
-
-
-def paths(panels: Mapping[str, Panel]) -> Figure:
-    """Fig. 2 of the paper: paths around the obstacle, from the side and from above.
-
-    The axes point from the mean start of the demonstrations to their mean end, to the left, and up.
-    A title, such as "full", is that of its panel; a ValueError if there is none.
+    Axes are those of `side_and_top`, about the begin of the demonstrated path.
     """
-    if not panels:
-        raise ValueError("a figure of reaching must have at least one panel, got none")
-    boxes = []  # lowest and highest drawn coordinates of each panel and view
-    for panel in panels.values():
-        other = [path for path in (panel.learnt, panel.executed) if path is not None]
-        if (sphere := panel.obstacle) is not None:
-            other.append(sphere.centre + sphere.radius * np.array([[-1.0] * 3, [1.0] * 3]))
-        drawn = np.concatenate([*panel.demonstrations, *panel.rollouts, *other])
-        for view in _views(panel):
-            seen = (drawn - panel.start) @ view.T
-            boxes.append((seen.min(axis=0) - MARGIN, seen.max(axis=0) + MARGIN))
-    low, high = (  # (2 views, 2 axes)
-        np.stack([edge([box[k] for box in boxes[row::2]], axis=0) for row in (0, 1)])
-        for k, edge in enumerate((np.min, np.max))
-    )
-    low[:, 0], high[:, 0] = low[:, 0].min(), high[:, 0].max()
-    width = 4.4
-    heights = width * (high - low)[:, 1] / (high - low)[:, 0]
-    figure = Figure(figsize=(width * len(panels) + 0.6, heights.sum() + 1.4), layout="compressed")
-    grid = figure.subplots(2, len(panels), squeeze=False, height_ratios=heights)
-    for column, (title, panel) in zip(grid.T, panels.items(), strict=True):
-        for row, (axes, view) in enumerate(zip(column, _views(panel), strict=True)):
-            _draw(axes, panel, view)
-            axes.set(xlim=(low[row, 0], high[row, 0]), ylim=(low[row, 1], high[row, 1]))
-            axes.set_aspect("equal")
-        column[0].set_title(title, fontsize=10, color=INK)
-        column[0].tick_params(labelbottom=False)
-        column[1].set_xlabel("along the movement [m]")
-    grid[0, 0].set_ylabel("up [m]")
-    grid[1, 0].set_ylabel("aside [m]")
-    shared_legend(figure, grid[0], 4)
+    figure, both = side_by_side(8.6, 4.0, 1.0, 1.0)
+    start, views = demonstrated[0], side_and_top(demonstrated[-1] - demonstrated[0])
+    for axes, view, aside in zip(both, views, ("up [m]", "aside [m]"), strict=True):
+        axes.plot(*(view @ (demonstrated - start).T), color=BLUE, label="demonstrated")
+        axes.plot(*(view @ (tool - start).T), color=GREEN, lw=2.0, label="executed")
+        axes.plot(*(view @ (demonstrated[-1] - start)), "s", color=GREEN, ms=7, label="goal")
+        if obstacle is not None:
+            x, y = view @ (obstacle.centre - start)
+            sphere = Circle((x, y), obstacle.radius, color=OBSTACLE, alpha=0.3, label="obstacle")
+            axes.add_patch(sphere)
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.set(xlabel="along the movement [m]", ylabel=aside)
+    legend(both[0])
     return figure
 
 
-def _views(panel: Panel) -> tuple[np.ndarray, np.ndarray]:
-    """Axes of the side view, along and up, and of the top view, along and left. Shapes (2, 3)."""
-    level = (panel.goal - panel.start) * np.array([1.0, 1.0, 0.0])
+def side_and_top(way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Axes of views of a movement by `way` (3,): along and up; along and left. Shapes (2, 3)."""
+    level = way * np.array([1.0, 1.0, 0.0])
     length = float(np.linalg.norm(level))
     level = level / length if length > 0.0 else np.array([1.0, 0.0, 0.0])
     up = np.array([0.0, 0.0, 1.0])
     return np.stack([level, up]), np.stack([level, np.cross(up, level)])
-
-
-def _draw(axes: Axes, panel: Panel, view: np.ndarray) -> None:
-    def plot(path: np.ndarray, *style: str, **other: Any) -> None:  # noqa: ANN401
-        axes.plot(*(view @ (np.atleast_2d(path) - panel.start).T), *style, **other)
-
-    dress(axes)
-    if (sphere := panel.obstacle) is not None:
-        style: dict[str, Any] = {"color": OBSTACLE, "alpha": 0.28, "lw": 0, "label": "obstacle"}
-        x, y = view @ (sphere.centre - panel.start)
-        axes.add_patch(Circle((x, y), sphere.radius, **style))
-    for path in panel.rollouts:
-        plot(path, color=ROLLOUT, lw=0.6, alpha=0.8, label="rollouts while learning")
-    for path in panel.demonstrations:
-        plot(path, color=BLUE, lw=1.1, label="demonstrations")
-    if panel.learnt is not None:
-        plot(panel.learnt, color=LEARNT, lw=2.6, label="learnt")
-    if panel.executed is not None:
-        plot(panel.executed, color=EXECUTED, lw=1.2, ls="--", label="executed")
-    start = panel.start if panel.learnt is None else panel.learnt[0]
-    plot(start, "o", color=GOAL, ms=6, label="start")
-    plot(panel.goal, "s", color=GOAL, ms=8, label="goal")

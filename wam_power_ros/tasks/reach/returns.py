@@ -35,7 +35,7 @@ def reaching_return(path: np.ndarray, demonstrated: np.ndarray, goal: np.ndarray
         R = sum_{t < t_e} w1/T exp(-|x_R(t) - x_D(t)|) + w2 exp(-|x_R(t_e) - x_G|)
 
     T is the number of samples and t_e the last one. The paths have to include collisions: see
-    `Scenario.stopped_paths`.
+    `paths.stopped_paths`.
 
     Args:
         path: x_R [m]. Shape (B, T, 3).

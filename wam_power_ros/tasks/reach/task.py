@@ -14,8 +14,8 @@ from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.regions import Region, region_of
 from wam_power_ros.tasks.errors import Effect, Error
+from wam_power_ros.tasks.reach.paths import resampled, stopped_paths
 from wam_power_ros.tasks.reach.returns import reaching_terms
-from wam_power_ros.tasks.reach.scenario import Scenario, resampled
 from wam_power_ros.tasks.reach.settings import PRESETS, REACH_FIT, ReachSettings
 from wam_power_ros.tasks.task import (
     Assessment,
@@ -33,7 +33,7 @@ AXES = ("x", "y", "z")  # of the base frame
 
 
 class Reach(Task):
-    """The task `reach`; see `tasks.task.Task`.
+    """The tool reaches past an obstacle, the task `reach`; see `tasks.task.Task`.
 
     The controller stops a rollout whose tool enters the obstacle. Its return is that of a path
     which stays at its last sample before the obstacle (Eq. 4).
@@ -83,19 +83,22 @@ class Reach(Task):
         if rollout.fault is not None:
             return fault_assessment(rollout.fault)
         tool = rollout.tool
-        scenario = self._scenario(policy, tool.position[0])
-        t = np.arange(scenario.steps) * scenario.period
+        steps = len(self.demonstrated)
+        t = np.arange(steps) * (policy.basis.duration / (steps - 1))
         path = np.stack([np.interp(t, tool.t, x) for x in tool.position.T], axis=1)  # (T, 3)
-        stopped, collided = scenario.stopped_paths(path[np.newaxis])
+        centre, radius = np.zeros(3), 0.0
+        if self.region is not None:
+            centre, radius = np.array(self.region.centre), self.region.radius
+        stopped, collided = stopped_paths(path[np.newaxis], centre, radius)
         touched = bool(collided[0] or rollout.stopped_in)  # perhaps between two samples
         why = cut_short(policy, rollout, self.settle_time)
         if why and not touched:
             return Assessment(None, why=why)
-        reached = reaching_terms(stopped, scenario.demonstrated, scenario.goal)
+        end, wanted = stopped[0, -1], self.demonstrated[-1]
+        reached = reaching_terms(stopped, self.demonstrated, wanted)
         tracking, goal = (float(term[0]) for term in reached)
-        end = stopped[0, -1]
-        goal_distance = float(np.linalg.norm(end - scenario.goal))
-        clearance = float(np.linalg.norm(path - scenario.obstacle, axis=1).min() - scenario.radius)
+        goal_distance = float(np.linalg.norm(end - wanted))
+        clearance = float(np.linalg.norm(path - centre, axis=1).min() - radius)
         seen = {"touched": touched, "goal_distance": goal_distance, "clearance": clearance}
         return Assessment(
             tracking + goal,
@@ -131,15 +134,6 @@ class Reach(Task):
 
     def figure(self, rollout: Rollout) -> tuple[Figure, str]:
         """Demonstrated and executed path around the obstacle; see `Task`."""
-        from wam_power_ros.tasks.reach.figures import Panel, paths  # imports matplotlib: slow
+        from wam_power_ros.tasks.reach.figures import executed  # imports matplotlib: slow
 
-        panel = Panel([self.demonstrated], self.region, learnt=rollout.tool.position)
-        return paths({f"{rollout.tool.id}, executed": panel}), ""
-
-    def _scenario(self, policy: Policy, start: np.ndarray) -> Scenario:
-        period = policy.basis.duration / (len(self.demonstrated) - 1)
-        paths = self.demonstrated[np.newaxis]
-        centre, radius = np.zeros(3), 0.0
-        if self.region is not None:
-            centre, radius = np.array(self.region.centre), self.region.radius
-        return Scenario(paths, period, radius, policy, start, centre)
+        return executed(rollout.tool.position, self.demonstrated, self.region), ""

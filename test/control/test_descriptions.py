@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Descriptions as makers and exporters publish them are read as urdfdom reads them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import ROOT
+
+from hardware_sim import scene
+from wam_power_ros.control.arm import Arm
+from wam_power_ros.view.skeleton import Skeleton
+
+URDF = (ROOT / "urdf/cobot7.urdf").read_text()
+NAMES = tuple(f"cobot_joint{joint}" for joint in range(1, 8))
+BODY = URDF.split("?>", 1)[1]
+
+
+def cobot(urdf: str, tool: str = "cobot_pan") -> Arm:
+    return Arm(urdf, NAMES, tool, ())
+
+
+PUBLISHED = {
+    "a prefix that is not declared": URDF.replace("<limit ", '<limit lab:acceleration="2.5" '),
+    "an element with one": URDF.replace("</robot>", '<sensor:camera name="x"/></robot>'),
+    "a default namespace": URDF.replace("<robot ", '<robot xmlns="http://www.ros.org" '),
+    "a declared prefix": URDF.replace("<robot ", '<robot xmlns:xacro="http://ros.org" '),
+    "an encoding that is declared": f'<?xml version="1.0" encoding="ISO-8859-1"?><!-- ü -->{BODY}',
+    "a link with the name of a joint": URDF.replace('"cobot_link3"', '"cobot_joint4"'),
+    "a link with the name of its joint": URDF.replace('"cobot_link3"', '"cobot_joint3"'),
+}
+
+
+@pytest.mark.parametrize("what", PUBLISHED)
+def test_an_arm_is_the_same_with(what: str) -> None:
+    urdf, tool = PUBLISHED[what], "cobot_pan"
+    assert cobot(urdf).identity() == cobot(URDF).identity()
+    np.testing.assert_array_equal(
+        cobot(urdf, tool).tool_pose(np.ones(7))[0], cobot(URDF, tool).tool_pose(np.ones(7))[0]
+    )
+    assert len(Skeleton(urdf).joint_names) == 7
+    assert len(scene.arm(urdf, NAMES).joints) == 7
+
+
+def test_a_tool_or_a_locked_joint_may_have_a_name_twice() -> None:
+    urdf = URDF.replace('"cobot_pan"', '"cobot_joint7"')
+    assert cobot(urdf, "cobot_joint7").identity() == cobot(URDF).identity()
+    six = Arm(urdf, NAMES[:6], "cobot_joint7", ())
+    assert six.identity() == Arm(URDF, NAMES[:6], "cobot_pan", ()).identity()
+    with pytest.raises(ValueError, match=r"no link 'cobot_joint2'.*'cobot_link2'"):
+        cobot(URDF, "cobot_joint2")
+
+
+@pytest.mark.parametrize(
+    ("soft", "kept"),
+    [
+        ('soft_lower_limit="-0.5" soft_upper_limit="0.4"', (-0.5, 0.4)),
+        ('soft_lower_limit="-9" soft_upper_limit="0.4"', (None, 0.4)),
+        ('soft_lower_limit="0" soft_upper_limit="0"', (None, None)),
+        ("", (None, None)),
+    ],
+)
+def test_a_joint_stays_within_its_soft_limits(
+    soft: str, kept: tuple[float | None, float | None]
+) -> None:
+    joint = f'<joint name="{NAMES[2]}" type="revolute">'
+    assert joint in URDF
+    arm = cobot(URDF.replace(joint, f'{joint}<safety_controller k_velocity="1" {soft}/>'))
+    for found, usual, bound in zip(
+        (arm.q_min, arm.q_max), (cobot(URDF).q_min, cobot(URDF).q_max), kept, strict=True
+    ):
+        expected = usual.copy()
+        expected[2] = usual[2] if bound is None else bound
+        np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ('<mujoco model="so100"><worldbody/></mujoco>', "begins with <mujoco> of MuJoCo"),
+        ('<sdf version="1.7"/>', "begins with <sdf> of Gazebo"),
+        ("<html><body>404</body></html>", "begins with <html>"),
+        ("", "no element found"),
+        ("version https://git-lfs.github.com/spec/v1", "syntax error"),
+        (URDF[:2000], "not a URDF"),
+    ],
+)
+def test_what_is_no_urdf_is_refused_by_what_it_is(text: str, why: str) -> None:
+    for reader in (cobot, Skeleton, scene.arm):
+        with pytest.raises(ValueError, match=why):
+            reader(text)

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sessions without nodes: resumed, of another arm, refused."""
+
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from wam_power_ros.cli import main
+from wam_power_ros.control.arm import Arm
+from wam_power_ros.faults import Fault, FaultKind
+from wam_power_ros.in_process import learn
+from wam_power_ros.in_process.environment import Environment
+from wam_power_ros.learning.demonstration import Demonstration
+from wam_power_ros.params import overlay
+from wam_power_ros.practice import session
+from wam_power_ros.practice.session import Session
+from wam_power_ros.practice.settings import preset
+from wam_power_ros.tasks.flip.task import Flip
+
+
+def rows(folder: Path) -> list[str]:
+    return [record.to_json() for record in session.read(folder).records]
+
+
+def sessions(folder: Path, name: str = "", seed: int = 3) -> learn.Iterator[Session]:
+    setup = overlay.setup([name] if name else [], True, "reach").changed({"wam_sim": {"seed": 3}})
+    settings = preset("reach", budget=4, retests=1)
+    return learn.run(folder, setup, settings, seed, 2)
+
+
+def test_a_session_that_is_cut_short_goes_on_as_if_it_had_not_been(tmp_path: Path) -> None:
+    for _ in islice(sessions(tmp_path / "cut"), 3):  # as it begins, and two rollouts
+        pass
+    assert len(rows(tmp_path / "cut")) == 2
+    for folder in ("cut", "whole"):
+        *_, last = sessions(tmp_path / folder)
+        assert (tmp_path / folder / "policy.json").is_file()
+    assert rows(tmp_path / "cut") == rows(tmp_path / "whole")
+    assert last.records[0].kind == "reproduction"
+    assert last.records[-1].kind == "retest"
+
+
+def test_a_session_of_another_arm_is_refused_and_left_unlocked(tmp_path: Path) -> None:
+    next(sessions(tmp_path)).close()
+    with pytest.raises(ValueError, match="belongs to another arm: wam7"):
+        next(sessions(tmp_path, "ur"))
+    Session.open(tmp_path).close()
+
+
+def test_demonstrations_that_leave_no_rollout_are_refused_before_they_are_recorded(
+    tmp_path: Path,
+) -> None:
+    settings = preset("flip", budget=2)
+    with pytest.raises(ValueError, match="a budget of 2 rollouts"):
+        next(learn.run(tmp_path, overlay.setup(task="flip"), settings, 0, 2))
+    assert not Session.exists(tmp_path)
+
+
+def test_a_demonstration_without_a_movement_is_left_out_and_the_others_keep_their_numbers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read, count = Flip.demonstration_of, iter(range(9))
+
+    def second_only(arm: Arm, *recorded: np.ndarray) -> Demonstration:
+        if next(count) != 1:
+            raise ValueError("no movement")
+        return read(arm, *recorded)
+
+    monkeypatch.setattr(Flip, "demonstration_of", second_only)
+    setup, settings = overlay.setup(task="flip"), preset("flip", budget=4)
+    begun = next(learn.run(tmp_path, setup, settings, 0, 3))
+    assert [policy.id for policy in begun.candidates] == ["demonstration-2"]
+    begun.close()
+    with pytest.raises(ValueError, match="no demonstration can be reproduced: no movement"):
+        next(learn.run(tmp_path / "none", setup, settings, 0, 1))
+    assert not Session.exists(tmp_path / "none")
+
+
+def test_the_demonstrations_are_those_of_the_stand_in_of_the_nodes(tmp_path: Path) -> None:
+    setup, settings = overlay.setup(task="flip"), preset("flip", budget=4)
+    begun = next(learn.run(tmp_path, setup, settings, 5, 2))
+    environment = Environment.of(setup)
+    for number, policy in enumerate(begun.candidates):
+        script = environment.world.scene.script(np.random.default_rng((5, number)))
+        recorded = environment.demonstrate(script, f"demonstration-{number}")
+        movement = Flip.demonstration_of(environment.arm, *recorded)
+        fitted = Flip.policy_of([movement], policy.id)
+        np.testing.assert_array_equal(policy.attractors, fitted.attractors)
+
+
+def test_a_demonstration_whose_reproduction_would_fault_is_not_learnt_from(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fault = Fault(FaultKind.JOINT_SPEED, "joint 4 too fast")
+    monkeypatch.setattr(Environment, "infeasible", lambda *_: fault)
+    with pytest.raises(ValueError, match="would end in a fault: joint 4 too fast"):
+        next(learn.run(tmp_path, overlay.setup(task="flip"), preset("flip", budget=4), 0, 1))
+
+
+@pytest.mark.parametrize("words", [["--config", "wam_can"], ["--bags", "bags/demo_1"]])
+def test_what_needs_nodes_is_refused_in_process(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["learn", "--in-process", "--session", str(tmp_path / "s"), *words]
+    assert main.main(command) == 2
+    assert "wam-power: " in capsys.readouterr().err
+    assert not (tmp_path / "s").exists()
