@@ -407,7 +407,8 @@ class Tracker:
         turn = rotations.multiply(frame.quat_xyzw, inverse)
         predicted = rotations.quat_of_vector(-spin * since * 1e-9)
         error = np.linalg.norm(rotations.rotation_vector(rotations.multiply(predicted, turn)))
-        most = TURN_SLACK + TURN_MAX * min(since, self._gap_max) * 1e-9
+        longest = self._gap_max // 2 if self._turned_ns else self._gap_max
+        most = TURN_SLACK + TURN_MAX * min(since, longest) * 1e-9
         known = not self._turned_ns or since <= TURN_PREDICTED
         if error <= min(most, TURN_SEEN) and known:
             self._turned_ns = 0

@@ -8,8 +8,6 @@ it by as much times the speed of the pan, 2 to 6 mm for 2 ms.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from wam_power_ros import rotations
@@ -63,9 +61,9 @@ def _steadiest(height: np.ndarray, used: np.ndarray, unused: float) -> tuple[int
 
     An `unused` one counts as so many hops.
     """
-    hops = np.full(len(height), math.inf)
+    hops, most = np.full(len(height), 2.0), int(np.max(np.sum(used, axis=1)))
     for number, (row, kept) in enumerate(zip(height, used, strict=True)):
-        if kept.any():
+        if 2 * np.sum(kept) > most:  # few frames vary little
             others = unused * np.sum(~kept)
             hops[number] = (np.sum(_off(row[kept]) ** 2) + others) / (np.sum(kept) + others)
     best = int(np.argmin(hops))

@@ -33,7 +33,7 @@ UNKNOWN_SIDE = (
 ORIENTATION_JUMPS = "the orientation of the pancake jumps, so how far it turned is unknown"
 _NORMAL_ERROR_MAX = 0.35  # largest angle of a frame's normal from the fitted spin [rad]
 _ODD_FRAMES_MAX = 0.3  # largest share of frames that say otherwise than most
-_RELEASE_ANGLE_MAX = 1.2  # largest angle of the spin's normal from the pan's at release [rad]
+_RELEASE_ANGLE_MAX = 0.95  # largest angle of the spin's normal from the pan's at release [rad]
 _POSITION_STD_MAX = 0.1  # with a larger one at t_f the pancake counts as lost from view [m]
 
 
@@ -100,7 +100,7 @@ def _doubt(
         left = pan_normal(pan, np.array([spin.release]))[0]
         if angle_between(left, spin.normal(np.array([spin.release]))[0]) > _RELEASE_ANGLE_MAX:
             return ORIENTATION_JUMPS
-    return ORIENTATION_JUMPS if frames.odd_at_end(float(pan.t[-1])) > _ODD_FRAMES_MAX else ""
+    return ORIENTATION_JUMPS if frames.contradicted(float(pan.t[-1])) else ""
 
 
 def _flight_on_arc(pan: EndEffectorPath, frames: Frames, spin: Spin, crossing: Crossing) -> Flight:

@@ -21,12 +21,11 @@ REST_WINDOW = 0.2  # time at the end of the path in which the end state is deter
 _RIM_HEIGHT = 0.03  # height above the floor up to which an edge may still slide on the pan [m]
 REST_HEIGHT_MAX = 0.015  # largest height of the centre above the pan's floor at rest [m]
 _REST_COSINE_MIN = 0.97  # smallest |n . n_pan| at rest [1]
-_LEFT_HEIGHT = (
-    PANCAKE_RADIUS + _RIM_HEIGHT
-)  # of a centre that has left the pan: not on its edge [m]
+_LEFT_HEIGHT = 0.12  # of a centre that has left the pan, above one on its edge at the rim [m]
 _AGREED = 2 / 3  # share of the frames at rest that must show the same side up
 _SAME_SIDE_COSINE = 0.5  # smallest one of the angle between two that do [1]
-_THROUGH_MAX = 2.0 * REST_HEIGHT_MAX  # depth of an edge below a centre that lies in the pan [m]
+_THROUGH_MAX = 0.012  # depth of an edge below the floor that errors of frames explain [m]
+_ODD_MAX = 0.1  # largest share of the frames in the pan that has one which is deeper
 _SAME_ANGLE_MAX = 0.1  # largest angle between body-frame normals of frames at rest [rad]
 
 
@@ -68,18 +67,19 @@ class Frames:
         )
         return resting, cosine < 0.0
 
-    def odd_at_end(self, end: float) -> float:
-        """Share of the frames in the pan at the end [s] whose orientation is not that of most.
+    def contradicted(self, end: float) -> bool:
+        """Whether orientations in the pan cannot be those of a disc that lies there.
 
-        An orientation with an edge below the pan's floor is odd, too.
+        An edge would be below the floor in too many frames, or sides alternate at the end [s].
         """
         lying = (np.abs(self.height) < REST_HEIGHT_MAX) & (self.offset < PAN_RADIUS)
-        cosine = self.cosine[lying & (self.t >= end - REST_WINDOW)]
-        if not len(cosine):
-            return 0.0
-        through = np.sqrt(1.0 - np.minimum(cosine**2, 1.0)) * PANCAKE_RADIUS > _THROUGH_MAX
-        others = np.sign(cosine) != np.sign(np.median(cosine))
-        return float(np.mean(through | others))
+        edge = np.sqrt(1.0 - np.minimum(self.cosine**2, 1.0)) * PANCAKE_RADIUS
+        through = edge - self.height > _THROUGH_MAX
+        first = lying & ~np.maximum.accumulate(self.flying)
+        last = lying & (self.t >= end - REST_WINDOW)
+        odd = any(np.sum(through[part]) > _ODD_MAX * np.sum(part) for part in (first, last))
+        over = np.sum(self.cosine[last] < 0.0)
+        return odd or bool(min(over, np.sum(last) - over) > np.sum(last) / 3)
 
 
 def frames_from_pan(
