@@ -104,7 +104,7 @@ BUDGET = {
     "control": 4965,  # with waypoints of other programs: FollowJointTrajectory
     "commissioning": 1221,
     "tracking": 658,  # orientations that turn too fast are refused
-    "tasks": 3265,  # errors of any task; the flip doubts its eyes: clock, side, turns
+    "tasks": 3266,  # errors of any task; the flip doubts its eyes: clock, side, turns
     "practice": 2062,  # refusals by a person and pauses are in its log
     "conformance": 1123,
     "bags": 2436,

@@ -21,6 +21,7 @@ _UNCORRECTED = 0.0025  # up to which it is within the accuracy of the search [s]
 _STD_MAX = 0.001  # with a larger one the movement is too slow to tell [s]
 _SLIP = 0.001  # standard deviation of the height of a pancake that is carried [m]
 _HOP = 0.006  # change of height beyond which it was not carried in this frame [m]
+_LEAVES = 0.01  # before the pan is seen fastest it may have left it [s]
 _NEAR = 0.03  # height of a frame in which it may be carried [m]
 _CARRIED_MIN = 0.8  # share of the frames before the release in which it is, unless it hops
 _LEAD_MIN = 3.0  # by how many frames an offset must be better than others if it does
@@ -39,7 +40,7 @@ def clock_offset(pan: EndEffectorPath, pancake: BodyPath, before: BodyPath | Non
     height = -np.interp(t, pan.t, floor)
     for axis in range(3):
         height += np.interp(t, pan.t, normal[:, axis]) * place[:, axis]
-    carried = t < pan.t[int(np.argmax(speed))]
+    carried = t < pan.t[int(np.argmax(speed))] - _LEAVES
     best, _ = _steadiest(height, carried, 0.0)
     share = np.mean(_off(height[best, carried[best]]) < 1.0) if carried[best].any() else 0.0
     used = carried[best]
