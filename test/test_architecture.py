@@ -105,7 +105,7 @@ BUDGET = {
     "commissioning": 1221,
     "tracking": 658,  # orientations that turn too fast are refused
     "tasks": 3266,  # errors of any task; the flip doubts its eyes: clock, side, turns
-    "practice": 2062,  # refusals by a person and pauses are in its log
+    "practice": 2236,  # refusals and pauses are in its log; why a session failed
     "conformance": 1123,
     "bags": 2436,
     "params": 1188,  # what may be set at rest; -p body:=NAME is derived from as a file is
@@ -113,10 +113,10 @@ BUDGET = {
     "client": 1448,
     "nodes": 3365,  # actions, and the question for another set-up; JSON is gone from ros/
     "console": 797,  # a person supports the arm, however a movement ended
-    "view": 1179,
-    "reporting": 839,
+    "view": 1185,  # why a session failed
+    "reporting": 880,  # a sentence for each cause of a failure
     "in_process": 514,  # a session on disk without nodes
-    "cli": 2869,  # learn --in-process
+    "cli": 2872,  # learn --in-process
     "hardware_sim": 2973,
     "launch": 161,
     "wam_power_interfaces": 160,  # its build without ROS

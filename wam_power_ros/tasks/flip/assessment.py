@@ -37,7 +37,7 @@ def assess(policy: Policy, rollout: Rollout, settings: FlipSettings) -> Assessme
         return Assessment(None, why="the pancake was never seen")
     late = clock_offset(pan, pancake, rollout.before)
     if abs(late) > CORRECTED_MAX:
-        return Assessment(None, why=stamps_off(late))
+        return Assessment(None, observation={"stamps_late": late}, why=stamps_off(late))
     pancake, before = shifted(pancake, rollout.before, late)
     flight, doubt = observe_flight(pan, pancake, before)
     observation = dataclasses.asdict(flight)

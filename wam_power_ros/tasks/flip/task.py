@@ -142,7 +142,7 @@ class Flip(Task):
         """Rotation and end state of the pancake, as tracked; see `Task`."""
         if record.fault:
             return f"fault: {record.fault}"
-        if (flight := record.observation) is None:
+        if (flight := record.observation) is None or "tossed" not in flight:
             return record.why or "not seen"
         caught = "caught" if flight.get("resting") else "dropped"
         if not flight.get("tossed"):
