@@ -63,14 +63,16 @@ def why_failed(
 
     `start` is the policy of the demonstration that was learnt from last, None if there is none.
     """
+    rules = settings.practice
     own = [record for record in records if record.kind != "retest"]
-    tests = [record for record in records if record.kind == "retest" and record.ret is not None]
-    used, budget = sum(record.ret is not None for record in own), settings.practice.budget
-    tried = [record.attempt >= settings.practice.attempts for record in own if record.ret is None]
-    hopeless = not used and any(tried)
-    if not (tests or used >= budget or len(records) >= 3 * budget or hopeless):
+    tests = [record for record in records if record.kind == "retest"]
+    used = sum(record.ret is not None for record in own)
+    hopeless = not used and any(record.attempt >= rules.attempts for record in own)
+    learnt = tests or used >= rules.budget or len(own) >= 3 * rules.budget
+    tested = len(tests) >= rules.retests or any(record.refused for record in tests)
+    if not (hopeless or (learnt and tested)):
         return None
-    last = tests or own[-1:]
+    last = [record for record in tests if record.ret is not None] or own[-1:]
     if 2 * sum(record.succeeded for record in last) >= len(last):
         return None
     found = _unseen(own) or _faults(own) or _errors(own, task, start) or _disagree(own)
