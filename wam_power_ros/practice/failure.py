@@ -161,6 +161,5 @@ def _disagree(own: Sequence[Record]) -> Failure | None:
         return None
     above = good[:, None] - others
     higher = float(np.mean(above > 0.0) + 0.5 * np.mean(above == 0.0))
-    return (
-        Failure(Cause.DISAGREE, len(good), len(known), size=higher) if higher < AGREED_MIN else None
-    )
+    failure = Failure(Cause.DISAGREE, len(good), len(known), size=higher)
+    return failure if higher < AGREED_MIN else None
