@@ -105,7 +105,7 @@ BUDGET = {
     "commissioning": 1221,
     "tracking": 658,  # orientations that turn too fast are refused
     "tasks": 3266,  # errors of any task; the flip doubts its eyes: clock, side, turns
-    "practice": 2236,  # refusals and pauses are in its log; why a session failed
+    "practice": 2237,  # refusals and pauses are in its log; why a session failed
     "conformance": 1123,
     "bags": 2436,
     "params": 1188,  # what may be set at rest; -p body:=NAME is derived from as a file is
