@@ -240,7 +240,7 @@ def _figure_paths(
     for name, policy in (("reproduction", demonstrated), ("answer", answer)):
         rollout, _ = environment.run(policy)
         pan, pancake = rollout.tool, rollout.body
-        flight = observe_flight(pan, pancake)
+        flight = observe_flight(pan, pancake)[0]
         shown[name] = {
             "pan": _plain(pan.t, pan.position, pan.quat_xyzw),
             "pancake": _plain(pancake.t, pancake.position, pancake.quat_xyzw),

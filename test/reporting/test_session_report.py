@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from toss_task import ANY_ARM, demonstrated_policy
 
+from wam_power_ros.cli.commands import _print_summary
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
 from wam_power_ros.practice import session
 from wam_power_ros.practice.practice import Practice
@@ -39,12 +40,16 @@ def a_rollout(id: str, angle: float) -> Rollout:
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """A session of six rollouts that turn the pancake further and further."""
-    settings = preset("flip", budget=len(TURNS), confirm=0, retests=0)
+    return session_of(tmp_path, TURNS)
+
+
+def session_of(tmp_path: Path, turns: list[float]) -> Path:
+    settings = preset("flip", budget=len(turns), confirm=0, retests=0)
     candidates = [demonstrated_policy("demonstration-1")]
     truth = {"caught": True, "flipped": True, "peak_elbow_speed": 0.4, "peak_forearm_speed": 1.37}
     with Session.begin(tmp_path / "session", settings, 5, candidates) as session:
         practice: Practice = session.practice(ANY_ARM)
-        for angle in TURNS:
+        for angle in turns:
             trial = practice.next_trial()
             assert trial is not None
             session.append(practice.learn(trial, a_rollout(trial.id, angle), truth=truth))
@@ -130,6 +135,17 @@ def test_page_and_terminal_say_the_same_of_the_retests(folder: Path) -> None:
     label = "median error of the re-tests: rotation"
     shown = re.search(rf"<b>(\d+\.\d°)</b><span>{label}", html)
     assert f"{label} {shown.group(1)}" in terminal.summary(tests, task)
+
+
+def test_terminal_and_report_say_why_a_session_failed(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert "hy it failed" not in session_report.write(folder).read_text()
+    other = session_of(tmp_path / "other", TURNS[:2] * 3)
+    why = "t failed: PoWER chose 4 of 6 rollouts, because no plan on the measured errors"
+    assert why in session_report.write(other).read_text()
+    _print_summary(session.read(other))
+    assert why in " ".join(capsys.readouterr().out.split())  # whatever the width of the terminal
 
 
 def test_the_same_session_gives_the_same_report(folder: Path) -> None:

@@ -8,6 +8,7 @@ import pytest
 from rich.console import Console
 from toss_task import demonstrated_policy, practice_of, toss
 
+from wam_power_ros.practice.failure import Cause, Failure
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session_log import KIND_NAMES
 from wam_power_ros.practice.settings import preset
@@ -63,6 +64,21 @@ def test_the_best_return_is_measured_even_if_another_rollout_was_rewarded(
     assert f"best {first.ret:.3f} in rollout 1" in terminal.summary(
         [first, rewarded], practice.task
     )
+
+
+@pytest.mark.parametrize("cause", Cause)
+def test_every_cause_of_a_failure_is_one_sentence_with_its_numbers(cause: Cause) -> None:
+    (text,) = terminal.failed(Failure(cause, 41, 60, "landing_x", 0.08))
+    assert text.startswith("why it failed: ") and ". " not in text and "landing_x" not in text
+    assert "60 rollouts" in text or "landing x" in text or "8%" in text
+    assert terminal.failed(None) == []
+
+
+def test_stamps_are_told_in_milliseconds_and_shares_below_nothing_as_none() -> None:
+    (text,) = terminal.failed(Failure(Cause.CLOCKS, 41, 60, size=0.0823))
+    assert "stamps were +82 ms late in 41 of 60 rollouts" in text
+    (text,) = terminal.failed(Failure(Cause.IGNORED, 30, 60, "landing_y", -0.4))
+    assert "landing y followed the learnt parameters by none of what" in text
 
 
 def test_the_budget_is_not_known_before_the_session_is(practice: Practice) -> None:

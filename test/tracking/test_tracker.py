@@ -342,8 +342,8 @@ def test_the_path_does_not_depend_on_absolute_time() -> None:
         for index in range(40):
             tracker.add(stamp(index) + shift, PAN + rng.normal(0.0, 0.0005, 3), LEVEL)
         paths.append(tracker.path("trial-1", stamp(5) + shift + 7, stamp(30) + shift))
-    assert len(paths[0].t) == 25
-    expected = (np.arange(6, 31) - 5) * PERIOD * 1e-9  # since the start, which was 7 ns after one
+    assert len(paths[0].t) == 31  # from before the start
+    expected = (np.arange(31) - 5) * PERIOD * 1e-9  # since the start, which was 7 ns after one
     np.testing.assert_allclose(paths[0].t, expected, rtol=0.0, atol=1e-8)
     for path in paths[1:]:
         np.testing.assert_array_equal(path.t, paths[0].t)
@@ -396,7 +396,7 @@ def test_a_body_with_one_marker_has_a_position_and_no_orientation() -> None:
     np.testing.assert_array_equal(path.quat_xyzw, np.tile(LEVEL, (6, 1)))
     turned = rotations.quat_of_vector(np.array([0.3, 0.0, 0.1]))
     assert one.add(stamp(6), np.array([x, z, -y + 0.001]), turned) is not None
-    np.testing.assert_array_equal(one.path("a", stamp(6), stamp(6)).quat_xyzw, [LEVEL])
+    np.testing.assert_array_equal(one.path("a", stamp(6), stamp(6)).quat_xyzw[-1], LEVEL)
 
 
 def test_of_several_points_the_marker_is_the_one_that_is_clearly_nearest_to_the_last() -> None:
@@ -477,3 +477,34 @@ def test_any_frames_give_finite_states_and_a_path_in_order(frames: list) -> None
         "a", -(10**19), 10**19
     )  # would raise for values that are not finite or not in order
     assert len(path.t) <= tracker.counts["accepted"]
+
+
+@pytest.mark.parametrize("rate", [30.0, 60.0, 120.0, 240.0])
+def test_another_solution_of_the_orientation_is_refused_while_it_lasts(rate: float) -> None:
+    tracker = Tracker(having(rate=rate))
+    over, omega = np.array([1.0, 0.0, 0.0, 0.0]), np.array([0.0, 12.0, 0.0])
+    rng = np.random.default_rng(5)
+    for index in range(round(rate)):
+        t = index / rate
+        turned = rotations.quat_of_vector(omega * max(t - 0.5, 0.0))
+        wrong = index % 3 == 2
+        quat = rotations.multiply(turned, over) if wrong else turned
+        at = PAN + rng.normal(0.0, 0.0005, 3)
+        state = tracker.add(START + round(t * 1e9), at, quat)
+        assert (tracker.fault is FrameFault.TURN) is wrong, t
+        assert not wrong or state is None
+    turned = rotations.multiply(turned, over)  # from now on: taken after longer than a rollout
+    taken = []
+    for index in range(round(rate), round(5 * rate)):
+        at = PAN + rng.normal(0.0, 0.0005, 3)
+        tracker.add(START + round(index / rate * 1e9), at, turned)
+        taken.append(tracker.fault is None)
+    assert not any(taken[: round(2.9 * rate)]) and all(taken[round(3.2 * rate) :])
+
+
+def test_the_path_of_a_rollout_begins_before_its_start() -> None:
+    tracker = Tracker(SETTINGS)
+    resting(tracker, 0, 60, np.random.default_rng(2))
+    path = tracker.path("trial", stamp(30), stamp(50))
+    assert path.t[0] == pytest.approx(-0.3, abs=0.02)
+    assert path.t[-1] == pytest.approx(20 * PERIOD * 1e-9)

@@ -222,11 +222,14 @@ def _report_ended(session: Session, devices: Devices) -> int:
 
 def _print_summary(session: Session) -> None:
     """Print how a session practised, and its result."""
+    from wam_power_ros.practice.failure import why_failed
     from wam_power_ros.reporting import terminal
 
-    method = session.header.settings.described(session.task)
-    result = terminal.summary(session.records, session.task)
-    print(terminal.wrapped(f"{method[0].upper()}{method[1:]}\n{result}"))
+    settings = session.header.settings
+    method, records = settings.described(session.task), session.records
+    lines = [f"{method[0].upper()}{method[1:]}", terminal.summary(records, session.task)]
+    lines += terminal.failed(why_failed(records, session.task, settings, session.start))
+    print(terminal.wrapped("\n".join(lines)))
 
 
 def _print_command(purpose: str, words: Sequence[str]) -> None:

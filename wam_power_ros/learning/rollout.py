@@ -64,6 +64,10 @@ class EndEffectorPath(_Path):
 class BodyPath(_Path):
     """Measured path of the tracked body, with gaps where it was hidden; may be empty."""
 
+    def part(self, kept: np.ndarray) -> BodyPath:
+        """Path of the frames that are `kept` (T,)."""
+        return BodyPath(self.id, self.t[kept], self.position[kept], self.quat_xyzw[kept])
+
 
 class Foreseen(NamedTuple):
     """Execution of a policy on a model of the arm.
@@ -84,9 +88,12 @@ class Rollout:
 
     Attributes:
         tool: Path of the tool.
-        body: Path of the tracked body, None for a task that tracks none.
+        body: Path of the tracked body from the start on, None for a task that tracks none. Frames
+            before it, at t < 0, are moved to `before`.
         fault: Controller fault that ended the rollout, None without a fault.
         stopped_in: Name of the guarded region that ended the rollout, "" if none did.
+        before: Path of the body just before the start, while the arm held it at rest; None if it
+            was not seen.
 
     Raises:
         ValueError: If the two paths belong to different policies.
@@ -96,9 +103,14 @@ class Rollout:
     body: BodyPath | None = None
     fault: Fault | None = None
     stopped_in: str = ""
+    before: BodyPath | None = None
 
     def __post_init__(self) -> None:
         if self.body is not None and self.body.id != self.tool.id:
             raise ValueError(
                 f"body path of rollout {self.body.id!r}, but tool path of {self.tool.id!r}"
             )
+        if self.body is not None and len(self.body.t) and self.body.t[0] < 0.0:
+            early = self.body.t < 0.0
+            object.__setattr__(self, "before", self.body.part(early))
+            object.__setattr__(self, "body", self.body.part(~early))

@@ -209,6 +209,7 @@ class Practice:
             raise TypeError(f"assess of task {self.task.name!r} told {assessment!r}: no Assessment")
         if rollout.fault is not None:
             fault, before = rollout.fault.text, self._retried
+            logged |= {"fault_kind": rollout.fault.kind}
             if rollout.fault.kind is FaultKind.EXTERNAL_TORQUE and before and before.fault:
                 assessment = Assessment(0.0, why=f"{fault}, again: counts as return 0")
         return self.learn_assessed(trial, assessment, fault=fault, **logged)

@@ -306,6 +306,13 @@ class Session:
         added = (line.candidate() for line in self.log if isinstance(line, NewDemonstration))
         return (*self.candidates, *added)
 
+    @property
+    def start(self) -> Policy | None:
+        """Policy of the demonstration that was learnt from last; None before the choice."""
+        practised = [record for record in self.records if record.kind != "reproduction"]
+        last = practised[-1].demonstration if practised else None
+        return next((policy for policy in self.policies if policy.id == last), None)
+
     @cached_property
     def task(self) -> Task:
         """Task of the session; a ValueError names the folder if its context is malformed."""

@@ -19,6 +19,7 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from wam_power_ros import plain_json
+from wam_power_ros.faults import FaultKind
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy, from_json
 from wam_power_ros.practice.settings import validated
@@ -145,6 +146,7 @@ class Record(_Line):
     note: str  # human-readable decision of the practice after this rollout
     observation: Data | None  # of the task; None when there is none
     fault: str  # or the person's stop that ended it, empty when neither did
+    fault_kind: FaultKind | None = None  # of the controller; absent in older logs
     # Whether a person ended it: its policy has the return 0 and is not run again
     refused: bool = False  # absent in older logs
     generator: dict[str, Any]  # state of the random generator after this trial was drawn

@@ -25,6 +25,7 @@ from wam_power_ros.learning.dmp import activations
 from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.practice import session
 from wam_power_ros.practice.best_policy import reproduction_learnt_from
+from wam_power_ros.practice.failure import why_failed
 from wam_power_ros.practice.session import SessionHeader
 from wam_power_ros.practice.session_log import KIND_NAMES, Record
 from wam_power_ros.reporting import figures, html_page
@@ -32,6 +33,7 @@ from wam_power_ros.reporting.terminal import (
     before_and_after,
     choice,
     counted,
+    failed,
     number,
     peaks,
     resets,
@@ -69,7 +71,7 @@ def render(
     `start` is the policy of the demonstration that was learnt from, None before the choice;
     `answer` the best policy so far; `shown` a rollout in detail, whose film may be missing.
     """
-    parts = [_cards(task, records), _verdict(header, task, answer, records)]
+    parts = [_cards(task, records), _verdict(header, task, start, answer, records)]
     if shown is not None:
         parts.append(_shown(task, shown, why_no_film))
     if records:
@@ -97,14 +99,10 @@ def write(folder: Path, shown: ShownRollout | None = None, why_no_film: str = ""
         ValueError: There is no session, or it is malformed.
     """
     found = session.read(folder)
-    records = found.records
-    practised = [record for record in records if record.kind != "reproduction"]
-    learnt_from = practised[-1].demonstration if practised else None
-    start = next((candidate for candidate in found.policies if candidate.id == learnt_from), None)
     saved = folder / "policy.json"
     answer = policy.from_json(saved.read_text()) if saved.exists() else None
     path = folder / "report.html"
-    html = render(found.header, found.task, start, answer, records, shown, why_no_film)
+    html = render(found.header, found.task, found.start, answer, found.records, shown, why_no_film)
     durable_files.replace(path, html)
     return path
 
@@ -142,7 +140,11 @@ def _cards(task: Task, records: Sequence[Record]) -> Markup:
 
 
 def _verdict(
-    header: SessionHeader, task: Task, answer: policy.Policy | None, records: Sequence[Record]
+    header: SessionHeader,
+    task: Task,
+    start: policy.Policy | None,
+    answer: policy.Policy | None,
+    records: Sequence[Record],
 ) -> Markup:
     settings = header.settings
     text = [
@@ -177,6 +179,7 @@ def _verdict(
     lines = [*before_and_after(records, task), *task.summary(records), *resets(records)]
     lines += peaks(records)
     lines += [] if answer is None else choice(records, answer.id)
+    lines += failed(why_failed(records, task, settings, start))
     text += [f"{line[0].upper()}{line[1:]}." for line in lines]
     if decisions := [record.note for record in records if record.note]:
         text.append(f"Last decision: {decisions[-1]}.")

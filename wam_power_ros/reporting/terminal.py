@@ -15,6 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from wam_power_ros.practice.best_policy import reproduction_learnt_from
+from wam_power_ros.practice.failure import Cause, Failure
 from wam_power_ros.practice.session_log import KIND_NAMES, Line, Record, with_ratings
 from wam_power_ros.practice.settings import SessionSettings
 from wam_power_ros.tasks.task import Task
@@ -25,6 +26,28 @@ OUTCOME_MIN = 24  # width of the column [characters]
 BARS = "▁▂▃▄▅▆▇█"
 STYLES = {"reproduction": "cyan", "explore": "", "mean": "magenta", "retest": "green"}
 BY = {"none": "by nobody", "arm": "by the arm", "person": "by a person"}
+FAILED = {  # count, total, detail and size are those of `Failure`
+    Cause.CLOCKS: "the cameras' stamps were {ms:+.0f} ms late in {of}: synchronise the clocks, or "
+    "set latency_offset",
+    Cause.UNSEEN: "{of} could not be judged, the last one because {detail}",
+    Cause.PLANE: "the keep-out plane ended {of}: demonstrate farther from it, or correct it",
+    Cause.LIMITS: "a limit of the arm, {detail}, ended {of}: demonstrate a slower movement, or one "
+    "farther inside the limits",
+    Cause.FAULTS: "faults that no policy causes, most often {detail}, ended {of}: "
+    "docs/troubleshooting.md has their causes",
+    Cause.UNMEASURED: "{detail} had no value in {of}, so nothing told what to change: demonstrate "
+    "a movement that gets as far, such as a stronger throw",
+    Cause.DRIFT: "{detail} changed by {size:+.1f} tolerances over the session, whatever was tried: "
+    "something drifts, such as a tool that comes loose or a body that wears",
+    Cause.IGNORED: "{detail} followed the learnt parameters by {share} of what the task's model "
+    "expects: the cameras' frame is turned or mirrored, or the model is not of this robot",
+    Cause.DISAGREE: "the return disagrees with success: a success had the higher return in only "
+    "{size:.0%} of the comparisons with other rollouts; learn from another return",
+    Cause.FELL_BACK: "PoWER chose {of}, because no plan on the measured errors was better than "
+    "what had been run: the errors leave out something that matters, or the model is wrong",
+    Cause.UNKNOWN: "{total} rollouts show none of the known causes: practise longer, or learn from "
+    "another demonstration",
+}
 Outcome = Callable[[Record], str]  # such as `Task.outcome`
 
 
@@ -148,6 +171,21 @@ def before_and_after(records: Sequence[Record], task: Task) -> list[str]:
             f"{succeeded} of {len(tests)} re-tests succeeded"
         )
     return [line]
+
+
+def failed(found: Failure | None) -> list[str]:
+    """Why a session has failed, in one sentence; empty if it has not."""
+    if found is None:
+        return []
+    text = FAILED[found.cause].format(
+        of=f"{found.count} of {counted(found.total, 'rollout')}",
+        total=found.total,
+        detail=found.detail.replace("_", " "),
+        size=found.size,
+        ms=found.size * 1e3,
+        share="none" if found.size <= 0.0 else f"at most {found.size:.0%}",
+    )
+    return [f"why it failed: {text}"]
 
 
 def choice(records: Sequence[Record], id: str) -> list[str]:

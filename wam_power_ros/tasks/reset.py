@@ -44,6 +44,10 @@ class BodyState(Protocol):
     def velocity(self) -> np.ndarray:
         """Linear velocity [m/s]. Shape (3,)."""
 
+    @property
+    def angular_velocity(self) -> np.ndarray:
+        """Angular velocity [rad/s]. Shape (3,)."""
+
 
 @dataclass
 class Resetting:

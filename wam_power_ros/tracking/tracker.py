@@ -23,6 +23,7 @@ from wam_power_ros.tracking import marker_fit
 
 SECOND = 1_000_000_000  # [ns]
 GRAVITY = 9.81  # [m/s^2]
+LEAD_TIME = 3 * SECOND // 10  # before a rollout, of which its path has the frames too [ns]
 HISTORY_TIME = 20 * SECOND  # age of the oldest frame that is kept for paths [ns]
 INTERVAL_MIN = SECOND // 1000  # frames with closer stamps were stamped on delivery [ns]
 FROZEN_COUNT = 10  # consecutive bit-identical poses, over FROZEN_TIME, that count as frozen
@@ -34,6 +35,11 @@ COAST_TIME = SECOND // 10  # extrapolation of a hidden body at constant velocity
 VELOCITY_WINDOW = SECOND // 10  # window of the velocity estimate, at least two periods [ns]
 OFFSET_WINDOW = 5 * SECOND  # over which the offset of the clocks is estimated [ns]
 FALL_SPAN = 0.2  # time over which a parabola is fitted to a fall [s]
+TURN_MAX = 30.0  # largest change of the angular velocity within a frame: a toss has 20 [rad/s]
+TURN_SLACK = 0.2  # error of an orientation and of its prediction [rad]
+TURN_SEEN = 2.2  # larger errors of a prediction are another solution of the pose [rad]
+TURN_PREDICTED = SECOND // 10  # for which an orientation is predicted while others are refused [ns]
+TURN_TIME = 3 * SECOND  # after which other orientations are taken, past the end of a rollout [ns]
 UNIT_TOLERANCE = 1e-3  # largest deviation of a quaternion's length from 1 [1]
 IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])  # quaternion xyzw
 IDENTITY.flags.writeable = False
@@ -52,6 +58,7 @@ class FrameFault(Enum):
     POSE_REPEATED = "pose repeated"
     OUTSIDE = "out of workspace"
     JUMP = "jump"
+    TURN = "turned too fast"
     MARKERS = "markers not clear"
 
 
@@ -189,6 +196,7 @@ class Tracker:
         self._raw, self._raw_since, self._repeats = b"", 0, 0  # last pose, its first stamp, count
         self._older_stamps = self._jumps = self._consistent = 0  # consecutive frames
         self._candidate: _Frame | None = None  # last frame that jumped
+        self._turned_ns = 0  # stamp of the first of the last frames that turned too fast; 0: none
 
     def add(
         self, stamp_ns: int, position: np.ndarray, quat_xyzw: np.ndarray
@@ -231,6 +239,10 @@ class Tracker:
             self._jumps += 1
             lost = self._jumps >= JUMP_COUNT
             self.refuse(FrameFault.JUMP, Validity.LOST if lost else Validity.JUMP)
+            return None
+        if self._turns_too_fast(frame):
+            self._frames.extend(older)
+            self.refuse(FrameFault.TURN)
             return None
         if older:
             self.counts["accepted"] -= 1
@@ -306,8 +318,13 @@ class Tracker:
         )
 
     def path(self, rollout_id: str, t0_ns: int, t1_ns: int) -> BodyPath:
-        """Path of the accepted frames from `t0_ns` to `t1_ns`, inclusive, in time since `t0_ns`."""
-        frames = [frame for frame in self._frames if t0_ns <= frame.stamp_ns <= t1_ns]
+        """Path of the accepted frames of a rollout, in time since its start `t0_ns`.
+
+        Those from LEAD_TIME before the start to its end `t1_ns`, inclusive; it shows the body at
+        rest, whatever the rollout does to it.
+        """
+        begin_ns = t0_ns - LEAD_TIME
+        frames = [frame for frame in self._frames if begin_ns <= frame.stamp_ns <= t1_ns]
         return BodyPath(
             id=rollout_id,
             t=np.array([(frame.stamp_ns - t0_ns) * 1e-9 for frame in frames]),
@@ -370,6 +387,37 @@ class Tracker:
         dt = min(frame.stamp_ns - last.stamp_ns, time_max) * 1e-9
         step = math.dist(frame.position, last.position)
         return step <= self._settings.speed_max * dt + 5.0 * self._settings.noise
+
+    def _turns_too_fast(self, frame: _Frame) -> bool:
+        """Whether an orientation is none that the body can have reached since the last one.
+
+        Other solutions of a pose are, a half turn away or less. Where they stay, the orientation is
+        not known any more: refused for longer than a rollout takes.
+        """
+        last = self._frames[-1] if self._frames else None
+        since = 0 if last is None else frame.stamp_ns - last.stamp_ns
+        if (
+            last is None
+            or last.stamp_ns < self._track_start
+            or (since > self._gap_max and not self._turned_ns)
+        ):
+            return False
+        spin = np.zeros(3) if self._state is None else self._state.angular_velocity
+        inverse = last.quat_xyzw * np.array([-1.0, -1.0, -1.0, 1.0])
+        turn = rotations.multiply(frame.quat_xyzw, inverse)
+        predicted = rotations.quat_of_vector(-spin * since * 1e-9)
+        error = np.linalg.norm(rotations.rotation_vector(rotations.multiply(predicted, turn)))
+        longest = self._gap_max // 2 if self._turned_ns else self._gap_max
+        most = TURN_SLACK + TURN_MAX * min(since, longest) * 1e-9
+        known = not self._turned_ns or since <= TURN_PREDICTED
+        if error <= min(most, TURN_SEEN) and known:
+            self._turned_ns = 0
+            return False
+        self._turned_ns = self._turned_ns or frame.stamp_ns
+        if frame.stamp_ns - self._turned_ns < TURN_TIME:
+            return True
+        self._turned_ns, self._track_start = 0, frame.stamp_ns
+        return False
 
     def _accept(self, frame: _Frame) -> TrackedState | None:
         self._jumps = self._consistent = 0

@@ -10,8 +10,9 @@ from typing import get_args
 import numpy as np
 
 from wam_power_ros.practice import session
+from wam_power_ros.practice.failure import why_failed
 from wam_power_ros.practice.session_log import KIND_NAMES, Kind, Record
-from wam_power_ros.reporting.terminal import number, returned, term_names
+from wam_power_ros.reporting.terminal import failed, number, returned, term_names
 from wam_power_ros.tasks.task import Task
 from wam_power_ros.view.page import Page, plain
 
@@ -53,6 +54,7 @@ class Progress:
 
     Attributes:
         bags: Entry of a rollout with a bag -> path of the bag, newest first.
+        failed: Why the session has failed, as of `terminal.failed`.
     """
 
     def __init__(self, page: Page, folder: Path, task: Task) -> None:
@@ -61,6 +63,7 @@ class Progress:
         self._chart = page.add_curve(KINDS)
         self.bags: dict[str, Path] = {}
         self.records: tuple[Record, ...] = ()
+        self.failed: list[str] = []
 
     def refresh(self) -> None:
         """Show new rollouts.
@@ -73,7 +76,9 @@ class Progress:
         if size == self._size:
             return
         self._size = size
-        self.records = session.read(self._folder).records
+        found = session.read(self._folder)
+        self.records, settings = found.records, found.header.settings
+        self.failed = failed(why_failed(self.records, self._task, settings, found.start))
         with_bag = [record for record in reversed(self.records) if record.bag]
         self.bags = {entry(each): self._folder / "bags" / each.bag for each in with_bag}
         self._chart.data = curve(self.records)

@@ -159,6 +159,7 @@ class SessionPage:
             "session": f"{self._folder.name} ({ENDED if self._node is None else RUNNING})",
             "rollouts": f"{len(records)}, best return {max(returns, default=0.0):.3f}",
         }
+        lines |= dict(text.split(": ", 1) for text in self._progress.failed)
         if self._node is not None:
             state = self._node.state
             age = time.monotonic() - state.receipt_time

@@ -12,6 +12,7 @@ from wam_power_ros.tasks.flip.flight import DELTA_H
 
 STEP = 0.0005  # time step [s]
 END = 2.0  # end of the simulation [s]
+FALL = 0.1  # time in which it falls flat after landing on its edge [s]
 GRAVITY = 9.81  # [m/s^2]
 RADIUS = 0.09  # [m]
 
@@ -90,13 +91,17 @@ def toss(
         if i > k + 100 and gap < RADIUS * math.sqrt(max(0.0, 1.0 - normal[i + 1, 2] ** 2)):
             landed = i + 1
             break
-    # After the landing it lies flat on the side that it fell on.
+    # After the landing it falls on the side that is lower, and lies flat.
     on = position[landed:]
     side = np.sign(normal[landed - 1, 2])
     stay = position[landed - 1] - pan_position[landed - 1] if landed < len(t) else np.zeros(3)
     stay = np.array([*np.clip(stay[:2], -0.04, 0.04), 0.0025])
     on[:] = pan_position[landed:] + np.einsum("tij,j->ti", pan_matrix[landed:], stay)
-    matrix[landed:] = pan_matrix[landed:] @ np.diag([1.0, side, side])
+    last, flat = matrix[landed - 1], side * pan_matrix[landed:, :, 2]
+    over = np.cross(last[:, 2], flat)
+    sine = np.linalg.norm(over, axis=1)
+    angle = np.arctan2(sine, flat @ last[:, 2]) * np.clip((t[landed:] - t[landed - 1]) / FALL, 0, 1)
+    matrix[landed:] = rotations.exp((angle / np.maximum(sine, 1e-12))[:, None] * over) @ last
     body = rotations.exp(rng.normal(size=3))
     across = np.cross(axis, [0.0, 0.0, 1.0])
     across /= np.linalg.norm(across)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from toss_task import demonstrated_policy
 
+from wam_power_ros import rotations
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
 from wam_power_ros.practice.settings import preset
@@ -144,3 +145,35 @@ def test_the_flight_comes_back_out_of_an_observation() -> None:
     assert flight is not None and not flight.tossed
     np.testing.assert_array_equal(flight.position, observation["position"])
     assert flight_of({"angle": 1.0}) is None
+
+
+def test_a_rollout_whose_rest_is_not_seen_is_not_judged_unless_it_was_before_the_start() -> None:
+    pan, thrown = toss(half_turns=1.0)
+    flight = thrown.part(thrown.t > 0.62)
+    assessment = assess(POLICY, Rollout(pan, flight), SETTINGS)
+    assert assessment.ret is None and assessment.why
+    whole = assess(POLICY, Rollout(pan, thrown), SETTINGS)
+    early = np.flatnonzero(thrown.t < 0.1)
+    t = np.concatenate([thrown.t[early] - 0.15, thrown.t[thrown.t > 0.15]])
+    kept = np.concatenate([early, np.flatnonzero(thrown.t > 0.15)])
+    seen = BodyPath(POLICY.id, t, thrown.position[kept], thrown.quat_xyzw[kept])
+    assert assess(POLICY, Rollout(pan, seen), SETTINGS).ret == pytest.approx(whole.ret, abs=1e-3)
+
+
+@pytest.mark.parametrize("kind", ["stays", "alternates", "for a while", "frozen"])
+def test_orientations_that_switch_make_a_rollout_unusable_rather_than_wrong(kind: str) -> None:
+    pan, thrown = toss(half_turns=1.0)
+    whole = assess(POLICY, Rollout(pan, thrown), SETTINGS).ret
+    over = rotations.multiply(thrown.quat_xyzw, np.array([1.0, 0.0, 0.0, 0.0]))
+    odd = np.arange(len(thrown.t)) % 2 == 1
+    for begin in (0.55, 0.7, 0.85, 1.0):
+        after = thrown.t > begin
+        where = {"stays": after, "alternates": after & odd}.get(
+            kind, after & (thrown.t < begin + 0.25)
+        )
+        held = thrown.quat_xyzw[int(np.argmax(after))]
+        wrong = np.broadcast_to(held, over.shape) if kind == "frozen" else over
+        quat = np.where(where[:, None], wrong, thrown.quat_xyzw)
+        spoilt = BodyPath(POLICY.id, thrown.t, thrown.position, quat)
+        found = assess(POLICY, Rollout(pan, spoilt), SETTINGS)
+        assert found.ret is None or found.ret == pytest.approx(whole, abs=0.05), begin

@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 
 from wam_power_ros import rotations
+from wam_power_ros.params import overlay
+from wam_power_ros.params.body_tracker_params import BodyTrackerParams
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.flip.settings import TRUE_TURN
 from wam_power_ros.tasks.flip.task import Flip
 from wam_power_ros.tasks.task import Pose
+from wam_power_ros.tracking.tracker import Tracker
 
 FLIP = Flip(preset("flip").task_settings, {})
 PAN = Pose(np.array([0.6, -0.1, 0.9]), rotations.exp(np.array([0.3, 0.2, 0.0])))  # tilted
@@ -19,7 +22,9 @@ PAN = Pose(np.array([0.6, -0.1, 0.9]), rotations.exp(np.array([0.3, 0.2, 0.0])))
 
 def ready(in_pan: list[float], speed: float = 0.0) -> str:
     position = PAN.position + PAN.rotation @ np.array(in_pan)
-    return FLIP.ready(SimpleNamespace(position=position, velocity=np.array([0.0, speed, 0.0])), PAN)
+    velocity, turn = np.array([0.0, speed, 0.0]), np.array([0.0, 0.001, 0.0])
+    state = SimpleNamespace(position=position, velocity=velocity, angular_velocity=turn)
+    return FLIP.ready(state, PAN)
 
 
 @pytest.mark.parametrize(
@@ -47,6 +52,17 @@ def test_a_rollout_begins_when_the_pancake_rests_in_the_tilted_pan(
 
 def test_a_rollout_does_not_begin_while_the_pancake_is_not_seen() -> None:
     assert FLIP.ready(None, PAN) == "the pancake is not seen"
+
+
+@pytest.mark.parametrize("single_marker", [True, False])
+def test_a_rollout_does_not_begin_with_one_marker_on_the_pancake(single_marker: bool) -> None:
+    made = overlay.setup().changed({"pancake_tracker": {"single_marker": single_marker}})
+    tracker, rng = Tracker(BodyTrackerParams.of_setup(made)), np.random.default_rng(0)
+    rest = PAN.position + PAN.rotation @ np.array([0.0, 0.0, 0.0025])
+    for number in range(12):
+        place, turn = rest + rng.normal(0.0, 0.00025, 3), rng.normal(0.0, 0.0035, 3)
+        seen = tracker.add(10**9 + number * 33_333_333, place, rotations.quat_of_vector(turn))
+    assert ("one marker" in FLIP.ready(seen, PAN)) is single_marker
 
 
 SEEN = {"tossed": True, "seen": True, "catch_pitch": 0.0}

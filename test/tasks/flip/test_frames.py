@@ -175,3 +175,29 @@ def test_the_normal_of_the_pan_is_its_third_axis_and_turns_between_samples() -> 
 def test_zeros_have_no_direction_and_stay_zeros() -> None:
     assert unit(np.array([0.0, 3.0, 4.0])) == pytest.approx([0.0, 0.6, 0.8])
     assert not unit(np.zeros(3)).any()
+
+
+def test_the_side_up_is_seen_before_the_start_and_never_after_the_flight() -> None:
+    rng = np.random.default_rng(4)
+    truth = toss(rng, vz=2.3, half_turns=1.0)
+    path = capture(truth, rng)
+    quick = without(path, path.t < truth.release + 0.05)  # it left before the first frame
+    lain = path.position[:1].repeat(4, axis=0), path.quat_xyzw[:1].repeat(4, axis=0)
+    before = BodyPath("t", np.array([-0.13, -0.1, -0.07, -0.03]), *lain)
+    frames = frames_from_pan(truth.pan, quick, before)
+    assert frames.resting_frames == 4
+    true = truth.normal[np.searchsorted(truth.t, quick.t)]
+    assert frames.normal == pytest.approx(true, abs=0.1)  # the first frame is no longer level
+    assert frames.end_state(truth.pan.t[-1]) == (True, True)
+    assert frames_from_pan(truth.pan, quick).resting_frames == 0
+
+
+def test_sides_that_alternate_at_rest_do_not_tell_which_is_up() -> None:
+    rng = np.random.default_rng(4)
+    truth = toss(rng, vz=2.3, half_turns=1.0)
+    path = capture(truth, rng)
+    over = rotations.multiply(np.array([1.0, 0.0, 0.0, 0.0]), path.quat_xyzw)
+    odd = (np.arange(len(path.t)) % 2 == 1)[:, None]
+    spoilt = replace(path, quat_xyzw=np.where(odd, over, path.quat_xyzw))
+    before = replace(spoilt.part(np.arange(4)), t=np.array([-0.13, -0.1, -0.07, -0.03]))
+    assert frames_from_pan(truth.pan, path, before).resting_frames == 0

@@ -11,6 +11,12 @@ import numpy as np
 
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
+from wam_power_ros.tasks.flip.clock_offset import (
+    CORRECTED_MAX,
+    clock_offset,
+    shifted,
+    stamps_off,
+)
 from wam_power_ros.tasks.flip.flight import Flight, observe_flight
 from wam_power_ros.tasks.flip.returns import landing_return, pancake_return
 from wam_power_ros.tasks.flip.settings import FlipSettings
@@ -29,11 +35,16 @@ def assess(policy: Policy, rollout: Rollout, settings: FlipSettings) -> Assessme
     pan, pancake = rollout.tool, rollout.body
     if pancake is None or len(pancake.t) == 0:
         return Assessment(None, why="the pancake was never seen")
-    flight = observe_flight(pan, pancake)
+    late = clock_offset(pan, pancake, rollout.before)
+    if abs(late) > CORRECTED_MAX:
+        return Assessment(None, observation={"stamps_late": late}, why=stamps_off(late))
+    pancake, before = shifted(pancake, rollout.before, late)
+    flight, doubt = observe_flight(pan, pancake, before)
     observation = dataclasses.asdict(flight)
-    lost = _lost_from_view(pan, pancake, flight)
-    if lost:
-        return Assessment(None, observation=observation, why=lost)
+    if late:
+        observation["stamps_late"] = late
+    if why := _lost_from_view(pan, pancake, flight) or doubt:
+        return Assessment(None, observation=observation, why=why)
     result = (pancake_return if settings.ret == "eq5" else landing_return)(flight)
     success = result.total >= settings.success_return and (
         settings.success_angle == 0.0

@@ -24,9 +24,16 @@ from wam_power_ros.tasks.flip.frames import (
     pan_normal,
     pitch_of,
 )
-from wam_power_ros.tasks.flip.spin_fit import angle_between, fit_spin
+from wam_power_ros.tasks.flip.spin_fit import Spin, angle_between, fit_spin
 
 DELTA_H = 0.12  # larger than the pancake's radius, so that its edge is still above the pan [m]
+UNKNOWN_SIDE = (
+    "the pancake was not seen at rest in the pan before it left it, so which side was up is unknown"
+)
+ORIENTATION_JUMPS = "the orientation of the pancake jumps, so how far it turned is unknown"
+_NORMAL_ERROR_MAX = 0.35  # largest angle of a frame's normal from the fitted spin [rad]
+_ODD_FRAMES_MAX = 0.3  # largest share of frames that say otherwise than most
+_RELEASE_ANGLE_MAX = 0.95  # largest angle of the spin's normal from the pan's at release [rad]
 _POSITION_STD_MAX = 0.1  # with a larger one at t_f the pancake counts as lost from view [m]
 
 
@@ -55,26 +62,49 @@ class Flight:
     catch_pitch: float = 0.0  # of the pan at t_f, positive with its front edge up [rad]; as above
 
 
-def observe_flight(pan: EndEffectorPath, pancake: BodyPath) -> Flight:
+def observe_flight(
+    pan: EndEffectorPath, pancake: BodyPath, before: BodyPath | None = None
+) -> tuple[Flight, str]:
     """Estimate the flight of the pancake from the paths of pan and pancake of a rollout.
 
     The body-frame normal of the pancake is taken from the pan's normal while the pancake rests in
-    the pan at the start, so it does not depend on the axes chosen in the motion capture. The paper
-    does not define the following cases: of several crossings, the first downward one after the apex
-    counts; if it never rises above the height, `tossed` is False and t_f the end of the path; with
-    too few frames, `seen` is False.
+    the pan, `before` the start and until it leaves, so it does not depend on the axes chosen in the
+    motion capture. The paper does not define the following cases: of several crossings, the first
+    downward one after the apex counts; if it never rises above the height, `tossed` is False and
+    t_f the end of the path; with too few frames, `seen` is False.
+
+    Returns:
+        The flight, and why its rotation or its end is not known; "" if they are.
     """
-    frames = frames_from_pan(pan, pancake)
+    frames = frames_from_pan(pan, pancake, before)
+    if not frames.resting_frames:
+        return _flight_without_arc(pan, frames), UNKNOWN_SIDE
     arc = fit_arc(frames)
     crossing = find_crossing(arc, pan, DELTA_H) if arc is not None else None
     if arc is None or crossing is None:
-        return _flight_without_arc(pan, frames)
-    return _flight_on_arc(pan, frames, arc, crossing)
-
-
-def _flight_on_arc(pan: EndEffectorPath, frames: Frames, arc: Arc, crossing: Crossing) -> Flight:
-    """Flight with a known crossing."""
+        return _flight_without_arc(pan, frames), _doubt(pan, frames)
     spin = fit_spin(frames, arc, pan)
+    return _flight_on_arc(pan, frames, spin, crossing), _doubt(pan, frames, arc, spin)
+
+
+def _doubt(
+    pan: EndEffectorPath, frames: Frames, arc: Arc | None = None, spin: Spin | None = None
+) -> str:
+    """Why the orientations of the frames do not tell rotation or end; "" if they do."""
+    if arc is not None and spin is not None:
+        fitted = spin.normal(arc.t)
+        off = [angle_between(*pair) for pair in zip(fitted, frames.normal[arc.used], strict=True)]
+        frozen = np.all(np.diff(frames.normal[arc.used], axis=0) == 0.0, axis=1).any()  # no noise
+        if frozen or np.mean(np.array(off) > _NORMAL_ERROR_MAX) > _ODD_FRAMES_MAX:
+            return ORIENTATION_JUMPS
+        left = pan_normal(pan, np.array([spin.release]))[0]
+        if angle_between(left, spin.normal(np.array([spin.release]))[0]) > _RELEASE_ANGLE_MAX:
+            return ORIENTATION_JUMPS
+    return ORIENTATION_JUMPS if frames.contradicted(float(pan.t[-1])) else ""
+
+
+def _flight_on_arc(pan: EndEffectorPath, frames: Frames, spin: Spin, crossing: Crossing) -> Flight:
+    """Flight with a known crossing."""
     pan_position = interpolate(crossing.t, pan.t, pan.position)
     seen = crossing.position_std <= _POSITION_STD_MAX
     resting, flipped = frames.end_state(pan.t[-1])

@@ -21,6 +21,11 @@ REST_WINDOW = 0.2  # time at the end of the path in which the end state is deter
 _RIM_HEIGHT = 0.03  # height above the floor up to which an edge may still slide on the pan [m]
 REST_HEIGHT_MAX = 0.015  # largest height of the centre above the pan's floor at rest [m]
 _REST_COSINE_MIN = 0.97  # smallest |n . n_pan| at rest [1]
+_LEFT_HEIGHT = 0.12  # of a centre that has left the pan, above one on its edge at the rim [m]
+_AGREED = 2 / 3  # share of the frames at rest that must show the same side up
+_SAME_SIDE_COSINE = 0.5  # smallest one of the angle between two that do [1]
+_THROUGH_MAX = 0.012  # depth of an edge below the floor that errors of frames explain [m]
+_ODD_MAX = 0.1  # largest share of the frames in the pan that has one which is deeper
 _SAME_ANGLE_MAX = 0.1  # largest angle between body-frame normals of frames at rest [rad]
 
 
@@ -62,23 +67,49 @@ class Frames:
         )
         return resting, cosine < 0.0
 
+    def contradicted(self, end: float) -> bool:
+        """Whether orientations in the pan cannot be those of a disc that lies there.
 
-def frames_from_pan(pan: EndEffectorPath, pancake: BodyPath) -> Frames:
-    """Compute the pose of the pancake relative to the pan in every frame; gaps are allowed."""
+        An edge would be below the floor in too many frames, or sides alternate at the end [s].
+        """
+        lying = (np.abs(self.height) < REST_HEIGHT_MAX) & (self.offset < PAN_RADIUS)
+        edge = np.sqrt(1.0 - np.minimum(self.cosine**2, 1.0)) * PANCAKE_RADIUS
+        through = edge - self.height > _THROUGH_MAX
+        first = lying & ~np.maximum.accumulate(self.flying)
+        last = lying & (self.t >= end - REST_WINDOW)
+        odd = any(np.sum(through[part]) > _ODD_MAX * np.sum(part) for part in (first, last))
+        over = np.sum(self.cosine[last] < 0.0)
+        return odd or bool(min(over, np.sum(last) - over) > np.sum(last) / 3)
+
+
+def frames_from_pan(
+    pan: EndEffectorPath, pancake: BodyPath, before: BodyPath | None = None
+) -> Frames:
+    """Compute the pose of the pancake relative to the pan in every frame; gaps are allowed.
+
+    Which side is up is taken from the frames `before` the start, at which the pan is at rest, else
+    from the first ones before the pancake leaves it; never from those after its flight.
+    """
     inside = (pancake.t >= pan.t[0]) & (pancake.t <= pan.t[-1])
-    t, position = pancake.t[inside], pancake.position[inside]
-    matrix = rotations.matrix(pancake.quat_xyzw[inside])
+    pancake = pancake.part(inside)
+    t, position = pancake.t, pancake.position
+    matrix = rotations.matrix(pancake.quat_xyzw)
     normal_of_pan = pan_normal(pan, t)
-    relative = position - interpolate(t, pan.t, pan.position)
-    height = np.sum(relative * normal_of_pan, axis=1)
-    offset = np.linalg.norm(relative - height[:, None] * normal_of_pan, axis=1)
-    # In the first frames the pancake lies flat in the pan: they give the body-frame normal.
-    body = np.matmul(np.swapaxes(matrix, 1, 2), normal_of_pan[:, :, None])[:, :, 0]  # (M, 3)
+    relative, height, offset = _from_pan(pan, pancake, normal_of_pan)
+    # Flat in the pan it shows the pan's normal in its own frame.
+    body = _in_body(matrix, normal_of_pan)
+    left = np.maximum.accumulate(height > _LEFT_HEIGHT) if len(t) else np.zeros(0, dtype=bool)
     flat = (np.abs(height) < REST_HEIGHT_MAX) & (offset < PAN_RADIUS)
-    resting = _first_resting(flat, body)
+    at_rest = body[:0]
+    if before is not None:
+        still = pan_normal(pan, before.t)
+        _, above, aside = _from_pan(pan, before, still)
+        lying = (np.abs(above) < REST_HEIGHT_MAX) & (aside < PAN_RADIUS)
+        at_rest = _in_body(rotations.matrix(before.quat_xyzw), still)[lying]
+    resting = _resting(at_rest, body[flat & ~left][:5], body[flat])
     normal = np.zeros((len(t), 3))
     if len(resting):
-        normal = matrix @ unit(body[resting].mean(axis=0))
+        normal = matrix @ unit(resting.mean(axis=0))
     cosine = np.sum(normal * normal_of_pan, axis=1)
     sine = np.sqrt(np.clip(1.0 - cosine**2, 0.0, 1.0))
     # Beside the pan, the plane of its floor is meaningless and only the height counts.
@@ -118,18 +149,40 @@ def unit(vector: np.ndarray) -> np.ndarray:
     return vector / max(float(np.linalg.norm(vector)), 1e-12)
 
 
-def _first_resting(flat: np.ndarray, body: np.ndarray) -> np.ndarray:
-    """Indices of the first consecutive flat frames with the same body-frame normal.
+def _from_pan(
+    pan: EndEffectorPath, pancake: BodyPath, normal: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Position from the pan's (M, 3), height along its `normal` (M, 3), and offset (M,) [m]."""
+    relative = pancake.position - interpolate(pancake.t, pan.t, pan.position)
+    height = np.sum(relative * normal, axis=1)
+    return relative, height, np.linalg.norm(relative - height[:, None] * normal, axis=1)
 
-    The reference is the one of the first five frames that is closest to the others, so that one bad
-    frame does no harm.
+
+def _in_body(matrix: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Normals (M, 3) in the frames (M, 3, 3) of the body. Shape (M, 3)."""
+    return np.matmul(np.swapaxes(matrix, 1, 2), normal[:, :, None])[:, :, 0]
+
+
+def _resting(before: np.ndarray, early: np.ndarray, flat: np.ndarray) -> np.ndarray:
+    """Body-frame normals at rest: the first consecutive ones of `flat` (n, 3) that are the same.
+
+    The side up is what most show `before` the start (m, 3), or if there is none, the `early` ones
+    (k, 3), before the pancake leaves the pan; none if too few agree. Without an early one of that
+    side, those before the start.
     """
-    candidates = np.flatnonzero(flat)
-    first = candidates[:5]
-    if len(first) == 0:
-        return first
-    reference = body[first[int(np.argmax((body[first] @ body[first].T).sum(axis=1)))]]
-    same = body[candidates] @ reference > math.cos(_SAME_ANGLE_MAX)
+    first = before if len(before) else early
+    if not len(first) or np.mean(first @ _middle(first) > _SAME_SIDE_COSINE) < _AGREED:
+        return first[:0]
+    early = early[early @ _middle(first) > _SAME_SIDE_COSINE]
+    if not len(early):
+        return first[first @ _middle(first) > math.cos(_SAME_ANGLE_MAX)]
+    same = flat @ _middle(early) > math.cos(_SAME_ANGLE_MAX)
     start = int(np.argmax(same))
     length = int(np.argmin(same[start:])) if not same[start:].all() else len(same) - start
-    return candidates[start : start + length]
+    return flat[start : start + length]
+
+
+def _middle(normals: np.ndarray) -> np.ndarray:
+    """The one of some normals (n, 3) that is closest to the others: a bad one does no harm."""
+    middle: np.ndarray = normals[int(np.argmax((normals @ normals.T).sum(axis=1)))]
+    return middle

@@ -47,6 +47,11 @@ _HEIGHT_RANGE = (-0.01, REST_HEIGHT_MAX)  # of its centre above the pan's floor,
 _FLAT_OFFSET_MAX = 0.06  # largest distance of a pancake that lies on the floor, not on the rim [m]
 _MISPLACED_MAX = 0.15  # height up to which a body at rest is in the pan, seen wrongly [m]
 _REST_SPEED_MAX = 0.05  # largest speed at rest [m/s]
+_TURN_NOISE = 1e-9  # of an angular velocity or speed: less is not measured [rad/s, m/s]
+ONE_MARKER = (
+    "the pancake's orientation is never measured, as of one marker, so a flip cannot be seen: give "
+    "it a layout of three markers or more, and set single_marker: false"
+)
 
 
 def equation_5(record: LoggedRollout) -> float:
@@ -103,7 +108,10 @@ class Flip(Task):
         low, high = _HEIGHT_RANGE
         above, speed = math.hypot(x, y) < _OFFSET_MAX, float(np.linalg.norm(body.velocity))
         if above and low < height < high:
-            return "" if speed < _REST_SPEED_MAX else f"the pancake moves at {speed:.2f} m/s"
+            if speed >= _REST_SPEED_MAX:
+                return f"the pancake moves at {speed:.2f} m/s"
+            blind = float(np.linalg.norm(body.angular_velocity)) < _TURN_NOISE < speed
+            return ONE_MARKER if blind else ""
         if above and height > 0.0 and math.hypot(x, y) > _FLAT_OFFSET_MAX:
             return f"the pancake lies on the rim of the pan, {height * 1e3:.0f} mm above its floor"
         if above and abs(height) < _MISPLACED_MAX and speed < _REST_SPEED_MAX:
@@ -146,7 +154,7 @@ class Flip(Task):
         """Rotation and end state of the pancake, as tracked; see `Task`."""
         if record.fault:
             return f"fault: {record.fault}"
-        if (flight := record.observation) is None:
+        if (flight := record.observation) is None or "tossed" not in flight:
             return record.why or "not seen"
         caught = "caught" if flight.get("resting") else "dropped"
         if not flight.get("tossed"):

@@ -39,10 +39,10 @@ SLOWED = PANCAKE._replace(spin_decay=PANCAKE.spin_decay + 0.3)  # by one standar
 
 def measured_errors(flight: Mapping[str, Any]) -> dict[str, float] | None:
     """Errors of an observed toss, see `ERRORS`; None if the pancake was not observed."""
+    if flight.get("tossed", True) and not flight.get("seen", False):
+        return None
     if not flight["tossed"]:
         return NOT_TOSSED
-    if not flight["seen"]:
-        return None
     x, y = flight["landing_error"][:2]
     found = {"rotation": flight["angle"] - math.pi, "landing_x": x, "landing_y": y}
     found |= {"catch_pitch": flight["catch_pitch"], "miss": math.hypot(x, y)}

@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Why a session has failed: the first of some causes that its records show, with its numbers."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from wam_power_ros import installed
+from wam_power_ros.faults import FaultKind
+from wam_power_ros.learning.policy import Policy
+from wam_power_ros.practice.session_log import Record
+from wam_power_ros.practice.settings import SessionSettings
+from wam_power_ros.tasks.task import Task
+
+UNUSABLE_MIN = 1 / 3  # share of the rollouts that must show what they could not be judged for
+FAULTS_MIN = 1 / 4  # share of them that faults must have ended
+ROLLOUTS_MIN = 12  # with all errors known, to tell what moves them
+CLEAR = 4.0  # standard deviations of a trend that is no chance
+DRIFT_MIN = 2.0  # smallest trend over the session that matters [tolerances]
+MOVED_MIN = 0.5  # standard deviation of the change that the task expects, to compare [tolerances]
+IGNORED_MAX = 0.2  # largest share of it that is as good as none
+GROUP_MIN = 3  # successes and others that are needed to compare their returns
+AGREED_MIN = 0.6  # smallest probability that a success has a higher return than another rollout
+
+
+class Cause(Enum):
+    """Cause of a failure; what its numbers mean is beside it."""
+
+    CLOCKS = "clocks"  # size: how late the cameras' stamps are [s]
+    UNSEEN = "unseen"  # detail: why the last of the rollouts could not be judged
+    PLANE = "plane"  # of the keep-out
+    LIMITS = "limits"  # detail: kind of the fault
+    FAULTS = "faults"  # that no policy causes; the same
+    UNMEASURED = "unmeasured"  # detail: error that has no value
+    DRIFT = "drift"  # detail: error; size: its change over the session [tolerances]
+    IGNORED = "ignored"  # detail: error; size: its change, as a share of the task's model
+    DISAGREE = "disagree"  # size: probability that a success has a higher return
+    FELL_BACK = "fell back"  # rollouts that PoWER chose, because no plan was better
+    UNKNOWN = "unknown"  # none of these
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Cause of a failure: `count` of `total` rollouts show it."""
+
+    cause: Cause
+    count: int
+    total: int
+    detail: str = ""
+    size: float = 0.0
+
+
+def why_failed(
+    records: Sequence[Record], task: Task, settings: SessionSettings, start: Policy | None
+) -> Failure | None:
+    """Why a session has failed; None if it goes on, or its re-tests mostly succeeded.
+
+    `start` is the policy of the demonstration that was learnt from last, None if there is none.
+    """
+    rules = settings.practice
+    own = [record for record in records if record.kind != "retest"]
+    tests = [record for record in records if record.kind == "retest"]
+    used = sum(record.ret is not None for record in own)
+    hopeless = not used and any(record.attempt >= rules.attempts for record in own)
+    learnt = tests or used >= rules.budget or len(own) >= 3 * rules.budget
+    tested = len(tests) >= rules.retests or any(record.refused for record in tests)
+    if not (hopeless or (learnt and tested)):
+        return None
+    last = [record for record in tests if record.ret is not None] or own[-1:]
+    if 2 * sum(record.succeeded for record in last) >= len(last):
+        return None
+    found = _unseen(own) or _faults(own) or _errors(own, task, start) or _disagree(own)
+    drawn = sum(record.kind == "explore" for record in own)
+    plans = hasattr(installed.find("learner", settings.learner), "falls_back")
+    cause = Cause.FELL_BACK if plans and 2 * drawn > len(own) else Cause.UNKNOWN
+    return found or Failure(cause, drawn, len(own))
+
+
+def _unseen(own: Sequence[Record]) -> Failure | None:
+    """What could not be judged, although no fault ended it."""
+    lost = [record for record in own if record.ret is None and not record.fault]
+    if len(lost) <= UNUSABLE_MIN * len(own):
+        return None
+    late = [late for r in lost if (late := (r.observation or {}).get("stamps_late"))]
+    if 2 * len(late) > len(lost):
+        return Failure(Cause.CLOCKS, len(late), len(own), size=float(np.median(late)))
+    return Failure(Cause.UNSEEN, len(lost), len(own), lost[-1].why)
+
+
+def _faults(own: Sequence[Record]) -> Failure | None:
+    """Faults of the controller, by their most frequent kind."""
+    kinds = Counter(record.fault_kind for record in own if record.fault_kind is not None)
+    if kinds.total() <= FAULTS_MIN * len(own):
+        return None
+    kind, count = kinds.most_common(1)[0]
+    cause = Cause.LIMITS if kind.of_policy else Cause.FAULTS
+    cause = Cause.PLANE if kind is FaultKind.PLANE else cause
+    return Failure(cause, count, len(own), kind.value)
+
+
+def _errors(own: Sequence[Record], task: Task, start: Policy | None) -> Failure | None:
+    """Errors without a value, that change by themselves, or not as the task expects."""
+    model = None if start is None else task.rough_errors(task.parametrization(start))
+    judged = [r for r in own if r.ret is not None and not r.fault]
+    if start is None or model is None or not judged:
+        return None
+    judged = [record for record in judged if record.demonstration == start.id]
+    names = [error.name for error in model.errors]
+    told = [task.error(record.observation) for record in judged]
+    error = np.array([np.full(len(names), math.nan) if row is None else row for row in told])
+    unknown = np.isnan(error.reshape(-1, len(names)))
+    worst = int(np.argmax(unknown.sum(axis=0)))
+    if 3 * unknown[:, worst].sum() > 2 * len(judged):
+        return Failure(Cause.UNMEASURED, int(unknown[:, worst].sum()), len(judged), names[worst])
+    known = ~unknown.any(axis=1)
+    if known.sum() < ROLLOUTS_MIN:
+        return None
+    z = np.array([record.z for record in judged])[known]
+    when = np.array([record.number for record in judged])[known] / len(own)
+    expected = z @ np.linalg.pinv(model.directions) @ model.slopes.T  # (k, m) [tolerances]
+    trends = [_trend(*pair, when) for pair in zip(error[known].T, expected.T, strict=True)]
+    change, clarity, share = (np.array(column) for column in zip(*trends, strict=True))
+    drifts, ignored = int(np.argmax(clarity)), int(np.argmin(share))
+    if clarity[drifts] > CLEAR and abs(change[drifts]) > DRIFT_MIN:
+        return Failure(Cause.DRIFT, len(z), len(own), names[drifts], float(change[drifts]))
+    if share[ignored] < IGNORED_MAX:
+        return Failure(Cause.IGNORED, len(z), len(own), names[ignored], float(share[ignored]))
+    return None
+
+
+def _trend(error: np.ndarray, expected: np.ndarray, when: np.ndarray) -> tuple[float, float, float]:
+    """Change of an error (k,) while `when` goes from 0 to 1, and what it follows of the `expected`.
+
+    Returns:
+        The change, its size in standard deviations, and the largest share of the expected change
+        that the errors may have followed, infinite where nothing was to change.
+    """
+    terms = [np.ones_like(when), when]
+    if moved := bool(np.std(expected) > MOVED_MIN):
+        terms.append(expected)
+    columns = np.stack(terms, axis=1)  # (k, 2 or 3)
+    found = np.linalg.lstsq(columns, error)[0]
+    variance = np.sum((error - columns @ found) ** 2) / (len(error) - len(terms))
+    sd = np.sqrt(np.maximum(variance * np.diag(np.linalg.pinv(columns.T @ columns)), 1e-12))
+    share = float(found[2] + 2.0 * sd[2]) if moved else math.inf
+    return float(found[1]), float(abs(found[1]) / sd[1]), share
+
+
+def _disagree(own: Sequence[Record]) -> Failure | None:
+    """Returns that are no higher for a success than otherwise."""
+    known = [record for record in own if record.ret is not None]
+    good = np.array([record.ret for record in known if record.succeeded])
+    others = np.array([record.ret for record in known if not record.succeeded])
+    if min(len(good), len(others)) < GROUP_MIN:
+        return None
+    above = good[:, None] - others
+    higher = float(np.mean(above > 0.0) + 0.5 * np.mean(above == 0.0))
+    failure = Failure(Cause.DISAGREE, len(good), len(known), size=higher)
+    return failure if higher < AGREED_MIN else None
