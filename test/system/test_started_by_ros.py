@@ -23,7 +23,9 @@ MODULES = {
 OWN = overlay.of_files([])
 # A file that a launch file writes for `parameters=[{...}]`, or a lab for all of its nodes.
 TOOL = {"tool_frame": "wam_tool_plate"}
-LAB = "/**:\n  ros__parameters: {rate: 100.0, tool_frame: wam_tool_plate, move_speed: 0.4, trials: 3}\n"
+LAB = (
+    "/**: {ros__parameters: {rate: 100.0, tool_frame: wam_tool_plate, move_speed: 0.4, trials: 3}}"
+)
 CHANGED = {
     "torque_controller": TOOL | {"move_speed": 0.4},
     "pancake_tracker": {"rate": 100.0},
