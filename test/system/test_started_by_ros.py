@@ -22,11 +22,16 @@ MODULES = {
 }
 OWN = overlay.of_files([])
 # A file that a launch file writes for `parameters=[{...}]`, or a lab for all of its nodes.
-LAB = "/**:\n  ros__parameters: {rate: 100.0, base_frame: rail, move_speed: 0.4, trials: 3}\n"
+TOOL = {"tool_frame": "wam_tool_plate"}
+LAB = (
+    "/**: {ros__parameters: {rate: 100.0, tool_frame: wam_tool_plate, move_speed: 0.4, trials: 3}}"
+)
 CHANGED = {
-    "torque_controller": {"base_frame": "rail", "move_speed": 0.4},
-    "pancake_tracker": {"rate": 100.0, "base_frame": "rail"},
-    "learner": {"base_frame": "rail", "trials": 3},
+    "torque_controller": TOOL | {"move_speed": 0.4},
+    "pancake_tracker": {"rate": 100.0},
+    "learner": TOOL | {"trials": 3},
+    "demonstration_recorder": TOOL,
+    "wam_sim": TOOL,
     "optitrack_sim": {"rate": 100.0},
 }
 
