@@ -46,8 +46,8 @@ WAM = (ROOT / "urdf/wam7.urdf").read_text()
 @pytest.mark.parametrize(
     ("words", "known"),
     [
-        (["learn", "--task", "flop"], "flip, reach"),
-        (["teach", "--task", "flop"], "flip, reach"),
+        (["learn", "--task", "flop"], "flip, rated, reach"),
+        (["teach", "--task", "flop"], "flip, rated, reach"),
         (["learn", "--learner", "powr"], "power"),
         (["learn", "--preset", "papre"], "paper"),
         (["learn", "--task", "reach", "--preset", "paper"], "full"),
@@ -167,7 +167,8 @@ def test_commands_are_printed_as_they_can_be_pasted(
 def test_feedback_takes_a_bag_only_for_a_demonstration(
     words: list[str], refusal: Callable[..., str]
 ) -> None:
-    assert "a bag is needed for a demonstration" in refusal("feedback", *words)
+    needed = {"demonstration": "a bag", "reward": "nothing"}[words[0]]
+    assert f"{words[0]} needs {needed} after it" in refusal("feedback", *words)
 
 
 def test_the_obstacle_of_reaching_is_half_way_along_the_nominal_demonstration() -> None:

@@ -70,7 +70,7 @@ class Broken:
     [
         lambda robot, person: replay.replay(robot, "bag", T, Q, 1.0, person),
         lambda robot, person: commission.move(robot, T, Q, person),
-        lambda robot, person: run_policy.run(robot, lift("lift"), None, 1, person),
+        lambda robot, person: run_policy.run(robot, [lift("lift")], None, 1, person),
     ],
     ids=["replay", "commission", "run-policy"],
 )

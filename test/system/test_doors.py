@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from conftest import ROOT, Processes
 
-BESIDE = ("view", "feedback", "stop")  # in a second terminal, while something runs
+BESIDE = ("view", "feedback", "stop", "learn --task rated")  # second terminals; asks a person
 PATIENCE = 560.0  # [s] for a command, on a busy machine
 
 

@@ -31,9 +31,10 @@ from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session_log import Record
 from wam_power_ros.tasks.reset import Resetting
 from wam_power_ros.tasks.task import Pose, Task
-from wam_power_ros.tracking.tracker import Tracker
+from wam_power_ros.tracking.tracker import LEAD_TIME, Tracker
 
 _STILL = 0.05  # [s] for which the arm is held before a rollout, so that its state repeats
+_SEEN = LEAD_TIME * 1e-9  # [s] for which it is held after it has come there: its body is seen
 _HELD = 0.15  # [s] for which the arm is held before it is guided, see `control.unexplained_torque`
 _FRAME_WAIT = 0.2  # [s] longest wait for the last camera frame of a rollout
 
@@ -141,7 +142,7 @@ class Environment:
             self.place(policy.id, policy.q_start)
         controller = self.controller
         self._move_to_start(policy)
-        self._tick_for(_STILL)
+        self._tick_for(_SEEN)
         controller.execute()
         world.release(policy.id if placed else "")
         while controller.mode is Mode.ROLLOUT:

@@ -68,6 +68,7 @@ class Flip(Task):
     body: ClassVar[str] = "pancake"
     fit_settings = FLIP_FIT
     errors, effects = ERRORS, EFFECTS
+    rest_time = 0.3  # frames of it show which side is up, and the clocks of the cameras
     targets = MappingProxyType({"apex": math.nan})
     Settings: ClassVar[type[FlipSettings]] = FlipSettings
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = PRESETS
