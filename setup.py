@@ -42,6 +42,7 @@ nodes = [
     f"pancake_tracker = {NAME}.entry:pancake_tracker",
     f"learner = {NAME}.entry:learner",
     f"check_driver = {NAME}.entry:check_driver",
+    f"tag_camera = {NAME}.entry:tag_camera",
     f"wam_sim = {NAME}.entry:wam_sim",
     f"replay = {NAME}.entry:replay",
 ]
@@ -105,6 +106,7 @@ setup(
         "wam_power_ros.tasks": [
             f"ball_in_cup = {NAME}.tasks.ball_in_cup.task:BallInCup",
             f"flip = {NAME}.tasks.flip.task:Flip",
+            f"rated = {NAME}.tasks.rated:Rated",
             f"reach = {NAME}.tasks.reach.task:Reach",
         ],
         "wam_power_ros.learners": [

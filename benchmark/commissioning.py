@@ -5,7 +5,7 @@
     python -m benchmark.commissioning --first 5400 --parts spoilt
 
 Each seed, from the first on, is another arm. `spoilt` judges each twice, as it is and in a
-laboratory in which something is wrong. All runs in one process; see docs/commissioning.md.
+laboratory in which something is wrong. All runs in one process; see docs/evidence/commissioning.md.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ import numpy as np
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, String
+from std_msgs.msg import String
 
 from hardware_sim.barrett_services import BarrettServices
 from hardware_sim.scene_services import SceneServices
@@ -35,7 +35,9 @@ def _sent(values: np.ndarray, how: str) -> Sequence[float] | np.ndarray:
     """Values of a joint state as a driver sends them: see config/wam_sim.yaml."""
     if how == "current":
         return values / TORQUE_PER_CURRENT
-    return values if how == "filled" else np.full(len(values), np.nan) if how == "nan" else ()
+    if how in ("filled", "external"):
+        return values
+    return np.full(len(values), np.nan) if how == "nan" else ()
 
 
 class ArmSim(Node):
@@ -91,8 +93,10 @@ class ArmSim(Node):
         self._order = np.array([params.joint_names.index(name) for name in names])
         if params.deactivates:  # like a forwarder of ros2_control, which has these parameters
             self.declare_parameter("joints", list(params.joint_names))
-            self.declare_parameter("interface_name", "effort")
-        message_type = joint_messages.COMMAND_TYPES[params.command_type]
+            kind = "effort" if params.output == "torque" else "position"
+            self.declare_parameter("interface_name", kind)
+        kind = "trajectory" if params.output == "trajectory" else params.command_type
+        message_type = joint_messages.COMMAND_TYPES[kind]
         self.create_subscription(
             message_type, params.command_topic, self._on_torque, interface.COMMAND
         )
@@ -117,6 +121,7 @@ class ArmSim(Node):
                 world.idle = False  # the controller was reset: the arm is active again
             self._still_ticks = 0
             self._scene.change(reading.label, self.stamp_ns)
+        world.guided = self._scene.label == "gravity_compensation"  # its button is held
         world.step(self._barrett.torque(None if reading is None else reading.tau))
         self._barrett.update()
         self._scene.update()
@@ -131,7 +136,10 @@ class ArmSim(Node):
         """Current state as a message: the same object every time."""
         sample, order = self.world.joint_state(), self._order
         qd = _sent(sample.qd[order], self.params.velocity)
-        tau = _sent(sample.tau[order], self.params.effort)
+        tau = sample.tau
+        if self.params.effort == "external":
+            tau = tau - self.world.arm.gravity(sample.q)
+        tau = _sent(tau[order], self.params.effort)
         return self._write(self.stamp_ns, sample.q[order], qd, tau)
 
     def publish(self, message: JointState) -> None:
@@ -155,14 +163,14 @@ class ArmSim(Node):
             self._clock_ns = stamp_ns
         self._state_ns = stamp_ns
 
-    def _on_torque(self, message: Float64MultiArray | JointState) -> None:
+    def _on_torque(self, message: joint_messages.Command) -> None:
         try:
             reading = joint_messages.torque(message, self.params.joint_names)
         except ValueError as error:
             self.counters["torques refused"] += 1
             self.get_logger().warning(f"torque refused: {error}", throttle_duration_sec=1.0)
-            torques = message.effort if isinstance(message, JointState) else message.data
-            if self.params.deactivates and len(torques) != self.world.n:
+            fields = [getattr(message, field, ()) for field in ("data", "effort")]
+            if self.params.deactivates and self.world.n not in map(len, fields):
                 self._barrett.deactivated = True
                 self.get_logger().error("deactivated: the arm receives zero torques from now on")
             return

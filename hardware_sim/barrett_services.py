@@ -44,6 +44,11 @@ class PositionControl:
         """Whether the reference has reached its goal."""
         return self._goal is not None and bool(np.array_equal(self._goal, self._ref))
 
+    @property
+    def reference(self) -> np.ndarray:
+        """Present reference [rad]. Shape (n,)."""
+        return self._ref
+
     def move(self, q: np.ndarray, goal: np.ndarray) -> None:
         """Move every joint from q (n,) to goal (n,) [rad] at `HOME_SPEED`, then hold there."""
         self._ref, self._goal = q.copy(), goal.copy()
@@ -90,11 +95,14 @@ class BarrettServices:
             self._home.finish(False, "interrupted")
 
     def torque(self, tau: np.ndarray | None) -> np.ndarray | None:
-        """Torques (n,) [N m] that take effect where `tau` is commanded; None for no command."""
+        """Command (n,) that takes effect where `tau` is commanded; None for no command."""
         if self.control.engaged:
             sample = self._world.joint_state()
-            return self.control.torque(sample.q, sample.qd)
-        return np.zeros(self._world.n) if self.deactivated else tau
+            torque = self.control.torque(sample.q, sample.qd)
+            return torque if self._params.output == "torque" else self.control.reference
+        if self.deactivated:
+            return np.zeros(self._world.n) if self._params.output == "torque" else None
+        return tau
 
     def _on_gravity_compensate(
         self, request: SetBool.Request, response: SetBool.Response

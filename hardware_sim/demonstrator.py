@@ -46,9 +46,13 @@ class Script(Protocol):
 class Demonstrator:
     """Follows a script from the `position` (3,) [m] and `rotation` (3, 3) of the gripped tool."""
 
-    def __init__(self, script: Script, position: np.ndarray, rotation: np.ndarray) -> None:
+    def __init__(
+        self, script: Script, position: np.ndarray, rotation: np.ndarray, heading: float = 0.0
+    ) -> None:
+        """With the script turned about the vertical by a heading [rad]."""
         self.script = script
-        self._position, self._rotation = position, rotation
+        self._turn = rotations.exp(np.array([0.0, 0.0, heading]))
+        self._position, self._rotation = self._turn.T @ position, self._turn.T @ rotation
 
     def wrench(
         self, t: float, position: np.ndarray, rotation: np.ndarray, twist: np.ndarray
@@ -61,7 +65,8 @@ class Demonstrator:
         release = max(t - self.script.end, 0.0)
         if release > RELEASE_TIME:
             return None
-        p, r, v, omega = self.script.target(t, self._position, self._rotation)
+        target = self.script.target(t, self._position, self._rotation)
+        p, r, v, omega = (self._turn @ each for each in target)
         grip = 1.0 - release / RELEASE_TIME
         force = STIFFNESS * (p - position) + DAMPING * (v - twist[:3])
         moment = ROTATION_STIFFNESS * rotations.log(r @ rotation.T) + ROTATION_DAMPING * (

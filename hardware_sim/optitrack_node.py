@@ -10,14 +10,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
-from sensor_msgs.msg import PointCloud2
 
 from hardware_sim.sensors import MocapFrame
 from hardware_sim.settings import OptitrackSimParams
 from wam_power_ros import rotations
-from wam_power_ros.ros import interface, pose_messages
+from wam_power_ros.ros import body_sources, interface
 from wam_power_ros.tracking.tracker import Y_UP
 
 RECEIPT_GAP_NS = 100_000  # [ns] between the receipts of frames that are delivered together
@@ -35,9 +33,11 @@ class OptitrackSim(Node):
         qos = interface.MOCAP if params.reliable else interface.MOCAP_BEST_EFFORT
         self._poses = self._markers = None
         if params.pose_topic:
-            self._poses = self.create_publisher(PoseStamped, params.pose_topic, qos)
+            kind = body_sources.message_class(params.pose_type)
+            self._poses = self.create_publisher(kind, params.pose_topic, qos)
         if params.markers_topic:
-            self._markers = self.create_publisher(PointCloud2, params.markers_topic, qos)
+            kind = body_sources.message_class(params.markers_type)
+            self._markers = self.create_publisher(kind, params.markers_topic, qos)
         pose = np.array(params.world_to_base)
         self._origin = pose[:3]
         turn = rotations.matrix(pose[3:]).T  # base frame to motion-capture frame
@@ -63,14 +63,15 @@ class OptitrackSim(Node):
             self._send(each, stamp_ns + stamp_offset_ns)
 
     def _send(self, frame: MocapFrame, stamp_ns: int) -> None:
-        name = self.params.frame
+        params, write = self.params, body_sources.message
+        where = stamp_ns, params.frame, params.source_body
         if self._poses is not None:
             position, quat_xyzw = frame.position, frame.quat_xyzw
             if position.any():  # zeros mark a lost frame, whatever the coordinates
                 position = self._turn @ (position - self._origin)
                 quat_xyzw = rotations.multiply(self._turn_quat, quat_xyzw)
-            self._poses.publish(pose_messages.pose_message(stamp_ns, name, position, quat_xyzw))
+            self._poses.publish(write(params.pose_type, *where, position, quat_xyzw))
         if self._markers is not None:
-            seen = np.vstack([frame.markers, STRAY_MARKERS[: self.params.stray]])
+            seen = np.vstack([frame.markers, STRAY_MARKERS[: params.stray]])
             points = self._rng.permutation(seen - self._origin) @ self._turn.T
-            self._markers.publish(pose_messages.markers_message(stamp_ns, name, points))
+            self._markers.publish(write(params.markers_type, *where, points))

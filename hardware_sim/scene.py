@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from xml.etree import ElementTree
 
 import mujoco
+import numpy as np
 
 from hardware_sim.contact import tool_contact
 from hardware_sim.ground_truth import TOOL_SITE
@@ -14,6 +15,7 @@ from hardware_sim.hidden_arm import HiddenArm
 from hardware_sim.scenes import Scene
 from hardware_sim.settings import WorldSettings
 from hardware_sim.wam import JOINTS
+from wam_power_ros import rotations
 from wam_power_ros.control.urdf_checks import parsed
 
 TIMESTEP = 0.001  # [s] of the physics
@@ -21,12 +23,17 @@ AIR_DENSITY = 1.2  # [kg/m^3]
 
 
 def build(
-    urdf: str, scene: Scene, settings: WorldSettings, hidden: HiddenArm | None = None
+    urdf: str,
+    scene: Scene,
+    settings: WorldSettings,
+    hidden: HiddenArm | None = None,
+    root: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> mujoco.MjModel:
     """Compile the model of an arm, which may differ from the text of its URDF, in a scene.
 
     Its first degrees of freedom are the arm's joints, followed by those of the scene. It has a site
-    `TOOL_SITE` at the tool and a site at every guarded point, with its name.
+    `TOOL_SITE` at the tool and a site at every guarded point, with its name. `root` is the position
+    (3,) [m] and rotation (3, 3) of the URDF's root link in the base frame, the frame of the world.
 
     Raises:
         ValueError: The text is no URDF.
@@ -34,6 +41,8 @@ def build(
     friction = settings.friction
     spec = arm(urdf, settings.model_joint_names)
     (hidden or HiddenArm()).change(spec, settings.model_joint_names, settings.tool_frame)
+    if root is not None:
+        _place(spec, *root)
     option = spec.option
     option.timestep = TIMESTEP
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -82,6 +91,18 @@ def arm(urdf: str, joints: Sequence[str] = JOINTS) -> mujoco.MjSpec:
         geom.mass = 0.0  # a link has the mass of its <inertial> element alone
         geom.group = 1
     return spec
+
+
+def _place(spec: mujoco.MjSpec, position: np.ndarray, rotation: np.ndarray) -> None:
+    """Put the root link of an arm, and gravity, into the base frame."""
+    if not position.any() and np.array_equal(rotation, np.eye(3)):
+        return  # the numbers stay as they are, bit for bit
+    turn = rotations.quat_xyzw(rotation)[[3, 0, 1, 2]]  # MuJoCo has w first
+    for part in (*spec.worldbody.bodies, *spec.worldbody.geoms):
+        quat = np.zeros(4)
+        mujoco.mju_mulQuat(quat, turn, part.quat)
+        part.pos, part.quat = position + rotation @ part.pos, quat
+    spec.option.gravity = rotation @ spec.option.gravity
 
 
 def _add_surroundings(spec: mujoco.MjSpec, friction: float) -> None:

@@ -15,7 +15,6 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from hardware_sim.barrett_services import PositionControl
-from hardware_sim.demonstrator import Demonstrator
 from hardware_sim.settings import ArmSimParams
 from hardware_sim.world import World
 from wam_power_interfaces.action import Demonstrate, ResetScene
@@ -164,7 +163,7 @@ class SceneServices:
         if world.frozen:
             world.release()
         rng = np.random.default_rng((self._seed, self._demonstrations))
-        world.attach(Demonstrator(world.scene.script(rng), *world.tool_pose))
+        world.attach(world.scene.demonstrator(world.scene.script(rng), *world.tool_pose))
         while world.pulled:
             yield None
         self._demonstrations += 1

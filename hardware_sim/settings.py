@@ -11,6 +11,7 @@ from typing_extensions import Self
 from hardware_sim.sensors import MocapSettings
 from hardware_sim.wam import JOINTS, PERIOD
 from wam_power_ros.control.arm import GuardedPoint, guarded_points
+from wam_power_ros.params.body_tracker_params import MocapTopics
 from wam_power_ros.params.node_params import Names, Params
 from wam_power_ros.params.torque_controller_params import JOINTS_MAX, Joints, require_same_joints
 from wam_power_ros.regions import Region, region_of
@@ -46,6 +47,7 @@ class WorldSettings(BaseModel):
 
     urdf: str = "urdf/wam7.urdf"
     model_joint_names: Joints = JOINTS
+    base_frame: str = ""
     tool_frame: str = "pan"
     guarded_names: Names = ("elbow", "forearm")
     guarded_links: Names = ("wam_link4", "wam_link4")
@@ -56,6 +58,8 @@ class WorldSettings(BaseModel):
     period: float = Field(PERIOD, ge=0.001, le=0.01, description="in s: 1000 to 100 Hz")
     command_delay_ticks: int = Field(2, ge=0, le=50, description="beyond 0.1 s: unstable")
     driver_compensates_gravity: bool = False
+    output: Literal["torque", "position", "trajectory"] = "torque"
+    servo_lag: float = Field(0.01, ge=0.0, le=0.2, description="in s: of position servos")
     watchdog: bool = True
     wind_sd: Spread = 0.1
     torque_scale_sd: Spread = 0.01
@@ -122,7 +126,7 @@ class ArmSimParams(Params, WorldSettings):
     other_joints: Names
     state_topic: str
     velocity: Sent
-    effort: Literal["current", "filled", "empty", "nan"]
+    effort: Literal["external", "current", "filled", "empty", "nan"]
     state_order: Literal["joint_names", "sorted"]
     velocity_topic: str
     command_topic: str
@@ -142,15 +146,12 @@ class ArmSimParams(Params, WorldSettings):
         return self
 
 
-class OptitrackSimParams(Params, MocapSettings):
+class OptitrackSimParams(MocapTopics, Params, MocapSettings):
     """Parameters of config/optitrack_sim.yaml, settings of the motion capture included."""
 
     file = "optitrack_sim.yaml"
 
     frame: str
-    body: str
-    pose_topic: str
-    markers_topic: str
     reliable: bool
     up_axis: Literal["z", "y"]
     world_to_base: WorldToBase

@@ -23,6 +23,7 @@ from hardware_sim.hidden_arm import HiddenArm, drawn
 from hardware_sim.motors import DirectDrives, Motors
 from hardware_sim.scenes import Scene, scene_type
 from hardware_sim.sensors import Encoders, Mocap, MocapFrame, MocapSettings
+from hardware_sim.servo import Servo
 from hardware_sim.settings import ArmSimParams, OptitrackSimParams, WorldSettings
 from hardware_sim.wam import WATCHDOG_DAMPING, WATCHDOG_TIMEOUT
 from wam_power_ros.control.arm import Arm
@@ -60,6 +61,7 @@ class World:
         frozen: True while only clock and cameras go on; physics, encoders and commands wait for
             `release`.
         idle: True while the motors are shorted and commands have no effect.
+        guided: True while a person guides the arm: one that takes positions is then in free drive.
         arm: The driver's model of the arm.
     """
 
@@ -77,7 +79,7 @@ class World:
         self.seed = seed
         self.urdf = robot_description(settings.urdf)
         names, tool, guarded = settings.model_joint_names, settings.tool_frame, settings.guarded
-        self.arm = Arm(self.urdf, names, tool, guarded=guarded)
+        self.arm = Arm(self.urdf, names, tool, guarded, base_frame=settings.base_frame)
         self.n = self.arm.n
         self._period_ns = settings.period_ns
         self._substeps = round(settings.period / scene.TIMESTEP)
@@ -87,6 +89,7 @@ class World:
             self.motors = DirectDrives(self.arm.tau_max, self.arm.qd_max)
         self._encoders = Encoders(settings.drives, settings.period)
         self._mocap = Mocap(mocap)
+        self._servo = Servo(self.arm, settings.servo_lag, settings.period)
         self._velocity = np.zeros(6)
         self._carrying: tuple[MinJerk, int] | None = None  # path and its beginning [ns]
         self._build()
@@ -116,7 +119,8 @@ class World:
         self._drags = self.hidden.drags
         self.scene = self._make_scene(settings)
         n = self.n
-        self.model = model = scene.build(self.urdf, self.scene, settings, self.hidden)
+        root = self.arm.root.translation, self.arm.root.rotation
+        self.model = model = scene.build(self.urdf, self.scene, settings, self.hidden, root)
         self.data = data = mujoco.MjData(model)
         self._tool = model.body(settings.tool_frame).id
         self._friction = settings.friction_share * model.dof_frictionloss[:n]
@@ -180,6 +184,10 @@ class World:
         self._effort: list[float] = gravity.tolist()
         own = self.settings.driver_compensates_gravity
         self._command = [0.0] * self.n if own else self._effort
+        if self.settings.output != "torque":
+            self._command = (q_start + self.hidden.zeros).tolist()
+            self._servo.reset(np.array(self._command))
+        self.guided = False
         self._delayed: deque[list[float] | None]
         self._delayed = deque([self._command] * self.settings.command_delay_ticks)
         self._ticks_since_command = 0
@@ -301,17 +309,17 @@ class World:
         return self._mocap.delivered(self.time_ns)
 
     def step(self, tau_cmd: np.ndarray | None) -> None:
-        """Advance by one control period, with commanded torques (n,) [N m].
+        """Advance by one control period, with commanded torques [N m] or positions [rad]. (n,).
 
-        Without new ones the last stay, with a watchdog for 10 ms; then the driver compensates
-        gravity, damped.
+        Without new ones the last stay; torques with a watchdog for 10 ms, then the driver
+        compensates gravity, damped.
 
         Raises:
-            ValueError: The torques are not n finite numbers.
+            ValueError: They are not n finite numbers.
         """
         command = None if tau_cmd is None else tau_cmd.tolist()
         if command is not None and not (len(command) == self.n and math.isfinite(sum(command))):
-            raise ValueError(f"torques {command} must be {self.n} finite numbers")
+            raise ValueError(f"commands {command} must be {self.n} finite numbers")
         self.time_ns += self._period_ns
         self._carry_on()
         if not self.frozen:
@@ -359,9 +367,15 @@ class World:
 
     def _commanded_torque(self) -> list[float]:
         """Joint torques (n,) that the driver commands to the motors [N m]."""
-        if self.settings.watchdog and self._ticks_since_command > self._watchdog_ticks:
+        positions = self.settings.output != "torque"
+        silent = self.settings.watchdog and self._ticks_since_command > self._watchdog_ticks
+        if self.guided if positions else silent:
+            self._servo.reset(np.array(self._encoders.q))
             damped = zip(self._gravity(), self._watchdog_damping, self._encoders.qd, strict=True)
             return [g - d * qd for g, d, qd in damped]
+        if positions:
+            state = np.array(self._encoders.q), np.array(self._encoders.qd)
+            return self._servo.torque(np.array(self._command), *state).tolist()
         if self.settings.driver_compensates_gravity:
             return [a + b for a, b in zip(self._command, self._gravity(), strict=True)]
         return self._command

@@ -25,6 +25,7 @@ FAULTS = (
     "two publishers",
     "frozen",
     "Y-up",
+    "another frame",
     "no watchdog",
     SILENT,
 )
@@ -72,14 +73,17 @@ class BrokenArm(arm_node.ArmSim):
 
 
 class BrokenOptitrack(optitrack_node.OptitrackSim):
-    """A motion capture that repeats its last pose or has y up."""
+    """A motion capture that repeats its last pose, has y up, or measures in another frame."""
 
     def __init__(self) -> None:
         super().__init__()
         self._seen: MocapFrame | None = None
+        self._frame = self.params.frame
 
     def publish(self, frame: MocapFrame, stamp_offset_ns: int, now_ns: int) -> None:
         """Publish one frame with the fault."""
+        frame_id = "camera" if _Fault.name == "another frame" else self._frame
+        self.params = self.params.model_copy(update={"frame": frame_id})
         if _Fault.name == "frozen" and self._seen is not None:
             frame = self._seen._replace(stamp_ns=frame.stamp_ns)
         elif _Fault.name == "Y-up":

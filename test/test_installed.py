@@ -87,7 +87,7 @@ def stack(lab: Lab) -> Path:
 def test_a_task_that_is_not_installed_is_refused_wherever_it_is_named(
     refusal: Callable[..., str],
 ) -> None:
-    known = "'tap' is not one of ball_in_cup, flip, reach"
+    known = "'tap' is not one of ball_in_cup, flip, rated, reach"
     with pytest.raises(ValueError, match=known):
         overlay.setup(task="tap")
     commands = "config", "teach", "learn", "score x", "run-policy x"

@@ -7,11 +7,13 @@ provide scenes.
 
 from __future__ import annotations
 
+import math
+
 import mujoco
 import numpy as np
 
 from hardware_sim.contact import body_contact, tool_contact
-from hardware_sim.demonstrator import Script
+from hardware_sim.demonstrator import Demonstrator, Script
 from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth
 from hardware_sim.settings import WorldSettings
 from wam_power_ros import installed
@@ -28,6 +30,7 @@ class Scene:
     Attributes:
         body: Name of the tracked MuJoCo body, on a free joint unless it is mounted; "" for none.
             Topics and services are named after it. A class attribute.
+        has_goal: Whether its demonstrations end at the `goal` of the settings. A class attribute.
         at: Initial position of the body in the frame of the tool [m], three numbers.
         home: Posture of the WAM in which demonstrations begin [rad], shape (7,); that of another
             arm is a parameter of `wam_sim`.
@@ -38,6 +41,7 @@ class Scene:
     """
 
     body: str = ""
+    has_goal: bool = False
     at: tuple[float, float, float] = (0.0, 0.0, 0.0)
     home: np.ndarray = HOME
     home_sd: float = 0.0
@@ -81,6 +85,23 @@ class Scene:
     def script(self, rng: np.random.Generator) -> Script:
         """Draw a random demonstration; a ValueError if there are none."""
         raise ValueError(f"the scene {type(self).__name__} has no demonstrations")
+
+    def demonstrator(
+        self, script: Script, position: np.ndarray, rotation: np.ndarray
+    ) -> Demonstrator:
+        """Demonstrator of a script, from a position (3,) [m] and rotation (3, 3) of the tool."""
+        return Demonstrator(script, position, rotation, self.heading(position))
+
+    def heading(self, position: np.ndarray) -> float:
+        """Direction about the vertical [rad] of what a script begins at a position (3,) [m] as x.
+
+        By default it is that of the base, for scripts that know where they go.
+        """
+        return 0.0
+
+    def outward(self, position: np.ndarray) -> float:
+        """Heading away from the base [rad], to a whole degree."""
+        return math.radians(round(math.degrees(math.atan2(position[1], position[0]))))
 
     def truth(self, log: RolloutLog, now: Snapshot) -> Truth:
         """Outcome of a rollout, from its log and the current state."""

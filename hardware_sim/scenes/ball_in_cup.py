@@ -88,6 +88,8 @@ class BallInCup(Scene):
         """Draw a random swing."""
         return swing(rng, self.settings.spread)
 
+    heading = Scene.outward
+
     def truth(self, log: RolloutLog, now: Snapshot) -> Truth:
         """Outcome of a swing.
 

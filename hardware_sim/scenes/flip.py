@@ -79,6 +79,8 @@ class Flip(Scene):
         settings = self.settings
         return wrist_flick(rng, settings.spread, settings.pitch_rate, settings.level)
 
+    heading = Scene.outward
+
     def truth(self, log: RolloutLog, now: Snapshot) -> Truth:
         """Outcome of a toss.
 

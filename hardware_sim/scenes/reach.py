@@ -25,6 +25,8 @@ class Reach(Scene):
 
     home_sd = 0.008
 
+    has_goal = True
+
     def build(self, spec: mujoco.MjSpec, tool: mujoco.MjsBody) -> None:
         """Draw the obstacle."""
         if (region := self.settings.region) is not None:

@@ -59,7 +59,8 @@ def session(
     recorded = environment.demonstrate(script, "demonstration-0")
     demonstration = BallInCup.demonstration_of(environment.arm, *recorded)
     policy = BallInCup.policy_of([demonstration], "demonstration-1")
-    practice = Practice(preset(TASK, name, **changes), {}, [policy], seed, environment)
+    context = BallInCup.context_of([demonstration], None)
+    practice = Practice(preset(TASK, name, **changes), context, [policy], seed, environment)
     records, failed = [], 0
     for record in environment.practise(practice):
         records.append(record)

@@ -25,7 +25,7 @@ from reproduction.rivals import learners  # noqa: F401 - sessions may name one o
 from reproduction.studies.habits import HABITS
 from wam_power_ros import rotations
 from wam_power_ros.in_process.environment import Environment
-from wam_power_ros.learning.demonstration import from_joint_samples
+from wam_power_ros.learning.demonstration import Demonstration, from_joint_samples
 from wam_power_ros.learning.dmp import activations, fit
 from wam_power_ros.learning.policy import Policy, with_id
 from wam_power_ros.practice.practice import Practice
@@ -33,6 +33,7 @@ from wam_power_ros.practice.session_log import Record
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.flip.flight import observe_flight
 from wam_power_ros.tasks.flip.settings import FLIP_FIT
+from wam_power_ros.tasks.flip.task import Flip
 
 HINDSIGHT, PAPER, LONG = "pancake-hindsight", "pancake-paper", "pancake-paper-100"  # studies
 ABLATION = "pancake-ablation-"
@@ -96,20 +97,30 @@ def teach(
     pitch_rate: float = PITCH_RATE,
     habit: str = "",
 ) -> list[Policy]:
-    """Fit a policy to each demonstration of a small series by the simulated demonstrator.
+    """Fit a policy to each demonstration of a small series, see `demonstrate`."""
+    return _fitted(demonstrate(environment, seed, count, pitch_rate, habit))
+
+
+def _fitted(shown: Sequence[Demonstration]) -> list[Policy]:
+    return [fit([each], FLIP_FIT, f"demonstration-{k + 1}") for k, each in enumerate(shown)]
+
+
+def demonstrate(
+    environment: Environment, seed: int, count: int, pitch_rate: float, habit: str
+) -> list[Demonstration]:
+    """A small series of demonstrations by the simulated demonstrator.
 
     Demonstration k of a seed is always the same. `pitch_rate` [rad/s] is that of `wrist_flick`;
     `habit` one of `habits.HABITS`, "" for none.
     """
-    policies = []
+    shown = []
     for number in range(count):
         script = _script(environment, seed, number, pitch_rate)
         if habit:
             script = HABITS[habit](script)
         stamps_ns, q = environment.demonstrate(script, f"demonstration-{number}")
-        demonstration = from_joint_samples(environment.arm, stamps_ns, q)
-        policies.append(fit([demonstration], FLIP_FIT, f"demonstration-{number + 1}"))
-    return policies
+        shown.append(from_joint_samples(environment.arm, stamps_ns, q))
+    return shown
 
 
 def _script(environment: Environment, seed: int, number: int, pitch_rate: float) -> TossScript:
@@ -141,9 +152,10 @@ def session(
     final policy.
     """
     environment = stand_in(seed, **(condition or {}))
-    candidates = teach(environment, seed, demonstrations, pitch_rate, habit)
+    shown = demonstrate(environment, seed, demonstrations, pitch_rate, habit)
     settings = preset("flip", name, **(changes or {}))
-    practice = Practice(settings, {}, candidates, seed, environment)
+    context = Flip.context_of(shown, None)
+    practice = Practice(settings, context, _fitted(shown), seed, environment)
     records, best = [*environment.practise(practice)], practice.best
     trials = [record for record in records if record.kind != "retest"]
     parameters = practice.parametrization

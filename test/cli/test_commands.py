@@ -191,6 +191,7 @@ def test_the_obstacle_of_reaching_is_half_way_along_the_nominal_demonstration() 
     "wrong",
     [
         "model_joint_names: [j1, j2, j3, j4, j5, j6, j7]",
+        "base_frame: typo",
         "tool_frame: typo",
         "guarded_links: [typo, wam_link4]",
         "urdf: urdf/cobot7.urdf",
@@ -204,7 +205,10 @@ def test_a_set_up_that_does_not_fit_its_urdf_is_refused_before_anything_starts(
     file.write_text(f"torque_controller:\n  ros__parameters:\n    {wrong}\n")
     message = refusal(*command.split(), "folder", "--config", str(file), "--simulate")
     assert "in the robot description" in message
-    assert "(torque_controller: urdf, model_joint_names, tool_frame, guarded_links)" in message
+    assert (
+        "(torque_controller: urdf, model_joint_names, base_frame, tool_frame, guarded_links)"
+        in message
+    )
 
 
 @pytest.mark.requirement("S-59")

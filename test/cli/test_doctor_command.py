@@ -9,6 +9,7 @@ import pytest
 
 from wam_power_ros.cli import doctor_command, main
 from wam_power_ros.cli.launcher import Devices
+from wam_power_ros.params import body_tracker_params
 
 MEASURED = """# Measured by wam7 and its cameras on 2026-06-01, with wam_power_ros 0.1.0.
 /**/torque_controller:
@@ -61,6 +62,17 @@ def test_low_limits_of_the_elbow_are_a_warning_that_names_what_a_flip_needs(
     assert "a flip needs about 1.5 m/s of the elbow" in text
     _, text = shown(capsys, Devices(["geodude", "full_speed"]))
     assert "a flip needs" not in text
+
+
+def test_where_the_body_is_seen_is_said_or_the_package_that_is_missing(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    devices = Devices(["openarm", "mocap4r2_vicon"])
+    _, text = shown(capsys, devices)
+    assert "cameras      ok    mocap4r2_msgs/msg/RigidBodies on rigid_bodies, in the frame" in text
+    monkeypatch.setattr(body_tracker_params, "find_spec", lambda package: None)
+    _, text = shown(capsys, devices)
+    assert "WARN  mocap4r2_msgs/msg/RigidBodies needs the package mocap4r2_msgs: apt" in text
 
 
 def test_the_command_is_known(

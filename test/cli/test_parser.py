@@ -156,7 +156,8 @@ def test_set_up_and_task_are_said_the_same_way_wherever_there_is_one() -> None:
     )
     task = {name for name, each in commands.items() if "--task" in each._option_string_actions}
     setup = {name for name, each in commands.items() if "--config" in each._option_string_actions}
-    assert task == {"learn", "teach", "replay", "run-policy", "score", "config", "doctor"}
+    run = {"learn", "teach", "replay", "run-policy", "compare"}
+    assert task == {*run, "score", "config", "doctor"}
     assert setup == {*task, "commission"} - {"score"}
     for name in (*task, *setup):
         places = [action.dest for action in commands[name]._actions if not action.option_strings]

@@ -267,6 +267,20 @@ def test_motors_without_current_and_an_unloaded_arm_show_nothing() -> None:
     assert (upright.verdict, "stretch" in upright.advice) == (Verdict.UNCHECKED, True)
 
 
+def test_torques_without_gravity_are_small_and_those_with_it_are_named() -> None:
+    g = model().gravity(POSTURE)
+    for tau, verdict, said in (
+        (0.0 * g, Verdict.UNCHECKED, "do not show at rest"),
+        (0.05 * g, Verdict.UNCHECKED, "do not show at rest"),
+        (g, Verdict.FAIL, "it contains gravity"),
+        (np.full(7, 30.0), Verdict.FAIL, "payload"),
+    ):
+        states = record([s._replace(tau=tau) for s in at_rest()])
+        assert arm_checks.effort(states, "external").verdict is Verdict.OK
+        row = arm_checks.gravity(states, model(), "external")
+        assert (row.verdict, said in row.advice) == (verdict, True), row
+
+
 def test_a_driver_without_effort_is_as_its_set_up_says_or_not() -> None:
     without = record([s._replace(tau=np.empty(0)) for s in at_rest()])
     assert arm_checks.effort(without, "none").verdict is Verdict.OK

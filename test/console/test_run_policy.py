@@ -51,6 +51,30 @@ def test_a_policy_is_executed_as_often_as_asked_and_each_return_is_that_of_its_b
         assert f"return {ret}, " in capsys.readouterr().out
 
 
+def test_two_policies_are_executed_by_turns_and_a_pair_is_judged(
+    saved: Path, tmp_path: Path
+) -> None:
+    other = tmp_path / "other.json"
+    other.write_text(to_json(dataclasses.replace(lift("other"), damping=20.0)))
+    command = [sys.executable, "-m", "wam_power_ros.cli", "compare", saved, other, "--pairs", 2]
+    words = [*map(str, command), "--folder", str(tmp_path / "run")]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, timeout=900.0)
+    assert done.returncode == 0, done.stdout + done.stderr
+    lines = re.findall(r"^(\d) of 2, ([AB]): return ([\d.]+)", done.stdout, re.M)
+    assert [line[:2] for line in lines] == [("1", "A"), ("1", "B"), ("2", "B"), ("2", "A")]
+    (standing,) = re.findall(r"pairs won: A (\d), B (\d).*not known", done.stdout)[-1:]
+    returns = {(number, name): float(ret) for number, name, ret in lines}
+    clear = [returns[n, "A"] - returns[n, "B"] for n in "12"]
+    if min(map(abs, clear)) > 1e-3:  # printed returns tell who has won
+        assert standing == (str(sum(d > 0 for d in clear)), str(sum(d < 0 for d in clear)))
+    assert len([*(tmp_path / "run/bags").iterdir()]) == 4
+
+
+def test_a_comparison_without_returns_is_refused(refusal: Callable[..., str], saved: Path) -> None:
+    said = refusal("compare", "policy.json", "policy.json", "--task", "reach")
+    assert "without returns nothing can be compared: task reach measures" in said
+
+
 def test_a_policy_that_is_stopped_leaves_the_arm_holding_and_its_bag_closed(
     saved: Path, tmp_path: Path
 ) -> None:

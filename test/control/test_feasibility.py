@@ -155,7 +155,7 @@ def test_a_policy_that_oscillates_under_the_delay_of_the_loop_is_infeasible(
     # A delay reduces the damping of 7 1/s by stiffness times delay: 10 1/s.
     policy = replace(lift(arm, 0.05), stiffness=np.tile(2400.0 * np.eye(3), (4, 1, 1)), damping=7.0)
     assert simulate_policy(arm, SETTINGS, policy).fault is not None
-    monkeypatch.setattr("wam_power_ros.control.feasibility.TORQUE_DELAY", 0)
+    monkeypatch.setattr("wam_power_ros.control.model_arm.TORQUE_DELAY", 0)
     assert simulate_policy(arm, SETTINGS, policy).fault is None
 
 

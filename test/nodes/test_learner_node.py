@@ -54,7 +54,7 @@ def test_a_learner_goes_on_with_no_session_of_another_arm(tmp_path: Path, domain
     [
         ({"preset": "paper", "learner": "model_based"}, "learners that work: cma_es,"),
         ({"trials": 2}, "a budget of 2 rollouts leaves none to practise after 2 reproductions"),
-        ({"task": "tap"}, "task 'tap' is not one of ball_in_cup, flip, reach"),
+        ({"task": "tap"}, "task 'tap' is not one of ball_in_cup, flip, rated, reach"),
     ],
 )
 def test_a_learner_refuses_what_cannot_work_before_it_reads_a_bag_or_begins_a_session(

@@ -388,7 +388,8 @@ def test_param_set_of_the_torque_share_goes_down_and_only_while_not_active(
     assert session.set(CONTROLLER, "torque_share", 0.9) == ""
     assert "only lowered" in session.set(CONTROLLER, "torque_share", 0.95)
     assert session.state() == State.PRIMARY_STATE_INACTIVE
-    assert session.change(Transition.TRANSITION_ACTIVATE)
+    activate = Transition.TRANSITION_ACTIVATE  # refused until the next state has come
+    session.probe.until(lambda: session.change(activate), "activation")
     session.holds()
 
 

@@ -10,7 +10,7 @@ import pytest
 import rclpy
 from conftest import Probe, Processes, diagnosis
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped, TransformStamped
+from geometry_msgs.msg import PointStamped, PoseStamped
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from played_arm import NAMES
@@ -25,7 +25,7 @@ CONTROLLER = "wam_power_ros.nodes.torque_controller"
 TRACKER = "wam_power_ros.nodes.body_tracker"
 RECORDER = "wam_power_ros.nodes.demonstration_recorder"
 MOCAP = (
-    "node 'mocap_driver' publishes geometry_msgs/msg/TransformStamped (reliable, volatile) on "
+    "node 'mocap_driver' publishes geometry_msgs/msg/PointStamped (reliable, volatile) on "
     "/pancake/pose, not geometry_msgs/msg/PoseStamped"
 )
 
@@ -50,7 +50,7 @@ def test_a_mocap_driver_of_another_type_is_named_by_tracker_recorder_and_check(
     probe: Probe, processes: Processes, driver: Callable[[str], Node]
 ) -> None:
     reports = probe.listen(DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS)
-    driver("mocap_driver").create_publisher(TransformStamped, "/pancake/pose", 10)
+    driver("mocap_driver").create_publisher(PointStamped, "/pancake/pose", 10)
     words = ["run", "check_driver", "--seconds", "0.5", "--config", "natnet_ros2"]
     check = processes.start([sys.executable, "-m", "wam_power_ros.cli", *words])
     tracker = processes.node(TRACKER, "pancake_tracker.yaml")
@@ -68,7 +68,7 @@ def test_a_mocap_driver_of_another_type_is_named_by_tracker_recorder_and_check(
     probe.until(lambda: check.poll() is not None, "the end of the check")
     said = " ".join(processes.output(check).replace("│", " ").split())
     assert check.returncode == 1 and "DOES NOT CONFORM" in said, said
-    for part in ("geometry_msgs/msg/TransformStamped", "geometry_msgs/msg/PoseStamped"):
+    for part in ("geometry_msgs/msg/PointStamped", "geometry_msgs/msg/PoseStamped"):
         assert part in said.replace("- ", "-")
 
     # A driver that starts later and is received: a warning remains about the first.

@@ -22,12 +22,14 @@ from wam_power_ros.params import overlay, parameter_file
 from wam_power_ros.params.body_tracker_params import BodyTrackerParams
 from wam_power_ros.params.node_params import Params
 from wam_power_ros.params.resources import robot_description
+from wam_power_ros.params.tag_camera_params import TagCameraParams
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 
 READS: dict[str, type[Params]] = {
     "torque_controller": TorqueControllerParams,
     "demonstration_recorder": DemonstrationRecorderParams,
     "pancake_tracker": BodyTrackerParams,
+    "tag_camera": TagCameraParams,
     "learner": LearnerParams,
     "wam_sim": ArmSimParams,
     "optitrack_sim": OptitrackSimParams,
@@ -132,6 +134,27 @@ def test_the_name_of_the_body_is_given_once_and_inserted_into_the_drivers_topic(
     assert setup["demonstration_recorder"]["mocap_topics"] == [seen]
     for node in ("demonstration_recorder", "optitrack_sim"):
         assert setup[node]["body"] == "ball"
+
+
+def test_the_source_of_a_later_file_replaces_that_of_a_file_before(tmp_path: Path) -> None:
+    cloud = write(tmp_path, "cloud", "pancake_tracker: {ros__parameters: {markers_topic: cloud}}")
+    for names, pose, markers in (
+        (["natnet_ros2", cloud], "", "cloud"),
+        ([cloud, "natnet_ros2"], "pancake/pose", ""),
+    ):
+        tracker = overlay.setup(names)["pancake_tracker"]
+        assert (tracker["pose_topic"], tracker["markers_topic"]) == (pose, markers)
+    ball = overlay.setup(["natnet_ros2"], task="ball_in_cup")["pancake_tracker"]
+    assert (ball["pose_topic"], ball["markers_topic"]) == ("ball/pose", "")
+    tracker = {"pose_topic": "", "markers_topic": "cloud", "mocap_frame": "world"}
+    wrong = {"message_type": "nav_msgs/msg/Odometry"}
+    setup = overlay.setup(["natnet_ros2"]).changed({"pancake_tracker": tracker | wrong})
+    with pytest.raises(ValueError, match=r"'nav_msgs/msg/Odometry' is not one of markers_topic"):
+        read(setup, "pancake_tracker", tmp_path)
+    index = {"message_type": "geometry_msgs/msg/PoseArray", "body_in_message": "first"}
+    setup = overlay.setup(["natnet_ros2"]).changed({"pancake_tracker": index})
+    with pytest.raises(ValueError, match=r"'first' must be the index of the pose"):
+        read(setup, "pancake_tracker", tmp_path)
 
 
 @pytest.mark.parametrize("names", [(), ("natnet_ros2",)])

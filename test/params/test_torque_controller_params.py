@@ -48,6 +48,23 @@ def test_every_parameter_of_motion_reaches_the_controller(tmp_path: Path) -> Non
     assert params(tmp_path, **sphere).controller(URDF).settings.region is None
 
 
+def test_an_arm_that_takes_positions_has_set_points_at_its_rate_and_a_model_at_500_hz(
+    tmp_path: Path,
+) -> None:
+    slow = {"output": "trajectory", "period": 0.008, "driver_compensates_gravity": True}
+    settings = params(tmp_path, **slow).controller(URDF).settings
+    assert (settings.period, settings.state_period, settings.set_point_period) == (
+        *(0.002, 0.008, 0.008),
+    )
+    assert not settings.driver_compensates_gravity  # the model's torques carry it
+    assert params(tmp_path, **slow).message == "trajectory"
+    rare = {"output": "position", "set_point_period": 0.01}
+    assert params(tmp_path, **rare).controller(URDF).settings.set_point_period == 0.01
+    assert params(tmp_path).controller(URDF).settings.set_point_period == 0.0
+    with pytest.raises(ValueError, match=r"set_point_period = 0\.004 .* 0\.008"):
+        params(tmp_path, **slow, set_point_period=0.004)
+
+
 def test_every_limit_reaches_the_controller(tmp_path: Path) -> None:
     changes = {
         "torque_share": 0.5,

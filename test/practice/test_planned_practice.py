@@ -47,7 +47,7 @@ def test_a_plan_is_run_as_the_mean_so_its_success_counts_at_once() -> None:
     practice = practised(practice_of(CANDIDATES, SETTINGS, 0))
     kinds = [record.kind for record in practice.records if record.kind != "retest"]
     assert kinds[0] == "reproduction" and set(kinds[1:]) == {"mean"}
-    assert "3 successes in a row" in practice.stopped
+    assert "3 of 3 succeeded" in practice.stopped
     assert practice.used <= 6
 
 

@@ -278,7 +278,7 @@ def test_a_mean_that_succeeds_is_run_again_unchanged_until_it_fails_or_is_confir
     assert practice.next_trial().kind == "explore"
 
     run(practice, lambda trial: bad() if trial.kind == "explore" else good())
-    assert "confirmed: 4 successes in a row: p > 0.47 with 95% confidence" in practice.stopped
+    assert "confirmed: 4 of 4 succeeded: at least 47% will (95% confidence)" in practice.stopped
     assert practice.confirmed == 4
     *_, confirmed, again, last = practice.records
     assert (confirmed.kind, again.kind, last.kind) == ("mean", "retest", "retest")
@@ -299,7 +299,7 @@ def test_a_mean_that_barely_succeeds_does_not_stop_the_session_and_a_clear_one_s
     while practice.next_trial().kind == "explore":
         run(practice, lambda trial: bad(), rollouts=1)
     run(practice, lambda trial: with_angle(180.0 + trial.number % 4), rollouts=5)
-    assert "margins" in practice.stopped and practice.confirmed == 5
+    assert "well inside" in practice.stopped and practice.confirmed == 5
     again = practice_of(CANDIDATES, practice.settings, 0, practice.log)
     assert again.stopped == practice.stopped and image(again) == image(practice)
 
@@ -504,7 +504,9 @@ def test_settings_and_candidates_that_cannot_be_are_refused() -> None:
         ValueError, match="'quick' of 'flip' is not one of model_based, hindsight, "
     ):
         preset("flip", "quick")
-    with pytest.raises(ValueError, match="task 'fly' is not one of ball_in_cup, flip, reach"):
+    with pytest.raises(
+        ValueError, match="task 'fly' is not one of ball_in_cup, flip, rated, reach"
+    ):
         preset("fly")
     with pytest.raises(ValueError, match=r"learner 'genetic' is not one of .*cma_es.*power"):
         preset("flip", "hindsight", learner={"name": "genetic"})

@@ -72,7 +72,7 @@ def test_exactly_the_required_number_of_successes_in_a_row_completes_it() -> Non
             == f"{count} {'success' if count == 1 else 'successes'} in a row"
         )
         assert stopping.z.tolist() == [0.0, 1.0]
-    assert stopping.complete == "3 successes in a row: p > 0.37 with 95% confidence"
+    assert stopping.complete == "3 of 3 succeeded: at least 37% will (95% confidence)"
 
 
 def test_a_success_of_another_mean_begins_a_new_row() -> None:
@@ -171,7 +171,10 @@ def test_clear_margins_confirm_with_few_rollouts_and_narrow_ones_end_the_row() -
     spread = np.array([[0.99, 5.0], [1.01, 5.1], [1.0, 4.9]] * 2)
     clear = confirmed(spread)
     assert clear.count == ROW_MIN
-    assert "margins of 60 sd or more: p > 0.9 with 95% confidence" in clear.complete
+    assert (
+        "all well inside the limits (60 standard deviations or more): at least 90% will (95%"
+        in clear.complete
+    )
     narrow = rule(29)
     barely = [[0.002, 5.0], [0.05, 5.0], [0.002, 5.1], [0.05, 5.0], [0.002, 5.1]]
     said = [narrow.add(rollout(True, margins=row)) for row in barely]
@@ -230,7 +233,7 @@ def test_each_row_that_a_failure_has_ended_asks_one_success_more_of_the_next() -
     for k in range(ROW_MIN + 3):
         assert not stopping.complete
         stopping.add(rollout(True, margins=[5.0 + 0.1 * (k % 3)]))
-    assert "margins" in stopping.complete
+    assert "well inside" in stopping.complete
 
 
 def test_a_failure_that_no_margin_explains_asks_for_two_more_successes_until_it_is_long_past() -> (
@@ -258,7 +261,7 @@ def test_margins_that_are_not_known_of_every_success_do_not_count() -> None:
         stopping.add(rollout(True, margins=None if k == 1 else [5.0 + 0.1 * k]))
         assert not stopping.complete
     stopping.add(rollout(True, margins=[5.0]))
-    assert stopping.complete == "6 successes in a row: p > 0.61 with 95% confidence"
+    assert stopping.complete == "6 of 6 succeeded: at least 61% will (95% confidence)"
 
 
 def test_a_row_that_would_be_much_longer_than_that_of_a_better_mean_ends() -> None:
@@ -293,7 +296,7 @@ def test_sessions_of_a_policy_below_the_rate_are_rarely_confirmed_in_any_of_thei
 def test_a_row_of_the_whole_count_confirms_whatever_its_margins() -> None:
     wide = np.array([[3.2], [1.2]] * 15)
     stopping = confirmed(wide)
-    assert stopping.count == 29 and "margins" not in stopping.complete
+    assert stopping.count == 29 and "well inside" not in stopping.complete
 
 
 @pytest.mark.parametrize("expected", [None, 1.0, 0.7])

@@ -112,7 +112,8 @@ def test_bytes_cut_or_spoilt_are_refused_or_finite(message: bytes, data: st.Data
     assert reading is None or np.isfinite(reading.q).all()
 
 
-@pytest.mark.parametrize("kind", ["multiarray", "joint_state"])
+@pytest.mark.parametrize("kind", ["multiarray", "joint_state", "trajectory"])
+@pytest.mark.parametrize("period", [0.0, 0.008])
 @given(
     torques=st.lists(
         st.tuples(
@@ -125,9 +126,9 @@ def test_bytes_cut_or_spoilt_are_refused_or_finite(message: bytes, data: st.Data
 )
 @example(torques=[(8, "hold", [0.0] * 3), (9, "hold", [1.0] * 3), (10, "hold", [2.0] * 3)])
 def test_torques_are_written_as_rclpy_writes_them(
-    kind: str, torques: list[tuple[int, str, list[float]]]
+    kind: str, period: float, torques: list[tuple[int, str, list[float]]]
 ) -> None:
-    writer = joint_messages.TorqueWriter(NAMES, kind)
+    writer = joint_messages.TorqueWriter(NAMES, kind, period)
     send = cdr.TorqueSerializer(writer)
     for stamp_ns, label, tau in torques:
         message = deserialize_message(send(stamp_ns, label, np.array(tau)), writer.message_type)

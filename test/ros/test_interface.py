@@ -15,7 +15,7 @@ def test_what_is_of_one_arm_has_a_relative_name_and_only_what_all_share_is_absol
         if key.isupper() and isinstance(name, str) and not key.endswith("_FRAME")
     }
     names |= {interface.body_topic("pancake", leaf) for leaf in interface.BODY_LEAVES}
-    assert {name for name in names if name.startswith("/")} == {"/clock", "/diagnostics"}
+    assert {name for name in names if name.startswith("/")} == {"/clock", "/diagnostics", "/rosout"}
 
 
 def test_frames_have_the_namespace_of_their_arm_as_prefix() -> None:

@@ -137,5 +137,5 @@ def test_a_torque_without_a_label_is_still_a_torque() -> None:
 
 @pytest.mark.parametrize("data", [[], [0.0] * 6, [0.0] * 8, [0.0] * 6 + [math.nan]])
 def test_a_bad_torque_is_refused(data: list[float]) -> None:
-    with pytest.raises(ValueError, match="torque"):
+    with pytest.raises(ValueError, match="command"):
         joint_messages.torque(Float64MultiArray(data=data), NAMES)

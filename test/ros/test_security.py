@@ -29,6 +29,7 @@ from wam_power_ros.nodes.body_tracker import BodyTracker
 from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorder
 from wam_power_ros.nodes.learner import Learner
 from wam_power_ros.nodes.preparation_worker import PreparationWorker
+from wam_power_ros.nodes.tag_camera import TagCamera
 from wam_power_ros.nodes.torque_controller import TorqueController
 from wam_power_ros.params import overlay
 from wam_power_ros.ros import interface, security
@@ -59,6 +60,7 @@ NODES = {
     "torque_controller": TorqueController,
     "demonstration_recorder": DemonstrationRecorder,
     "pancake_tracker": BodyTracker,
+    "tag_camera": TagCamera,
     "learner": Learner,
     "wam_sim": lambda: Simulation().wam,  # offers services once its world is built
     "optitrack_sim": OptitrackSim,

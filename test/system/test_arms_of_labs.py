@@ -102,6 +102,30 @@ def test_a_ur_teaches_replays_and_learns_to_reach_over_dds(tmp_path: Path) -> No
     assert all(len(row["truth"]["peak_qd"]) == 6 and row["ret"] > 0.0 for row in rows)
 
 
+def test_check_driver_of_a_ur_by_positions_asks_for_no_torque_and_for_a_reach_for_no_camera(
+    processes: Processes, tmp_path: Path
+) -> None:
+    (external := tmp_path / "external.yaml").write_text(
+        "torque_controller: {ros__parameters: {effort: external}}"
+    )
+    names, file = ["ur", "position", str(external)], tmp_path / "setup.yaml"
+    file.write_text(overlay.text(overlay.setup(names, simulated=True, task="reach")))
+    command = [sys.executable, "-m", "wam_power_ros.cli", "run"]
+    processes.start([*command, "wam_sim", "--ros-args", "--params-file", str(file)])
+    given = [word for name in names for word in ("--config", name)]
+    answers = ("--task", "reach", "--seconds", "2", "--active", "--json")
+    rows_file = tmp_path / "rows.json"
+    check = processes.start([*command, "check_driver", *given, *answers, str(rows_file)])
+    assert check.wait(120) == 0, processes.output(check)
+    rows = {row["name"]: row for row in json.loads(rows_file.read_text())["rows"]}
+    assert rows["torque order"]["verdict"] == "ok"
+    assert rows["torque order"]["found"].endswith("as position")
+    assert "positions are sent" in rows["watchdog"]["found"]
+    assert "without gravity" in rows["gravity"]["found"]
+    assert rows["gravity"]["verdict"] == "not checked"
+    assert not [name for name in rows if "mocap" in name]
+
+
 def test_check_driver_says_of_a_ur_what_it_cannot_tell(
     processes: Processes, tmp_path: Path
 ) -> None:

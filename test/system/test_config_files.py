@@ -36,8 +36,10 @@ ARMS = (
     "cobot",
     "full_speed",
     "kilohertz",
+    "position",
     "reach",
     "simulation",
+    "trajectory",
 )  # other files with parameters of an arm
 AT_ONCE = 8  # nodes, each in a namespace beside a driver of its own
 OBSERVED = 1.5  # [s] after a node has reported: an active controller sends 100 torques in it

@@ -117,5 +117,5 @@ def test_without_the_package_the_task_is_unknown_and_nothing_starts(tmp_path: Pa
     command = [sys.executable, "-m", "wam_power_ros.cli", "learn", "--task", "puck"]
     ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60.0)
     assert ended.returncode == 2
-    assert "task 'puck' is not one of ball_in_cup, flip, reach" in ended.stderr
+    assert "task 'puck' is not one of ball_in_cup, flip, rated, reach" in ended.stderr
     assert list(tmp_path.iterdir()) == []

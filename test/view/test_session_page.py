@@ -19,7 +19,7 @@ pytest.importorskip("viser")
 from wam_power_ros.view.guarded_server import GuardedServer
 from wam_power_ros.view.live import LiveState
 from wam_power_ros.view.page import Page
-from wam_power_ros.view.session_page import SessionPage
+from wam_power_ros.view.session_page import RATINGS, SessionPage
 from wam_power_ros.view.skeleton import Skeleton
 
 
@@ -29,9 +29,8 @@ def test_the_path_of_the_tool_is_drawn_while_the_arm_moves(tmp_path: Path) -> No
         pass
     arm = Skeleton(urdf)
     state = LiveState(q=np.zeros(len(arm.joint_names)), receipt_time=np.inf)
-    node = SimpleNamespace(
-        state=state, update=lambda: state, urdf=urdf, model_joint_names=arm.joint_names
-    )
+    arm_of_node = {"urdf": urdf, "model_joint_names": arm.joint_names, "base_frame": ""}
+    node = SimpleNamespace(state=state, update=lambda: state, **arm_of_node)
     server = GuardedServer("127.0.0.1", 8080)
     try:
         page = SessionPage(server, folder)
@@ -98,5 +97,33 @@ def test_the_arm_is_live_then_the_newest_rollout_and_ratings_end_with_the_learni
         page._player._chosen = names[2]  # by a person, as a click does
         page._player.offer(names[1:])
         assert page._player._choice.value == names[2]
+    finally:
+        server.stop()
+
+
+def test_a_session_that_a_person_rates_has_buttons_for_ratings_that_are_passed_on(
+    tmp_path: Path,
+) -> None:
+    folder, given = tmp_path / "s", []
+    answer = SimpleNamespace(said="rated", success=True)
+    node = SimpleNamespace(
+        state=LiveState(),
+        update=LiveState,
+        give=lambda kind, value: given.append((kind, value)) or answer,
+    )
+    server = GuardedServer("127.0.0.1", 8080)
+    try:
+        with Session.begin(folder, preset("rated"), 0, [demonstrated_policy()]):
+            page = SessionPage(server, folder)
+            assert "Reward" not in page._buttons
+            page.connect(node)
+            page.tick(0.1)
+            assert not page._buttons["Rate 9"].disabled
+            for label in ("Rate 0", "Rate 9"):
+                page._give(label, "rate", RATINGS[label])
+            assert given == [("rate", 0.0), ("rate", 1.0)]
+            page.connect(None)
+            page.tick(0.1)
+            assert page._buttons["Rate 9"].disabled
     finally:
         server.stop()

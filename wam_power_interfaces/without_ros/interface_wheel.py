@@ -23,7 +23,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 ROOT = Path(__file__).resolve().parents[1]
-CONTROL_MSGS = ROOT / "without_ros/control_msgs"
+OTHERS = sorted(path.parent for path in (ROOT / "without_ros").glob("*/msg"))  # of ROS, by package
 NAME, VERSION = ROOT.name, ElementTree.parse(ROOT / "package.xml").findtext("version")
 DATA, INFO = f"{NAME}-{VERSION}.data/data", f"{NAME}-{VERSION}.dist-info"
 INDEX = "share/ament_index/resource_index"
@@ -39,13 +39,12 @@ def get_requires_for_build_wheel(config_settings: object = None) -> list[str]:
 
 
 def build_wheel(folder: str, config_settings: object = None, metadata: object = None) -> str:
-    """Build the wheel of this package, with control_msgs unless another wheel has brought it."""
+    """Build the wheel of this package, with those packages that no other wheel has brought."""
     headers = Path(sysconfig.get_path("include"), "Python.h")
     if not (shutil.which("gcc") and shutil.which("g++") and headers.exists()):
         sys.exit(f"gcc, g++ and {headers} are needed: apt install build-essential python3-dev")
-    packages = [ROOT]
-    if set(importlib.metadata.packages_distributions().get(CONTROL_MSGS.name, ())) <= {NAME}:
-        packages.append(CONTROL_MSGS)
+    brought = importlib.metadata.packages_distributions()
+    packages = [ROOT, *(it for it in OTHERS if {*brought.get(it.name, ())} <= {NAME})]
     python = f"cp{sys.version_info.major}{sys.version_info.minor}"
     tag = f"{python}-{python}-" + sysconfig.get_platform().replace("-", "_").replace(".", "_")
     with tempfile.TemporaryDirectory() as name:

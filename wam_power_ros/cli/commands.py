@@ -53,6 +53,7 @@ from wam_power_ros.params import overlay, parameter_file
 if TYPE_CHECKING:
     from wam_power_ros.practice.session import Session
 
+RATINGS = tuple("0123456789")  # of a rollout, from worst to as it should be
 NAMESPACE = re.compile(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 
 # On the arm or its stand-in
@@ -102,8 +103,11 @@ def learn(
     in_process: bool = False,
 ) -> int:
     """Start or resume a session, run it to its end and write its report."""
+    from wam_power_ros import installed
     from wam_power_ros.practice.session import Session, read
 
+    if in_process and installed.task_type(asked.task or DEFAULT_TASK).rated:
+        raise UsageError(f"a person rates the task {asked.task}: learn it without --in-process")
     if in_process and (asked.bags or asked.origin or not devices.stand_ins):
         raise UsageError(
             "--in-process simulates arm and demonstrations: it takes no --bags, no --from, and "
@@ -261,12 +265,25 @@ def run_policy(
     policy: Path, rollouts: int, task: str | None, folder: Path | None, devices: Devices
 ) -> int:
     """Execute a saved policy with the arm, as often as asked."""
+    return _run([policy], rollouts, task, folder, devices)
+
+
+def compare(
+    first: Path, second: Path, pairs: int, task: str | None, folder: Path | None, devices: Devices
+) -> int:
+    """Execute two saved policies by turns until it is known which is better."""
+    return _run([first, second], pairs, task, folder, devices)
+
+
+def _run(
+    paths: list[Path], rollouts: int, task: str | None, folder: Path | None, devices: Devices
+) -> int:
     from wam_power_ros.console import run_policy as running
+    from wam_power_ros.practice.comparison import Comparison
     from wam_power_ros.practice.session import Session, read, read_policy
 
-    if policy.is_dir():
-        policy = policy / "policy.json"
-    beside = policy.resolve().parent
+    files = [path / "policy.json" if path.is_dir() else path for path in paths]
+    beside = files[0].resolve().parent
     session = read(beside) if Session.exists(beside) else None
     name = task or (session.header.settings.task if session else DEFAULT_TASK)
     folder = (folder or Path("runs") / timestamp()).resolve()
@@ -275,14 +292,18 @@ def run_policy(
     )
     if (arm := parameters.arm()) is None:
         raise UsageError("the set-up has no URDF file of the arm: choose one with --config")
-    saved = read_policy(policy, arm.identity())
+    saved = [read_policy(file, arm.identity()) for file in files]
     scoring, unscored = running.task_of(session, name)
+    comparison = Comparison() if len(saved) > 1 else None
+    if comparison and unscored:
+        raise UsageError(f"without returns nothing can be compared: {unscored}")
     signal.signal(signal.SIGTERM, interrupt)
     plan = plan_of(folder, parameters, devices.stand_ins, also=[TRACKER], secure=secured())
     with launch(plan) as launcher, launcher.robot() as robot:
         if unscored:
             print(f"No returns: {unscored}")
-        status = running.run(robot, saved, scoring, rollouts, person=not devices.stand_ins)
+        person = not devices.stand_ins
+        status = running.run(robot, saved, scoring, rollouts, person, comparison)
     print(f"Bags: {short_path(folder / 'bags')}")
     return status
 
@@ -362,17 +383,20 @@ def _follow(folder: Path, processes: Processes, learner: Running, bell: bool) ->
 # Sessions
 
 
-def feedback(kind: str, bag: Path | None, session: Path | None) -> int:
+def feedback(kind: str, given: str | None, session: Path | None) -> int:
     """Pass a person's feedback to the learner of a running session, or stop its arm."""
-    if (kind == "demonstration") != (bag is not None):
-        raise UsageError("a bag is needed for a demonstration, and only for a demonstration")
+    needed = {"demonstration": "a bag", "rate": "a number from 0 to 9"}.get(kind, "nothing")
+    if (given is None) != (needed == "nothing") or (kind == "rate" and given not in RATINGS):
+        raise UsageError(f"{kind} needs {needed} after it, not {given or 'nothing'}")
     folder = existing_session(session)
     if kind != "stop" and not learner_is_running(folder):  # an arm may move without a learner
         raise UsageError(f"no learner is running in {short_path(folder)}")
     from wam_power_ros.console.feedback import give
 
     namespace = parameter_file.namespace(folder / "logs/parameters.yaml")
-    answer = give(kind, bag, namespace, session_domain(folder))
+    value = int(given) / 9.0 if kind == "rate" else None
+    bag = Path(given) if kind == "demonstration" else None
+    answer = give(kind, bag, value, namespace, session_domain(folder))
     print(answer.text if answer.success else f"refused: {answer.text}")
     return 0 if answer.success else 2
 
@@ -457,13 +481,17 @@ def _last_error(command: Sequence[str], gl: str) -> str | None:
 def config(devices: Devices, task: str | None) -> None:
     """Print the parameters of every node, once each would accept its own."""
     from hardware_sim.settings import ArmSimParams, OptitrackSimParams
+    from wam_power_ros.cli.set_up_checks import mistakes
     from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorderParams
     from wam_power_ros.nodes.learner import LearnerParams
+    from wam_power_ros.params.tag_camera_params import TagCameraParams
 
     setup = devices.parameters(task or DEFAULT_TASK)
     stand_ins = (ArmSimParams, OptitrackSimParams) if devices.stand_ins else ()
-    for node in (DemonstrationRecorderParams, LearnerParams, *stand_ins):
+    for node in (DemonstrationRecorderParams, LearnerParams, TagCameraParams, *stand_ins):
         node.of_setup(setup)
+    if wrong := [*mistakes(setup)]:
+        raise ValueError("; ".join(wrong))
     print(overlay.text(setup), end="")
 
 

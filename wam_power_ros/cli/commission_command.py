@@ -62,6 +62,8 @@ def commission(
     setup = devices.parameters(folder=folder)
     setup = setup.changed({RECORDER: {"stem": "commissioning"}, SIMULATION: {"scene": SCENE}})
     controller = TorqueControllerParams.of_setup(setup)
+    if controller.output != "torque":
+        raise UsageError(f"output: {controller.output}, but this measures by torques")
     gravity_added = controller.driver_compensates_gravity
     arm = setup.arm()
     if arm is None:

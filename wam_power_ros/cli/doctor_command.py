@@ -19,7 +19,9 @@ import numpy as np
 from wam_power_ros import compiled
 from wam_power_ros.cli.launcher import Devices, program_command
 from wam_power_ros.cli.parser import task_option
+from wam_power_ros.cli.set_up_checks import mistakes
 from wam_power_ros.params import overlay
+from wam_power_ros.params.body_tracker_params import BodyTrackerParams, missing_package
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 
 OK, WARN, NO = "ok", "WARN", "NO"
@@ -40,7 +42,8 @@ def doctor(devices: Devices, task: str | None = None) -> int:
     """Print the rows and what comes next; returns 0 if nothing is missing, else 1."""
     setup = devices.parameters(task or "")
     words = shlex.join(devices.words)
-    rows = [*machine(), *described(setup), *measured(setup)]
+    wrong = [Row("set-up", NO, text, "config") for text in mistakes(setup)]
+    rows = [*machine(), *described(setup), *wrong, *eyes(setup), *measured(setup)]
     for number, row in enumerate(rows, start=1):
         print(f"{number:2d} {row.name:12s} {row.verdict:4s}  {row.text}")
     missing = [row for row in rows if row.verdict == NO]
@@ -50,7 +53,8 @@ def doctor(devices: Devices, task: str | None = None) -> int:
         print("Nothing is missing here. What the drivers do is not looked at; ask them once a day:")
         print(f"  {check}")
         return 0
-    print(f"Missing: {', '.join(row.name for row in missing)}. Next, once the drivers conform")
+    names = ", ".join(dict.fromkeys(row.name for row in missing))
+    print(f"Missing: {names}. Next, once the drivers conform")
     print(f"({check}):")
     print(f"  {program} {missing[0].then} {words}".rstrip())
     return 1
@@ -86,6 +90,9 @@ def described(setup: overlay.Setup) -> list[Row]:
     name = "from /robot_description" if arm is None else arm.name
     kind = "simulated" if params.simulation else "a real arm"
     rows = [Row("arm", OK, f"{name}, {len(params.joint_names)} joints, {kind}")]
+    sends = {"torque": "torques", "trajectory": "trajectories"}.get(params.output, "positions")
+    lost = "" if params.output == "torque" else ": no stiffness, no checks of torques"
+    rows.append(Row("output", OK, f"{sends}{lost}"))
     fast = params.elbow_speed_max >= ELBOW_FLIP
     limit = f"elbow {params.elbow_speed_max:g} m/s, tool {params.tool_speed_max:g} m/s"
     need = "" if fast else f"; a flip needs about {ELBOW_FLIP:g} m/s of the elbow (full_speed)"
@@ -94,6 +101,16 @@ def described(setup: overlay.Setup) -> list[Row]:
     text = "an enabling switch is required" if params.hold_to_run else "no enabling switch required"
     rows.append(Row("switch", OK if held else WARN, text))
     return rows
+
+
+def eyes(setup: overlay.Setup) -> list[Row]:
+    """Where the tracked body is seen."""
+    params = BodyTrackerParams.of_setup(setup)
+    if not params.body:
+        return []
+    text = f"{params.source_type} on {params.topic}, in the frame {params.mocap_frame}"
+    missing = missing_package(params.source_type)
+    return [Row("cameras", WARN if missing else OK, missing or text)]
 
 
 def measured(setup: overlay.Setup) -> list[Row]:
@@ -105,8 +122,11 @@ def measured(setup: overlay.Setup) -> list[Row]:
     friction = np.array(params.coulomb_friction)
     loads = not (np.allclose(params.torque_scales, 1.0) and np.allclose(params.payload, 0.0))
     largest = f"largest {np.rad2deg(np.abs(zeros).max()):.1f} degrees"
+    frame_row = _row("frame", known, "of the cameras, in world_to_base")
+    if params.output != "torque":  # the arm carries itself, and nothing is measured by torques
+        return [frame_row] if cameras["body"] else []
     return [
-        _row("frame", known, "of the cameras, in world_to_base"),
+        *([frame_row] if cameras["body"] else []),
         _row("zeros", bool(zeros.any()), largest if zeros.any() else "of the joints"),
         _row("friction", bool(np.any(friction >= 0.0)), "of the joints"),
         _row("loop delay", params.loop_delay > 0.0, f"{params.loop_delay * 1e3:.0f} ms"),

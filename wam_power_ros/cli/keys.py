@@ -13,7 +13,8 @@ from collections.abc import Mapping
 from contextlib import suppress
 
 KEYS = {"r": "reward", "p": "punish", "s": "stop", " ": "pause", "c": "continue"}
-HINT = "keys: s stop the arm, space pause, c continue, r reward, p punish"
+KEYS |= {str(key): f"rate {key / 9.0}" for key in range(10)}
+HINT = "keys: s stop the arm, space pause, c continue, r reward, p punish, 0 to 9 rate if asked"
 
 
 class Keys:

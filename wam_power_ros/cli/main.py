@@ -25,6 +25,7 @@ from wam_power_ros.cli import (
     commands,
     commission_command,
     doctor_command,
+    new_arm_command,
     score_command,
 )
 from wam_power_ros.cli.launcher import Devices, UsageError, pasteable
@@ -52,8 +53,8 @@ NODES = {  # executable of `ros2 run` -> entry point, as setup.py declares them
 
 HEADINGS = {
     "First": ("learn", "teach", "replay", "view", "doctor"),
-    "Session": ("feedback", "stop", "report", "score", "run-policy"),
-    "Arm": ("commission", "enable"),
+    "Session": ("feedback", "stop", "report", "score", "run-policy", "compare"),
+    "Arm": ("new-arm", "commission", "enable"),
     "Recordings": ("bags", "play", "recover"),
     "Names, set-ups, nodes": ("list", "config", "run"),
 }
@@ -168,24 +169,27 @@ def _parser() -> argparse.ArgumentParser:
 
     commission_command.add_to(add, _arm_options)
     doctor_command.add_to(add, _arm_options)
+    new_arm_command.add_to(add)
 
     feedback = add(
         "feedback",
         commands.feedback,
-        "reward or punish the last rollout, or give a demonstration, during a session",
+        "rate, reward or punish the last rollout, or give a demonstration, during a session",
     )
     feedback.add_argument(
         "kind",
-        choices=("reward", "punish", "demonstration", "pause", "continue"),
-        help="reward or punish: the last finished rollout; demonstration: learn from it if its "
-        "reproduction is better; pause: stop after the current trial, e.g. to teach in between",
+        choices=("rate", "reward", "punish", "demonstration", "pause", "continue"),
+        help="rate: the rollout for whose rating the session waits (task rated); reward or punish: "
+        "the last finished rollout; demonstration: learn from it if its reproduction is better; "
+        "pause: stop after the current trial, e.g. to teach in between",
     )
-    feedback.add_argument("bag", type=Path, nargs="?", help="bag of the demonstration")
+    text = "bag of the demonstration; rating from 0 (worst) to 9 (as it should be)"
+    feedback.add_argument("given", nargs="?", metavar="BAG|RATING", help=text)
     feedback.add_argument("--session", type=Path, help="folder (default: the newest session)")
 
     stop = add(
         "stop",
-        partial(commands.feedback, kind="stop", bag=None),
+        partial(commands.feedback, kind="stop", given=None),
         "stop the arm and pause its session, until wam-power feedback continue",
         "Stop the arm and pause the session. No safety function.",
     )
@@ -234,9 +238,25 @@ def _parser() -> argparse.ArgumentParser:
     )
     run_policy.add_argument("policy", type=Path, help="policy.json, or the folder of a session")
     run_policy.add_argument("--rollouts", type=positive, default=1, help="number (default 1)")
-    task_option(run_policy)
-    run_policy.add_argument("--folder", type=Path, help="for the recordings (default: runs/NOW)")
-    _arm_options(run_policy)
+    compare = add(
+        "compare",
+        commands.compare,
+        "say which of two saved policies is better, by as few rollouts as show it",
+        "Execute two policies by turns. A pair is won by the success, of two alike by the higher "
+        "return; it ends once the better policy is known with a probability of error below 5 %.",
+    )
+    for name, default in (
+        ("first", "A; its session, if it is in one, scores both"),
+        ("second", "B"),
+    ):
+        text = f"policy.json or the folder of a session, called {default}"
+        compare.add_argument(name, type=Path, help=text)
+    text = "largest number of pairs of rollouts (default 30); a decision takes at least 8"
+    compare.add_argument("--pairs", type=positive, default=30, help=text)
+    for command in (run_policy, compare):
+        task_option(command)
+        command.add_argument("--folder", type=Path, help="for the recordings (default: runs/NOW)")
+        _arm_options(command)
 
     play = add(
         "play",

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from wam_power_interfaces.srv import AddDemonstration, Pause
+from wam_power_interfaces.srv import AddDemonstration, Pause, Rate
 from wam_power_ros.client.link import RETRY_PERIOD, TIMEOUT, Link
 from wam_power_ros.client.robot import Robot
 from wam_power_ros.ros import interface
@@ -28,12 +28,13 @@ class Feedback:
     def __init__(self, link: Link) -> None:
         self._link = link
 
-    def give(self, kind: str, bag: Path | None = None) -> Answer:
+    def give(self, kind: str, bag: Path | None = None, value: float | None = None) -> Answer:
         """Give feedback; the answer may be a refusal.
 
         Args:
-            kind: One of `SERVICES`, or "demonstration".
+            kind: One of `SERVICES`, "demonstration" or "rate".
             bag: Bag of the demonstration.
+            value: Rating, from 0 to 1.
 
         Raises:
             ServiceError: The learner does not appear or does not answer.
@@ -41,6 +42,8 @@ class Feedback:
         if kind == "demonstration":
             data = AddDemonstration.Request(bag=str(bag.resolve()))
             name = interface.ADD_DEMONSTRATION
+        elif kind == "rate":
+            name, data = interface.LEARNER_RATE, Rate.Request(value=value)
         else:
             name, data = SERVICES[kind]
         answer = self._link.call(name, data)

@@ -28,7 +28,7 @@ from rclpy.qos import QoSProfile
 from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
-from wam_power_interfaces.srv import AddDemonstration, Pause
+from wam_power_interfaces.srv import AddDemonstration, Pause, Rate
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.node_runner import executor_for
 from wam_power_ros.ros.outcomes import Answer, Code, ServiceError
@@ -44,7 +44,7 @@ DISPATCH_PERIOD = 0.1  # [s of wall time] in which the thread notices that it sh
 CHECK_PERIOD = 0.05  # [s of wall time] between two checks of what is waited for
 NEWEST = QoSProfile(depth=1, reliability=interface.STATE_IN.reliability)
 # Of a request: of a SetBool, a ChangeState, a Trigger; or a whole request of another type.
-Data = bool | Transition | Pause.Request | AddDemonstration.Request | None
+Data = bool | Transition | Pause.Request | AddDemonstration.Request | Rate.Request | None
 
 
 class Link:
@@ -331,7 +331,7 @@ def _request(data: Data) -> tuple[type, object]:
         return Trigger, Trigger.Request()
     if isinstance(data, Transition):
         return ChangeState, ChangeState.Request(transition=data)
-    for kind in (Pause, AddDemonstration):
+    for kind in (Pause, AddDemonstration, Rate):
         if isinstance(data, kind.Request):
             return kind, data
     return SetBool, SetBool.Request(data=data)

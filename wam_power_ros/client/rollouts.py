@@ -53,12 +53,12 @@ class Awaited(NamedTuple):
 
     Attributes:
         state: "rest": the body comes to rest by itself; "unseen": no state of it comes; otherwise
-            what a person must do: put the body back, reset a fault, activate the controller, or
-            hold the enabling switch.
+            what a person must do: put the body back, reset a fault, activate the controller, hold
+            the enabling switch, or rate the rollout.
         what: Noun phrase.
     """
 
-    state: Literal["rest", "unseen", "put back", "reset", "activate", "switch"]
+    state: Literal["rest", "unseen", "put back", "reset", "activate", "switch", "rate"]
     what: str
 
 
@@ -321,6 +321,12 @@ class Rollouts:
         self._log.info(f"waiting for {awaited.what}", throttle_duration_sec=SWITCH_LOG_PERIOD)
         self._link.sleep(RETRY_PERIOD)
         return True
+
+    def await_rating(self, rollout_id: str, rated: Callable[[], bool]) -> None:
+        """Wait without limit until a person has rated a rollout; an EndedByPersonError as ever."""
+        awaited = Awaited("rate", f"a rating of {rollout_id}: 0 (worst) to 9 (as it should be)")
+        self._log.info(f"waiting for {awaited.what}")
+        self._until(rated, lambda: awaited)
 
     def _until(self, condition: Callable[[], object], awaited: Callable[[], Awaited]) -> None:
         """Wait without limit until a condition holds, and say so."""

@@ -274,7 +274,7 @@ def _derivatives(arm: Arm, samples: Samples, zeros: np.ndarray) -> tuple[np.ndar
     data, placement, last = model.createData(), frame.placement, 10 * (frame.parentJoint - 1)
     tool = tool_centre(arm)[0]
     masses = [link.toDynamicParameters() for link in list(model.inertias)[1:]]
-    sideways = [_pulled(model, axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))]
+    sideways = [_pulled(model, axis) for axis in arm.root.rotation.T[:2]]
     rows = []
     for posture, qd, qdd in zip(samples.q, samples.qd, samples.qdd, strict=True):
         q = posture - zeros
@@ -303,8 +303,8 @@ def _slow(qd: np.ndarray) -> np.ndarray:
     return np.exp(-((qd / STRIBECK_SPEED) ** 2))
 
 
-def _pulled(model: pin.Model, axis: tuple[float, float, float]) -> pin.Model:
+def _pulled(model: pin.Model, axis: np.ndarray) -> pin.Model:
     """The model with gravity along an axis of the base."""
     turned = model.copy()
-    turned.gravity.linear = GRAVITY * np.array(axis)
+    turned.gravity.linear = GRAVITY * axis
     return turned

@@ -236,15 +236,17 @@ def velocity_lag(record: ArmRecord, joint: int) -> Row:
 
 
 def effort(record: ArmRecord, quantity: str = "torque") -> Row:
-    """Whether the driver reports the effort that the set-up says: torque, current or none."""
-    unit = {"torque": "N m", "current": "A of the motors"}.get(quantity)
+    """Whether the driver reports the effort that the set-up says; see `gravity`."""
+    units = {"torque": "N m", "external": "N m without gravity", "current": "A of the motors"}
+    unit = units.get(quantity)
     row = partial(Row, "effort", f"{unit} in every state" if unit else "none")
     if record.tau is None or not np.isfinite(record.tau).all():
         advice = "without it gravity, joint order and watchdog cannot be checked at rest"
         return row("no effort", WARN if unit else OK, advice if unit else "")
     found = _listed(record.tau.mean(axis=0))
     if not unit:
-        return row(found, WARN, "the driver reports one: set effort to torque or current")
+        advice = "the driver reports one: set effort to torque, external or current"
+        return row(found, WARN, advice)
     return row(f"{found} {unit}", OK)
 
 
@@ -257,11 +259,13 @@ def gravity(record: ArmRecord, arm: Arm, quantity: str = "torque") -> Row:
     Args:
         record: Record of an arm at rest.
         arm: Model of the arm.
-        quantity: Quantity in the field `effort`: "torque" [N m], "current" of the motors [A], or
-            "none".
+        quantity: Quantity in the field `effort`: "torque" [N m], "external" without gravity [N m],
+            "current" of the motors [A], or "none".
     """
     by_hand = "move each joint when asked instead"
     expected = "effort at rest is g(q): order, signs, zero and payload as in the URDF"
+    if quantity == "external":
+        expected = "effort at rest is zero: gravity is left out of it"
     if quantity == "current":
         expected = "current at rest has the signs of g(q)"
     row = partial(Row, "gravity", expected)
@@ -273,6 +277,8 @@ def gravity(record: ArmRecord, arm: Arm, quantity: str = "torque") -> Row:
         return row("the arm moves", UNCHECKED, "keep the arm at rest")
     if quantity == "current":
         return _current(row, record, arm)
+    if quantity == "external":
+        return _external(row, record, arm)
     q, tau = record.q.mean(axis=0), record.tau.mean(axis=0)
     g = arm.gravity(q)
     text = f"{_listed(tau)} N m, g(q) {_listed(g)} N m"
@@ -287,6 +293,20 @@ def gravity(record: ArmRecord, arm: Arm, quantity: str = "torque") -> Row:
         advice = "the driver is idle or reports torques without gravity; move each joint when asked"
         return row(text, UNCHECKED, advice)
     return row(text, FAIL, mistake)
+
+
+def _external(row: partial[Row], record: ArmRecord, arm: Arm) -> Row:
+    """Row about torques without gravity: small ones, which tell of friction or of a payload."""
+    assert record.tau is not None
+    q, tau = record.q.mean(axis=0), record.tau.mean(axis=0)
+    g, known = arm.gravity(q), 2.0 * arm.friction + GRAVITY_FLOOR
+    text = f"{_listed(tau)} N m without gravity, g(q) {_listed(g)} N m"
+    if (np.abs(tau) <= known + GRAVITY_SHARE * np.abs(g)).all():
+        advice = "order, signs and zero do not show at rest: move each joint when asked"
+        return row(text, UNCHECKED, advice)
+    if np.abs(tau - g).max() < np.abs(tau).max():
+        return row(text, FAIL, "it contains gravity: set effort to torque")
+    return row(text, FAIL, "something pushes the arm, or its payload is not set in the robot")
 
 
 def _current(row: partial[Row], record: ArmRecord, arm: Arm) -> Row:

@@ -225,7 +225,10 @@ def publishers(name: str, kind: str, ends: Sequence[Endpoint], unmatched: Sequen
     if not ends:
         return row(text, UNCHECKED)
     if unmatched:
-        advice = "configure the topic of a driver that publishes this type, or convert its messages"
+        advice = (
+            "configure the topic of a driver that publishes this type; of a motion capture set "
+        )
+        advice += "message_type to what it publishes"
         return row("; ".join(unmatched), FAIL, advice)
     if len(ends) > 1:
         return row(text, WARN, "messages are used as from one device: does one belong to another?")
@@ -290,24 +293,29 @@ def command_path(
 
 
 def torque_order(
-    driver: str, joints: Sequence[str], interface: str, joint_names: Sequence[str]
+    driver: str,
+    joints: Sequence[str],
+    interface: str,
+    joint_names: Sequence[str],
+    expected: str = "effort",
 ) -> Row:
-    """Whether a ros2_control forwarder passes on torques, in the order in which they are sent.
+    """Whether a ros2_control forwarder passes on commands, in the order in which they are sent.
 
     Args:
         driver: Name of the node that receives the torques.
         joints: Its parameter `joints`; empty if it has none.
         interface: Its parameter `interface_name`; empty if it has none.
-        joint_names: Order in which torques are sent.
+        joint_names: Order in which commands are sent.
+        expected: Its interface for them, "effort" or "position".
     """
-    row = partial(Row, "torque order", f"{' '.join(joint_names)}, as effort")
+    row = partial(Row, "torque order", f"{' '.join(joint_names)}, as {expected}")
     if not joints:
         advice = "not a forwarder of ros2_control: compare the driver's order with joint_names"
         return row(f"{driver} has no parameter joints", UNCHECKED, advice)
     text = f"{driver}: {' '.join(joints)}{f', as {interface}' if interface else ''}"
     if tuple(joints) != tuple(joint_names):
-        advice = "torques would act on other joints: set joints of that controller to joint_names"
+        advice = "commands would act on other joints: set joints of that controller to joint_names"
         return row(text, FAIL, advice)
-    if interface not in ("", "effort"):
-        return row(text, FAIL, "set interface_name of that controller to effort")
+    if interface not in ("", expected):
+        return row(text, FAIL, f"set interface_name of that controller to {expected}")
     return row(text, OK)

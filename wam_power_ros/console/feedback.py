@@ -24,13 +24,18 @@ APPEAR_TIMEOUT = 10.0  # [s of wall time] until a service of the learner is avai
 
 
 def give(
-    kind: str, bag: Path | None = None, namespace: str = "", domain: int | None = None
+    kind: str,
+    bag: Path | None = None,
+    value: float | None = None,
+    namespace: str = "",
+    domain: int | None = None,
 ) -> Answer:
     """Send feedback to the learner.
 
     Args:
-        kind: One of `client.feedback.SERVICES`, or "demonstration".
+        kind: As for `Feedback.give`, with what it needs.
         bag: Bag of the demonstration, for the kind "demonstration".
+        value: Rating from 0 to 1, for the kind "rate".
         namespace: Namespace of the learner.
         domain: DDS domain of a simulation; None for that of ROS_DOMAIN_ID.
 
@@ -43,19 +48,20 @@ def give(
             participant(make, domain, on_loopback=domain is not None) as node,
             Link(node, APPEAR_TIMEOUT, LOG_AFTER) as link,
         ):
-            return Feedback(link).give(kind, bag)
+            return Feedback(link).give(kind, bag, value)
     except ServiceError as error:
         text = f"{error}; does a learner run with the same ROS_DOMAIN_ID?"
         return Answer(Code.NOT_ACTIVE, text)
 
 
 def _answer_lines(node: Node) -> None:
-    """Send the kind of feedback named on each input line; print one line per answer."""
+    """Send the feedback named on each input line, "rate" with a value; print a line per answer."""
     with Link(node, APPEAR_TIMEOUT) as link:
         feedback = Feedback(link)
-        for kind in map(str.strip, sys.stdin):
+        for line in sys.stdin:
+            kind, _, value = line.strip().partition(" ")
             try:
-                answer = feedback.give(kind)
+                answer = feedback.give(kind, value=float(value) if value else None)
             except ServiceError as error:
                 answer = Answer(Code.NOT_ACTIVE, str(error))
             show(answer.text if answer.success else f"{kind} refused: {answer.text}")

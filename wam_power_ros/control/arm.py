@@ -143,7 +143,8 @@ class Arm:
         asymmetry: Share by which Coulomb friction is larger forwards than on average. Shape (n,).
         low_speed_friction: Share of it that is added at low speed. Shape (n,).
         guarded: Names of the guarded points.
-        model: Pinocchio's model of the chain.
+        model: Pinocchio's model of the chain, whose universe is the base frame.
+        root: Pose of the URDF's root link, which is upright, in the base frame.
 
     Args:
         urdf: Text of the URDF.
@@ -151,10 +152,12 @@ class Arm:
         tool_frame: Link whose frame is the tool.
         guarded: Points whose motion is limited in addition to the tool's.
         corrections: What was measured on this arm, None for an arm as its URDF describes it.
+        base_frame: Link whose frame is the base frame of all numbers; the root link if empty.
 
     Raises:
         ValueError: The text is not a URDF, a joint or frame is missing (the message lists the known
-            ones), or a joint, limit, inertia, armature or guarded point is not valid.
+            ones), the base frame moves, or a joint, limit, inertia, armature or guarded point is
+            not valid.
     """
 
     def __init__(
@@ -164,11 +167,13 @@ class Arm:
         tool_frame: str = "pan",
         guarded: Sequence[GuardedPoint] = WAM_GUARDED_POINTS,
         corrections: Corrections | None = None,
+        base_frame: str = "",
     ) -> None:
         self.joint_names = tuple(joint_names)
         tree = parsed(urdf)
         require_usable(tree, self.joint_names)
         self._given = urdf, self.joint_names, tool_frame, tuple(guarded)
+        self._base_frame = base_frame
         try:
             full = pin.buildModelFromXML(urdf)
         except (ValueError, RuntimeError) as error:
@@ -184,7 +189,8 @@ class Arm:
             raise ValueError(f"{self.n} joints are too many, at most {JOINTS_MAX} are possible")
         self.armature = np.array([_armature(tree, name) for name in self.joint_names])
         self.model.armature = self.armature
-        self.tool_frame = self._tool = self._frame(tool_frame)
+        self.root = rebased(self.model, base_frame) if base_frame else pin.SE3.Identity()
+        self.tool_frame = self._tool = _link(self.model, tool_frame)
         self._zero = np.zeros(self.n)
         self._data = self.model.createData()
         self._identity = self._identified()
@@ -195,7 +201,7 @@ class Arm:
             if corrections.of_gravity:
                 self._uncorrected = self.model.copy()
                 self._uncorrected_data = self._uncorrected.createData()
-            corrections.apply(self.model, self._tool)
+            corrections.apply(self.model, self._tool, self.root.rotation)
             self.asymmetry = corrections.friction_asymmetry
             self.low_speed_friction = corrections.low_speed_friction
             if np.any(corrections.torque_scales != 1.0):
@@ -210,7 +216,7 @@ class Arm:
         self._data = self.model.createData()
         self.guarded = tuple(point.name for point in guarded)
         self._guarded = [
-            self._point(self._frame(link), read_only(f"guarded point {name}", offset, (3,)))
+            self._point(_link(self.model, link), read_only(f"guarded point {name}", offset, (3,)))
             for name, link, offset in guarded
         ]
         self._moving = [*self._guarded, self._point(self._tool, np.zeros(3))]
@@ -223,13 +229,7 @@ class Arm:
 
     def corrected(self, corrections: Corrections) -> Arm:
         """Another model of this arm, with these corrections in place of its own."""
-        return Arm(*self._given, corrections)
-
-    def _frame(self, name: str) -> int:
-        if not self.model.existFrame(name, _LINK):  # a joint may have the same name
-            known = [frame.name for frame in self.model.frames if frame.type == _LINK]
-            raise ValueError(f"no link {name!r} in the robot description; known: {known}")
-        return int(self.model.getFrameId(name, _LINK))
+        return Arm(*self._given, corrections, self._base_frame)
 
     def _point(self, frame: int, offset: np.ndarray) -> _Point:
         """Point at an offset (3,) [m] in a frame."""
@@ -347,6 +347,36 @@ class Arm:
             return pin.aba(model, self._data, q, qd, tau - resistance * qd)
         finally:
             model.armature = self.armature
+
+
+def rebased(model: pin.Model, base_frame: str) -> pin.SE3:
+    """Make a fixed link the frame of all numbers of a model; returns the root's pose in it.
+
+    Raises:
+        ValueError: There is no such link, or it moves.
+    """
+    base = model.frames[_link(model, base_frame)]
+    if base.parentJoint:
+        fixed = [it.name for it in model.frames if it.type == _LINK and not it.parentJoint]
+        joint = model.names[base.parentJoint]
+        raise ValueError(f"base_frame {base_frame!r} moves with joint {joint!r}; fixed are {fixed}")
+    root = base.placement.inverse()
+    if not root.isIdentity():  # else the URDF's numbers stay, bit for bit
+        for number in range(1, model.njoints):
+            if model.parents[number] == 0:
+                model.jointPlacements[number] = root * model.jointPlacements[number]
+        for frame in model.frames:
+            if frame.parentJoint == 0:
+                frame.placement = root * frame.placement
+        model.gravity.linear = root.rotation @ model.gravity.linear
+    return root
+
+
+def _link(model: pin.Model, name: str) -> int:
+    if not model.existFrame(name, _LINK):  # a joint may have the same name
+        known = [frame.name for frame in model.frames if frame.type == _LINK]
+        raise ValueError(f"no link {name!r} in the robot description; known: {known}")
+    return int(model.getFrameId(name, _LINK))
 
 
 class _Point(NamedTuple):

@@ -162,6 +162,10 @@ class Controller:
         return "" if self._rollout is None else self._rollout.stopped_in
 
     @property
+    def _reported(self) -> JointState | None:
+        return self._states.last
+
+    @property
     def at_rest(self) -> bool:
         """Whether the arm was at rest in the last state."""
         try:
@@ -423,7 +427,7 @@ class Controller:
             text = f"rollout refused: fault ({self.latched.text}); reset first"
             raise ControllerError(Refusal.FAULT, text)
         policy = self._require_policy("rollout")
-        last = self._states.last
+        last = self._reported
         if self._mode is not Mode.HOLD or last is None:
             text = f"rollout refused: mode is {self._mode.value}, not hold"
             raise ControllerError(Refusal.BUSY, text)

@@ -119,8 +119,12 @@ class ControllerSettings(MotionSettings):
         limits: Limits of the arm, None for those of its URDF with the defaults of `safety.Limits`.
         region: Guarded region, which ends a rollout; None for none.
         arm: Identity of the arm that a policy must match, if it names one; None to accept any.
+        set_point_period: Time between two references that are sent [s]; 0 if torques are sent.
+        state_period: Sampling period of the joint states, if it is not `period` [s].
     """
 
     limits: InstanceOf[Limits] | None = None
     region: InstanceOf[Region] | None = None
     arm: InstanceOf[ArmIdentity] | None = None
+    set_point_period: float = 0.0
+    state_period: float = 0.0

@@ -100,12 +100,13 @@ class Corrections:
             or (self.link_masses != 1.0).any()
         )
 
-    def apply(self, model: pin.Model, tool_frame: int) -> None:
+    def apply(self, model: pin.Model, tool_frame: int, root: np.ndarray) -> None:
         """Correct a model of the arm in place, all but its torques.
 
         Args:
             model: Pinocchio's model of the chain.
             tool_frame: Index of the frame of the tool.
+            root: Axes of the URDF's root link, which the tilt is of, as columns. Shape (3, 3).
 
         Raises:
             ValueError: The tool's link would be left without mass.
@@ -119,7 +120,7 @@ class Corrections:
             model.lowerPositionLimit = model.lowerPositionLimit + self.zeros
             model.upperPositionLimit = model.upperPositionLimit + self.zeros
         if self.base_tilt.any():
-            model.gravity.linear = self.gravity
+            model.gravity.linear = root @ self.gravity
         friction, damping = self.coulomb_friction, self.viscous_friction
         model.friction = np.where(friction < 0.0, model.friction, friction)
         model.damping = np.where(damping < 0.0, model.damping, damping)

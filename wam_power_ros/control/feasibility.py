@@ -10,7 +10,7 @@ drive a fast policy beyond a limit. A tracked body is left out: its weight is ne
 from __future__ import annotations
 
 import math
-from collections import Counter, deque
+from collections import Counter
 from dataclasses import dataclass, replace
 from itertools import count
 
@@ -20,22 +20,20 @@ from wam_power_ros import rotations
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.joint_control import TrackingLost
+from wam_power_ros.control.model_arm import ModelArm
 from wam_power_ros.control.modes import ControllerError, Mode
 from wam_power_ros.control.policy_execution import Execution, prepare
-from wam_power_ros.control.reaction import TORQUE_DELAY
 from wam_power_ros.control.safety import Limits, LimitSprings, MotionCheck, limits_of
-from wam_power_ros.control.state_checks import JointState, at_rate
+from wam_power_ros.control.state_checks import JointState
 from wam_power_ros.control.torque_output import TorqueOutput
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import EndEffectorPath, Foreseen
 
-_STEP = 0.001  # [s] of the integration of the model
 POSITION_MARGIN = 0.05  # [rad] smallest distance from a position limit
 SPEED_SHARE = 0.9  # usable share of the speed limits: the arm differs from the model
 FORESEEN_SHARE = 2.0  # in `foresee`: how far beyond a limit a policy is, not only that it is
 OVERRUN_SHARE = 0.98  # factor on it for each rollout in which the arm was faster than the model
-_FRICTION_SPEED = 0.01  # [rad/s] below it Coulomb friction falls to zero with the speed
 
 
 @dataclass(frozen=True)
@@ -99,23 +97,13 @@ def simulate_policy(
     output = TorqueOutput(arm, tight, False, Counter())
     check, springs = MotionCheck(tight, arm.guarded, settings.period), LimitSprings(tight)
     period, period_ns = settings.period, round(settings.period * 1e9)
-    substeps = max(1, round(period / _STEP))
-    dt = period / substeps
-    delay = at_rate(TORQUE_DELAY, period)
-    if settings.loop_delay:
-        delay = round(settings.loop_delay / period)
-    # What the motors of this arm give for the torques that they are sent.
-    scales = 1.0 if arm.torque_scales is None else arm.torque_scales
-    q, qd, seen = policy.q_start.copy(), np.zeros(arm.n), np.zeros(arm.n)
-    low_pass = -math.expm1(-settings.velocity_cutoff * period)
-    held = output.send(arm.gravity(q), q, None)
-    acting = deque([scales * held] * (delay + 1), maxlen=delay + 1)
+    start = policy.q_start
+    model = ModelArm(arm, settings, start, output.send(arm.gravity(start), start, None))
     elbow_peak = tool_peak = 0.0
     positions, speeds = [], []  # of the joints
-    change = np.zeros(arm.n)  # of the speeds in the last step, expected again in the next
     fault: Fault | None = None
     for tick in count():
-        seen = seen + low_pass * (qd - seen)
+        q, seen = model.q, model.seen
         state = JointState(tick * period_ns, q, seen, period, period)
         motion = arm.motion(q, seen)
         positions.append(q)
@@ -135,14 +123,7 @@ def simulate_policy(
             fault = Fault(FaultKind.COMPUTATION, "the torque was not finite")
             break
         spring = springs.torque(q, period)
-        acting.append(scales * output.send(tau if spring is None else tau + spring, q, period))
-        for _ in range(substeps):
-            # Implicit: explicit friction would shake joints of less than 0.0015 kg m^2.
-            speed = np.maximum(np.abs(qd + change), _FRICTION_SPEED)
-            resistance = arm.friction / speed + arm.damping
-            change = dt * arm.resisted_dynamics(q, qd, acting[0], resistance, dt)
-            qd = qd + change
-            q = q + dt * qd
+        model.advance(output.send(tau if spring is None else tau + spring, q, period))
     path = np.array(positions)
     fault = fault or _margin_fault(path.min(axis=0), path.max(axis=0), limits)
     qd_peak = np.abs(speeds).max(axis=0)

@@ -71,6 +71,7 @@ class Execution:
         under_way: False from `end` on.
         complete: Whether the movement has run to its end.
         stopped_in: Name of the guarded region that has ended it, "" for none.
+        of_model: Whether the states are those of a model, so that `record` alone gives the path.
 
     Args:
         policy: Policy to execute, from `prepare`.
@@ -82,7 +83,7 @@ class Execution:
         self.id = policy.id
         self.start_ns: int | None = None
         self.under_way, self.complete = True, False
-        self.stopped_in = ""
+        self.stopped_in, self.of_model = "", False
         self._path: EndEffectorPath | None = None
         self._arm, self._policy = arm, policy
         self._law: Law = getattr(torque_law, settings.law)
@@ -121,9 +122,10 @@ class Execution:
             return None
         if self._region is not None and self._region.contains(motion.position):
             self.stopped_in = self._region.name
-            self._sample(k, motion)
+            if not self.of_model:
+                self._sample(k, motion)
             return None
-        if k >= self._next_sample:
+        if not self.of_model and k >= self._next_sample:
             self._sample(k, motion)
         vector = rotations.log_of_one(motion.rotation.dot(self._reference))
         if (angle := math.hypot(*vector)) > ROTATION_ERROR_MAX:
@@ -133,6 +135,14 @@ class Execution:
         acceleration = dmp.acceleration(self._policy, k, motion.position, vector, twist)
         dynamics = self._arm.dynamics(state.q, state.qd, state.bias)
         return self._law(motion, dynamics, acceleration)
+
+    def record(self, stamp_ns: int, motion: Motion) -> None:
+        """Add the motion of a reported state to the path, if it is due."""
+        if self.start_ns is None or not self.under_way:
+            return
+        k = (stamp_ns - self.start_ns + self._period_ns // 2) // self._period_ns
+        if k >= self._next_sample and self._count < len(self._t):
+            self._sample(max(k, 0), motion)
 
     def end(self, last: JointState) -> None:
         """Keep the path so far, or that of the last state without one; has an effect once."""

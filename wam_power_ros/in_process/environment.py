@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from hardware_sim.demonstrator import Demonstrator, Script
+from hardware_sim.demonstrator import Script
 from hardware_sim.ground_truth import Truth
 from hardware_sim.settings import ArmSimParams, OptitrackSimParams
 from hardware_sim.world import World
-from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.feasibility import foresee, simulate_policy, speed_margin
 from wam_power_ros.control.modes import Mode
+from wam_power_ros.control.reference_output import controller_of
 from wam_power_ros.control.replay_trajectory import sampled
 from wam_power_ros.faults import Fault
 from wam_power_ros.learning.policy import Policy
@@ -95,6 +95,7 @@ class Environment:
         tau = self.controller.step(stamp_ns, q, qd)
         if mode is Mode.ROLLOUT and self.controller.mode is not mode:
             self._truth = world.truth()  # before the step, like the stand-in
+        world.guided = mode is Mode.GRAVITY_COMPENSATION
         world.step(tau)
         for frame in world.mocap_frames():
             quat_xyzw = frame.quat_xyzw / float(np.linalg.norm(frame.quat_xyzw))  # like a message
@@ -117,7 +118,7 @@ class Environment:
         controller.set_gravity_compensation(True)
         self._tick_for(_STILL)
         world.release()
-        world.attach(Demonstrator(script, *world.tool_pose))
+        world.attach(world.scene.demonstrator(script, *world.tool_pose))
         stamps, q = [], []
         while world.pulled:
             sample = world.joint_state()
@@ -224,7 +225,7 @@ class Environment:
     def place(self, rollout_id: str, q_start: np.ndarray) -> None:
         """Reset the world with the arm at a posture and hold it there."""
         self.world.reset(rollout_id, q_start)
-        self.controller = Controller(self.arm, self.controller.settings)
+        self.controller = controller_of(self.arm, self.controller.settings)
         self.tracker = Tracker(self._tracker_settings)
         self.tick()
         self.controller.hold()

@@ -75,6 +75,8 @@ def _taught(
         ValueError: There is none; says why.
     """
     kind, arm, world = installed.task_type(settings.task), environment.arm, environment.world
+    if kind.rated:
+        raise ValueError(f"a person rates the task {kind.name}: learn it without --in-process")
     settings.check(count)
     read: dict[int, Demonstration] = {}
     candidates: dict[tuple[int, ...], Policy] = {}

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from wam_power_ros import rotations
 from wam_power_ros.learning.dmp import positive_definite
 from wam_power_ros.learning.policy import Policy, at_tempo, read_only, symmetric_part
 
@@ -41,6 +42,14 @@ class Arrays(NamedTuple):
     stiffness: np.ndarray  # K_i [1/s^2], shape (..., n, 3, 3)
     attractors: np.ndarray  # mu_i [m], shape (..., n, 3)
     rotation: np.ndarray  # r_i [rad], shape (..., n, 3)
+
+    def turned(self, heading: float) -> Arrays:
+        """The same in axes that are turned about the vertical by a heading [rad]."""
+        if heading == 0.0:
+            return self
+        turn = rotations.exp(np.array([0.0, 0.0, heading]))
+        stiffness, attractors, rotation = self
+        return Arrays(turn.T @ stiffness @ turn, attractors @ turn, rotation @ turn)
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,13 +254,16 @@ class Parametrization:
         stiffness_min: Smallest eigenvalue of the symmetric part of a sampled K_i [1/s^2].
     """
 
-    def __init__(self, policy0: Policy, groups: Sequence[Group]) -> None:
+    def __init__(self, policy0: Policy, groups: Sequence[Group], heading: float = 0.0) -> None:
         """Combine groups of parameters, in the order of theta.
+
+        The groups, and theta, are in axes that are turned about the vertical by a heading [rad].
 
         Raises:
             ValueError: A group does not fit the policy, or two have the same name.
         """
-        self.policy0 = policy0
+        self.policy0, self._heading = policy0, heading
+        policy0 = self._own = seen_from(policy0, heading)
         symmetric = symmetric_part(policy0.stiffness)  # (n, 3, 3)
         self.stiffness_min = EIGENVALUE_FLOOR * float(np.linalg.eigvalsh(symmetric).min())
         self._members = tuple(groups)
@@ -281,7 +293,7 @@ class Parametrization:
         `policy(clip(z), policy_id)` is the same policy, bit for bit.
         """
         z = self.clip(z)
-        stiffness, attractors, rotation = self._moved(z)
+        stiffness, attractors, rotation = self._moved(z).turned(-self._heading)
         policy = replace(
             self.policy0,
             id=policy_id,
@@ -308,7 +320,7 @@ class Parametrization:
             each = arrays.stiffness.reshape(-1, 3, 3)  # a view
             bad = np.linalg.eigvalsh(symmetric_part(each))[:, 0] < self.stiffness_min
             each[bad] = self._stiffness.raised(each[bad], self.stiffness_min)
-        return arrays
+        return arrays.turned(-self._heading)
 
     def clip(self, z: np.ndarray) -> np.ndarray:
         """Coordinates of the nearest policy with positive definite stiffness matrices.
@@ -327,7 +339,7 @@ class Parametrization:
         if bad.any():
             raised = group.raised(stiffness[bad], self.stiffness_min)
             block = z[self.groups[group.name]].reshape(len(low), -1)  # a view into z
-            difference = group.entries_of(raised) - group.entries_of(self.policy0.stiffness[bad])
+            difference = group.entries_of(raised) - group.entries_of(self._own.stiffness[bad])
             scale = self.scale[self.groups[group.name]][0]
             block[bad] = difference.reshape(-1, block.shape[1]) / scale
         return z
@@ -342,13 +354,20 @@ class Parametrization:
         return z
 
     def _moved(self, z: np.ndarray) -> Arrays:
-        """Arrays of policy0, moved to z (..., size)."""
-        delta, policy0 = self.scale * z, self.policy0
+        """Arrays of policy0 in the axes of the groups, moved to z (..., size)."""
+        delta, policy0 = self.scale * z, self._own
         own = (policy0.stiffness, policy0.attractors, policy0.rotation_attractors)
         arrays = Arrays(*(np.broadcast_to(a, (*z.shape[:-1], *a.shape)).copy() for a in own))
         for group, part in zip(self._members, self.groups.values(), strict=True):
             group.move(arrays, delta[..., part])
         return arrays
+
+
+def seen_from(policy: Policy, heading: float) -> Policy:
+    """Springs of a policy in axes that are turned about the vertical by a heading [rad]."""
+    own = Arrays(policy.stiffness, policy.attractors, policy.rotation_attractors)
+    stiffness, attractors, rotation = own.turned(heading)
+    return replace(policy, stiffness=stiffness, attractors=attractors, rotation_attractors=rotation)
 
 
 def parametrization_of(

@@ -17,16 +17,15 @@ import time
 from typing import NamedTuple
 
 import numpy as np
-from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry, Path
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from sensor_msgs.msg import PointCloud2
 
 from wam_power_ros.learning.rollout import BodyPath
 from wam_power_ros.params.body_tracker_params import BodyTrackerParams
 from wam_power_ros.ros import endpoints, interface, node_runner, pose_messages
+from wam_power_ros.ros.body_sources import BodySource
 from wam_power_ros.ros.diagnostics import Diagnostics
 from wam_power_ros.tracking.tracker import (
     OFFSET_WINDOW,
@@ -82,19 +81,14 @@ class BodyTracker(Node):
         )
         self._paths = publish(Path, interface.rollout_topic(params.body), interface.LATCHED)
         self._diagnostics = Diagnostics(self, params.body, "motion capture")
-        self._source = self.resolve_topic_name(params.markers_topic or params.pose_topic)
-        self._message_type, self._qos = PoseStamped, interface.MOCAP_BEST_EFFORT
-        self._read = pose_messages.pose
-        if params.markers_topic:
-            self._message_type = PointCloud2
-            self._read = pose_messages.markers
+        self._source, self._qos = BodySource(self, params), interface.MOCAP_BEST_EFFORT
         self._unmatched = ""  # publishers from which nothing is received, as text
         self._discovery = self.create_timer(DISCOVERY_PERIOD, self._discover, clock=steady)
         if not self._sim_time:
             self._subscribe_frames(interface.MOCAP_BEST_EFFORT)
         subscribe(Path, interface.ROLLOUT_END_EFFECTOR, self._on_end_effector, interface.LATCHED)
         self.create_timer(0.5 / params.rate, self._check_silence, clock=steady)
-        self.get_logger().info(f"waiting for frames of the {params.body} on {self._source}")
+        self.get_logger().info(f"waiting for frames of the {params.body} on {self._source.topic}")
         self.create_timer(1.0, self._report, clock=steady)
         params.follow(self, self._accept)
 
@@ -112,8 +106,8 @@ class BodyTracker(Node):
         A best-effort reader of an overloaded process loses frames, and the rollout would not be the
         same as on a quiet machine.
         """
-        kind = endpoints.type_name(self._message_type)
-        infos = self.get_publishers_info_by_topic(self._source)
+        kind = endpoints.type_name(self._source.kind)
+        infos = self.get_publishers_info_by_topic(self._source.topic)
         if infos := [info for info in infos if info.topic_type == kind]:
             reliable = all(map(interface.is_reliable, infos))
             self._subscribe_frames(interface.MOCAP if reliable else interface.MOCAP_BEST_EFFORT)
@@ -121,14 +115,17 @@ class BodyTracker(Node):
     def _subscribe_frames(self, qos: QoSProfile) -> None:
         self._discovery.cancel()
         self._qos = qos
-        self.create_subscription(self._message_type, self._source, self._on_frame, qos)
+        self.create_subscription(self._source.kind, self._source.topic, self._on_frame, qos)
 
-    def _on_frame(self, message: PoseStamped | PointCloud2) -> None:
+    def _on_frame(self, message: object) -> None:
         try:
-            stamp_ns, _, *measured = self._read(message)
+            reading = self._source.read(message)
         except ValueError as error:
             self._refuse(error)
             return
+        if reading is None:  # of other frames
+            return
+        stamp_ns, _, *measured = reading
         self._frame_ns = self._timeout_clock.now().nanoseconds
         self._arrived = time.monotonic()
         if not self._first_frame_received:  # logging with `once` would be slow at every frame
@@ -230,8 +227,8 @@ class BodyTracker(Node):
         self.get_logger().error(text)
 
     def _find_unmatched(self) -> None:
-        kinds = (endpoints.type_name(self._message_type),)
-        found = "; ".join(endpoints.unmatched_publishers(self, self._source, kinds, self._qos))
+        kinds, topic = (endpoints.type_name(self._source.kind),), self._source.topic
+        found = "; ".join(endpoints.unmatched_publishers(self, topic, kinds, self._qos))
         if found and found != self._unmatched:
             self.get_logger().error(found)
         self._unmatched = found
@@ -243,7 +240,7 @@ class BodyTracker(Node):
         level, text = LEVELS.get(tracker.validity, "error"), tracker.validity.value
         offset, offset_max = self._clock_offset.seconds, self._params.clock_offset_max
         if not tracker.latest_ns:
-            level, text = "stale", "no frame yet"
+            level, text = "stale", self._source.missing or "no frame yet"
         elif abs(offset) > 0.5 * offset_max:
             level = "error" if abs(offset) > offset_max else "warn"
             text = self._late(offset)

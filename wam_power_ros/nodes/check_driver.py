@@ -23,13 +23,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rclpy.utilities import remove_ros_args
 from rich.console import Console
-from sensor_msgs.msg import JointState, PointCloud2
+from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from wam_power_ros.client.link import Link
@@ -49,10 +48,11 @@ from wam_power_ros.ros import (
     interface,
     joint_messages,
     node_runner,
-    pose_messages,
     scheduling,
 )
+from wam_power_ros.ros.body_sources import BodySource
 from wam_power_ros.ros.interface import is_latched, is_reliable
+from wam_power_ros.ros.pose_messages import MarkersReading
 from wam_power_ros.ros.stamps import nanoseconds
 from wam_power_ros.ros.state_guard import Info, StateGuard, with_info
 
@@ -81,19 +81,20 @@ class CheckDriver(Node):
         self.velocities: list[tuple[int, np.ndarray]] = []
         self.frames: list[FrameSample] = []
         self.clouds: list[CloudSample] = []
-        self._refused_clouds: Counter[str] = Counter()  # by reason
+        self._refused: Counter[str] = Counter()  # by reason
         self._urdf = robot_description(arm.urdf) if arm.urdf else ""
         self._torque_count = 0
         self._send_torque: Callable[[StateSample], None] | None = None
-        self._command_type = joint_messages.COMMAND_TYPES[arm.command_type]
+        self._command_type = joint_messages.COMMAND_TYPES[arm.message]
         subscribe = self._subscribe
         self._state_input = subscribe(JointState, arm.state_topic, self._on_state)
         if arm.velocity_topic:
             self._velocity_input = subscribe(JointState, arm.velocity_topic, self._on_velocity)
-        if mocap.markers_topic:
-            self._mocap_input = subscribe(PointCloud2, mocap.markers_topic, self._on_cloud)
-        else:
-            self._mocap_input = subscribe(PoseStamped, mocap.pose_topic, self._on_pose)
+        self._source: BodySource | None = None
+        self._mocap_input: Input | None = None
+        if mocap.body:  # else the task tracks nothing
+            self._source = BodySource(self, mocap)
+            self._mocap_input = subscribe(self._source.kind, mocap.topic, self._on_frame)
         if not arm.urdf:
             self.create_subscription(
                 String, interface.ROBOT_DESCRIPTION, self._on_urdf, interface.LATCHED
@@ -103,8 +104,9 @@ class CheckDriver(Node):
         )
         scheduling.request(arm.realtime_priority)  # as in the controller, to measure its jitter
         self.link = Link(self)
-        self._drop = interface.body_topic(mocap.body, "drop")
-        self.link.prepare(self._drop)
+        self._drop = interface.body_topic(mocap.body, "drop") if mocap.body else ""
+        if self._drop:
+            self.link.prepare(self._drop)
 
     # Callbacks, of the link's thread; messages count only while the check waits
 
@@ -136,19 +138,16 @@ class CheckDriver(Node):
             self._follow(self._velocity_guard, info)
             self.velocities.append((time.time_ns(), qd))
 
-    def _on_pose(self, message: PoseStamped, _: Info) -> None:
-        stamp_ns = nanoseconds(message.header.stamp)
-        p, o = message.pose.position, message.pose.orientation
-        position, quat_xyzw = np.array([p.x, p.y, p.z]), np.array([o.x, o.y, o.z, o.w])
-        self.frames.append(FrameSample(time.time_ns(), stamp_ns, position, quat_xyzw))
-
-    def _on_cloud(self, message: PointCloud2, _: Info) -> None:
+    def _on_frame(self, message: object, _: Info) -> None:
         try:
-            stamp_ns, _, points = pose_messages.markers(message)
+            reading = self._source.read(message)
         except ValueError as error:
-            self._refused_clouds[str(error)] += 1
+            self._refused[str(error).partition(":")[0]] += 1  # the values differ
             return
-        self.clouds.append(CloudSample(time.time_ns(), stamp_ns, points))
+        if isinstance(reading, MarkersReading):
+            self.clouds.append(CloudSample(time.time_ns(), reading.stamp_ns, reading.points))
+        elif reading is not None:
+            self.frames.append(FrameSample(time.time_ns(), reading.stamp_ns, *reading[2:]))
 
     def _on_urdf(self, message: String) -> None:
         self._urdf = message.data
@@ -175,24 +174,26 @@ class CheckDriver(Node):
         self._input_ended = not line
         return line.strip() if line else None
 
+    def _heard(self) -> bool:
+        return bool(self.states and (self._mocap_input is None or self.frames or self.clouds))
+
     # Rows
 
     def check(self, seconds: float, active: bool) -> list[Row]:
         """Record for `seconds` [s] and make all rows; `active` is consent to the watchdog test."""
-        self.wait(DISCOVERY_TIMEOUT, lambda: bool(self.states and (self.frames or self.clouds)))
-        for samples in (self.states, self.velocities, self.frames, self.clouds):
+        self.wait(DISCOVERY_TIMEOUT, self._heard)
+        for samples in (self.states, self.velocities, self.frames, self.clouds, self._refused):
             samples.clear()
         self._console.print(
             f"Recording for {seconds:.0f} s: leave the arm at rest and the body still, in view."
         )
         self.wait(seconds)
-        inputs = self._state_input, self._mocap_input
+        inputs = [each for each in (self._state_input, self._mocap_input) if each is not None]
         found = any(endpoints.unmatched_publishers(self, *each) for each in inputs)
-        if not (self.states or self.frames or self.clouds or found):
-            mocap_topic = self._mocap_input[0]
-            topics = " nor on ".join(
-                map(self.resolve_topic_name, (self._arm_params.state_topic, mocap_topic))
-            )
+        if self._source is not None and (missing := self._source.missing):
+            self._refused[missing] += 1
+        if not (self.states or self.frames or self.clouds or self._refused or found):
+            topics = " nor on ".join(self.resolve_topic_name(each[0]) for each in inputs)
             raise ValueError(
                 f"no messages on {topics}: start the drivers, with the same ROS_DOMAIN_ID and "
                 "ROS_AUTOMATIC_DISCOVERY_RANGE as this check"
@@ -203,12 +204,13 @@ class CheckDriver(Node):
             unmatched = "; ".join(endpoints.unmatched_publishers(self, *described))
             advice = unmatched or "publish the URDF there, or set the parameter urdf"
             raise ValueError(f"no message on {topic}: {advice}")
-        names, tool = self._arm_params.model_joint_names, self._arm_params.tool_frame
-        arm = Arm(self._urdf, names, tool, (), self._arm_params.corrections)
+        params = self._arm_params
+        names, tool, base = params.model_joint_names, params.tool_frame, params.base_frame
+        arm = Arm(self._urdf, names, tool, (), params.corrections, base)
         rows, record = self._arm_rows(arm, seconds)
         path = self._command_path()
         mocap = self._mocap_rows(arm, record, seconds)
-        order = [self._torque_order()] if self._arm_params.command_type == "multiarray" else []
+        order = [self._torque_order()] if self._arm_params.message == "multiarray" else []
         rows += [path, *order, self._watchdog(arm, record, path, active), self._service()]
         frozen = any(row.name == "mocap frozen" and row.verdict is Verdict.FAIL for row in mocap)
         fall = [] if frozen or not (self.frames or self.clouds) else [self._fall()]
@@ -254,6 +256,7 @@ class CheckDriver(Node):
     def _torque_order(self) -> Row:
         """Row about the order of the driver, asked for its parameters if it is a forwarder."""
         params = self._arm_params
+        expected = "effort" if params.output == "torque" else "position"
         infos = self.get_subscriptions_info_by_topic(self.resolve_topic_name(params.command_topic))
         for info in infos:
             if info.node_name in OWN_NODES:
@@ -262,8 +265,9 @@ class CheckDriver(Node):
             values = self.link.parameters(driver, ("joints", "interface_name"), DISCOVERY_TIMEOUT)
             if len(values) == 2:
                 joints, interface = values[0].string_array_value, values[1].string_value
-                return topic_checks.torque_order(driver, joints, interface, params.joint_names)
-        return topic_checks.torque_order("the driver", (), "", params.joint_names)
+                names = params.joint_names
+                return topic_checks.torque_order(driver, joints, interface, names, expected)
+        return topic_checks.torque_order("the driver", (), "", params.joint_names, expected)
 
     def _service(self) -> Row:
         services = {name: types[0] for name, types in self.get_service_names_and_types()}
@@ -274,10 +278,14 @@ class CheckDriver(Node):
 
     def _mocap_rows(self, arm: Arm, record: ArmRecord, seconds: float) -> list[Row]:
         params = self._mocap
+        if self._mocap_input is None:
+            return []
         samples = self.clouds or self.frames
-        reception = self._reception("mocap", len(samples), seconds, self._mocap_input)
+        count = len(samples) + self._refused.total()
+        reception = self._reception("mocap", count, seconds, self._mocap_input)
         if not samples:
-            return reception
+            refused = mocap_checks.frame_quality([], params, self._refused)
+            return [*reception, *refused] if self._refused else reception
         received, stamp_ns = (np.array([sample[i] for sample in samples]) for i in (0, 1))
         age = float(np.median(record.received_ns - record.stamp_ns)) if len(record.q) else 0.0
         tool = arm.tool_pose(record.q[-1])[0] if len(record.q) else None
@@ -293,7 +301,7 @@ class CheckDriver(Node):
         if params.markers_topic:
             frames, layout = mocap_checks.marker_poses(self.clouds, params)
             found.append(layout)
-        found += mocap_checks.frame_quality(frames, params, self._refused_clouds)
+        found += mocap_checks.frame_quality(frames, params, self._refused)
         return [*found, mocap_checks.body_position(frames, params, tool)]
 
     def _watchdog(self, arm: Arm, record: ArmRecord, path: Row, active: bool) -> Row:
@@ -302,6 +310,8 @@ class CheckDriver(Node):
         def unchecked(why: str) -> Row:
             return Row("watchdog", "the driver ends an old torque", why, Verdict.UNCHECKED)
 
+        if self._arm_params.output != "torque":
+            return unchecked("positions are sent: a driver that keeps the last one holds the arm")
         if path.verdict is Verdict.FAIL:
             return unchecked("see the command path")
         if not record.still or record.tau is None:
@@ -429,6 +439,9 @@ def _parser() -> argparse.ArgumentParser:
         "--config", action="append", default=[], metavar="NAME", help="set-up, as for wam-power"
     )
     parser.add_argument(
+        "--task", default="", metavar="NAME", help="cameras are checked if it tracks a body"
+    )
+    parser.add_argument(
         "--seconds", type=float, default=5.0, help="duration of the check (default 5)"
     )
     parser.add_argument(
@@ -449,7 +462,7 @@ def main() -> int:
     console, errors = Console(), Console(stderr=True)
     node_runner.interrupt_on_signals()
     try:
-        setup = overlay.setup(options.config)
+        setup = overlay.setup(options.config, task=options.task)
         arm = TorqueControllerParams.of_setup(setup)
         mocap = BodyTrackerParams.of_setup(setup)
         make = lambda: CheckDriver(arm, mocap, console)  # noqa: E731

@@ -120,7 +120,7 @@ class ControllerReport:
             FAULT_KIND: now.fault.kind.value if core and now.fault else "",
             **figures,
             **({} if core is None else core.counters),
-            UNEXPLAINED: "" if core is None else core.unexplained.excess(),
+            UNEXPLAINED: self._unexplained(core),
             **{f"refused: {name}": count for name, count in self._refused.items()},
             "real-time scheduling": now.granted.scheduling,
             "locked memory": now.granted.memory,
@@ -132,6 +132,11 @@ class ControllerReport:
         stamp_ns = self._node.get_clock().now().nanoseconds
         name, device = component(self._node, "loop"), self._params.hardware_id
         self._preparation.report(stamp_ns, name, device, level, text, values)
+
+    def _unexplained(self, core: Controller | None) -> str:
+        if self._params.output != "torque":
+            return f"not checked: the arm takes {self._params.output}"
+        return "" if core is None else core.unexplained.excess()
 
     def _summary(self, now: Condition, overload: str) -> tuple[str, str]:
         """Level and text of the diagnostics."""

@@ -35,6 +35,7 @@ from wam_power_ros.bags.writer import header_stamp
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.durable_files import explained
 from wam_power_ros.learning.policy import DURATION_MAX, check_id
+from wam_power_ros.params.body_tracker_params import MESSAGE_TYPES
 from wam_power_ros.params.node_params import Names, Params
 from wam_power_ros.params.resources import robot_description
 from wam_power_ros.ros import interface, node_runner, scheduling
@@ -43,7 +44,6 @@ from wam_power_ros.ros.outcomes import Answer, Code, fill
 from wam_power_ros.ros.raw_subscriptions import RawTopics
 
 MEGABYTE = 1_000_000
-MOCAP_TYPES = ("geometry_msgs/msg/PoseStamped", "sensor_msgs/msg/PointCloud2")
 PATH_TIMEOUT = 1.0  # longest wait for the path of the body in a finished rollout [s]
 STATES_TIMEOUT = 5.0  # longest wait for states in lockstep; some DDS profiles repair in 3 s [s]
 DISK_CHECK_PERIOD = 0.1  # [s] between checks for write errors and free space
@@ -71,6 +71,7 @@ class DemonstrationRecorderParams(Params):
     joint_names: Names
     model_joint_names: Names  # the same in the URDF
     urdf: str  # path, or a file of our share folder; empty: bags do not name their arm
+    base_frame: str  # link, see the controller's
     tool_frame: str
     source: Literal["sim", "hardware"]
     free_to_start: Megabytes
@@ -87,7 +88,8 @@ class DemonstrationRecorder(Node):
         self._arm = ""  # identity of the arm, as JSON
         if params.urdf:
             urdf = robot_description(params.urdf)
-            arm = Arm(urdf, params.model_joint_names, params.tool_frame, guarded=())
+            base = params.base_frame
+            arm = Arm(urdf, params.model_joint_names, params.tool_frame, (), base_frame=base)
             self._arm = arm_identity.to_json(arm.identity())
         self._directory = Path(params.directory).expanduser().absolute()
         self._recording: Recording | None = None
@@ -111,7 +113,7 @@ class DemonstrationRecorder(Node):
             self._body_path_topic = self.resolve_topic_name(body_topics[-1])
         names = (*devices, *params.topics, *body_topics, *params.latched_topics)
         topics: dict[str, tuple[str, ...]] = dict.fromkeys(names, ())
-        topics |= dict.fromkeys(params.mocap_topics, MOCAP_TYPES)
+        topics |= dict.fromkeys(params.mocap_topics, MESSAGE_TYPES)
         topics[params.state_topic] = (layout.JOINT_STATE,)
         topics.pop("", None)  # an empty list in ROS parameters is [""]
         self._sim_time = self.get_parameter("use_sim_time").value

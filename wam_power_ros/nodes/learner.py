@@ -61,7 +61,8 @@ from wam_power_ros.ros.node_runner import (
     started,
 )
 from wam_power_ros.ros.outcomes import Answer, Code, ServiceError, fill
-from wam_power_ros.tasks.task import Pose, Task
+from wam_power_ros.tasks.rated import assessed
+from wam_power_ros.tasks.task import Assessment, Pose, Task
 
 
 class LearnerParams(Params):
@@ -133,11 +134,14 @@ class Learner(Node):
         self._practice: Practice | None = None
         self._lock = threading.Lock()
         self._under_way = False
+        self._awaits_rating = False
+        self._rating: Assessment | None = None  # of the rollout that awaits it
         rating = self.params.rating
         for kind, name, answer in (
             (Trigger, interface.LEARNER_REWARD, self._rated(rating)),
             (Trigger, interface.LEARNER_PUNISH, self._rated(-rating)),
             (srv.Pause, interface.LEARNER_PAUSE, self._on_pause),
+            (srv.Rate, interface.LEARNER_RATE, self._on_rate),
             (srv.AddDemonstration, interface.ADD_DEMONSTRATION, self._on_demonstration),
         ):
             self.create_service(kind, name, answer)
@@ -203,6 +207,16 @@ class Learner(Node):
             )
 
         return serve
+
+    def _on_rate(self, request: srv.Rate.Request, response: srv.Rate.Response) -> srv.Rate.Response:
+        answer = Answer(Code.REFUSED, "no rollout waits for a rating")
+        if self._awaits_rating:
+            try:
+                self._rating = assessed(request.value)
+                answer = Answer(Code.DONE, f"rated {request.value:.2g}")
+            except ValueError as error:
+                answer = Answer(Code.REFUSED, str(error))
+        return fill(response, answer)
 
     def _append(self, response: Any, make: Callable[[Practice], Event]) -> Any:  # noqa: ANN401
         """Append an event to the log of the session, or answer why it is not possible."""
@@ -311,10 +325,10 @@ class Learner(Node):
         if trial is None:
             return False
         begun, begun_monotonic = time.time(), time.monotonic()
-        done = self._execute(trial, practice.task)
+        done = self._execute(trial, practice)
         clock = {"begun": begun, "took": time.monotonic() - begun_monotonic}
         with self._lock:
-            line = _learnt(practice, trial, done, clock)
+            line = _learnt(practice, trial, done, self._rating, clock)
             session.append(line)  # on disk before the next trial
             self._save_best(session, practice)
             self._under_way = False
@@ -407,8 +421,9 @@ class Learner(Node):
             if note := remark(policy.arm, self._arm.identity):
                 self.get_logger().info(f"{session.folder}: policy {policy.id} {note}")
 
-    def _execute(self, trial: Trial, task: Task) -> Executed | EndedByPersonError:
-        """Execute one trial, until its end or until a person ends it."""
+    def _execute(self, trial: Trial, practice: Practice) -> Executed | EndedByPersonError:
+        """Execute one trial, until its end and its rating if one is due, or a person ends it."""
+        task = practice.task
         if fault := self._arm.infeasible(trial.policy):  # if begun with other limits
             raise SessionFailed(
                 f"{trial.id} ({trial.purpose}) was not sent: with the present limits it would end "
@@ -425,8 +440,14 @@ class Learner(Node):
                 lambda state: task.reset(state, arm, q_start),
                 task.rest_time,
             )
+            self._rating = None
+            if practice.awaits_rating(trial, executed.rollout):
+                self._awaits_rating = True
+                self._rollouts.await_rating(trial.id, lambda: self._rating is not None)
         except EndedByPersonError as ended:
             return ended
+        finally:
+            self._awaits_rating = False
         self._markers.executed(executed.rollout.tool.position)
         return executed
 
@@ -435,12 +456,16 @@ def _learnt(
     practice: Practice,
     trial: Trial,
     done: Executed | EndedByPersonError,
+    rating: Assessment | None,
     clock: Mapping[str, Any],
 ) -> Record | Pause:
     """Learn from a trial, or pause if a person has ended it; returns the line to be logged."""
     if not isinstance(done, EndedByPersonError):
         clock = {**clock, **({} if done.reset is None else {"reset": done.reset})}
-        return practice.learn(trial, done.rollout, bag=done.bag, truth=done.truth, clock=clock)
+        logged: dict[str, Any] = {"bag": done.bag, "truth": done.truth, "clock": clock}
+        if rating is not None:
+            return practice.learn_assessed(trial, rating, **logged)
+        return practice.learn(trial, done.rollout, **logged)
     if done.ran:
         return practice.refuse(trial, str(done), bag=done.bag, clock=clock)
     return practice.pause(True, f"{done}; {GO_ON}", clock)

@@ -86,6 +86,7 @@ class TorqueController(LifecycleNode):
         self._stamp_clock = StampClock()
         self._stamp_ns = 0  # of the last state
         self._sent_ns = 0  # when the last torque was passed to the middleware, steady clock
+        self._sent: np.ndarray | None = None  # the last set point, if fewer are sent than states
         self._enabled_ns = -ENABLE_TIMEOUT_NS  # when the switch was last held, steady clock
         sim_time = self.get_parameter("use_sim_time").value  # lockstep: states may pause
         self._watchdog = Watchdog(0.0 if sim_time else params.state_timeout, params.period)
@@ -95,7 +96,7 @@ class TorqueController(LifecycleNode):
 
         self._reader = joint_messages.JointStateReader(params.joint_names)
         self._read = cdr.StateReader(self._reader)
-        writer = joint_messages.TorqueWriter(params.joint_names, params.command_type)
+        writer = joint_messages.TorqueWriter(params.joint_names, params.message, params.sent_period)
         self._write = cdr.TorqueSerializer(writer)
         self._command_qos = qos = interface.DEEP if sim_time else interface.COMMAND
         self._commands = self.create_publisher(writer.message_type, params.command_topic, qos)
@@ -457,7 +458,10 @@ class TorqueController(LifecycleNode):
 
     def _send(self, tau: np.ndarray, label: str) -> None:
         self._sent_ns = time.monotonic_ns()
-        self._guard.publish(self._write(self._stamp_ns, label, tau))
+        # Positions that are not due are repeated in lockstep alone, which needs an answer.
+        if tau is not self._sent or not self._watchdog.enabled:
+            self._guard.publish(self._write(self._stamp_ns, label, tau))
+        self._sent = tau if self._params.set_point_period else None
         self._watchdog.sent_ns = time.monotonic_ns()
         if (error := self._controller.take_error()) is not None:
             self._report_failure(error)

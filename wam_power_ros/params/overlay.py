@@ -9,6 +9,7 @@ and of the stand-ins for these devices, are derived here unless a file gives the
 from __future__ import annotations
 
 import difflib
+import itertools
 import reprlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -30,12 +31,18 @@ NODES = (
     "torque_controller",
     "demonstration_recorder",
     "pancake_tracker",
+    "tag_camera",
     "learner",
     "wam_sim",
     "optitrack_sim",
 )
 STAND_INS = ("wam_sim", "optitrack_sim")
-WITH_BODY = ("pancake_tracker", "demonstration_recorder", "optitrack_sim")  # that of the task
+WITH_BODY = (
+    "pancake_tracker",
+    "tag_camera",
+    "demonstration_recorder",
+    "optitrack_sim",
+)  # that of the task
 SOURCES = ("torque_controller", "pancake_tracker")  # the others' parameters are derived from theirs
 REGION = "guarded_region"  # parameter of the controller; a simulated scene has the same one
 SIMULATION = "simulation"  # file in config/ with what a simulation changes
@@ -85,10 +92,13 @@ class Setup(Mapping[str, dict[str, Any]]):
         names, tool = controller["model_joint_names"], controller["tool_frame"]
         try:
             corrections = Corrections.of_parameters(controller)
-            return Arm(urdf, names, tool, guarded_points(*points), corrections)
+            guarded, base = guarded_points(*points), controller["base_frame"]
+            return Arm(urdf, names, tool, guarded, corrections, base)
         except ValueError as error:
-            where = "torque_controller: urdf, model_joint_names, tool_frame, guarded_links"
-            raise ValueError(f"{controller['urdf']}: {error} ({where})") from None
+            where = "model_joint_names, base_frame, tool_frame, guarded_links"
+            raise ValueError(
+                f"{controller['urdf']}: {error} (torque_controller: urdf, {where})"
+            ) from None
 
     def changed(self, changes: Mapping[str, Mapping[str, Any]]) -> Setup:
         """Set-up with other values of some parameters, by node."""
@@ -138,7 +148,8 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
             in NAME.TASK.yaml. Empty: no task.
 
     Raises:
-        ValueError: The task is unknown, has no set-up or another body than a file says. A file
+        ValueError: The task is unknown, has no set-up or another body than a file says, or a node
+            has another base frame than the controller. A file
             cannot be found or read, names an unknown node or parameter, gives a value of another
             kind than the node's own file, or sets `simulation` for a real arm.
     """
@@ -159,6 +170,11 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
         if (body := {"body": parameters[node]["body"]}) != of_task:
             where = f"{body} of {node} contradicts task {task!r}, {of_task}: choose another --task"
             raise ValueError(f"{where}, or omit it in {', '.join(map(str, files))}")
+    base = parameters["torque_controller"]["base_frame"]
+    for node, values in parameters.items():
+        if (own_base := values.get("base_frame", base)) != base:
+            text = f"base_frame {own_base!r} of {node} is not that of torque_controller, {base!r}"
+            raise ValueError(f"{text}: give it there, the other nodes have it from there")
     if not in_simulation and parameters["torque_controller"]["simulation"]:
         raise ValueError(
             f"simulation: true in the set-ups {list(names)}: a set-up describes devices; stand-ins "
@@ -310,6 +326,10 @@ def _sections(
             sections[node] |= values
         elif renamed is None:
             raise ValueError(f"{file} has parameters for {node!r}; the nodes are {list(NODES)}")
+    tracker = sections["pancake_tracker"]
+    for topic, other in itertools.permutations(("pose_topic", "markers_topic")):
+        if tracker.get(topic) and other not in tracker:
+            tracker[other] = ""  # a source replaces that of a file before
     return {node: _for_ros(values, own[node]) for node, values in sections.items() if values}
 
 
@@ -373,10 +393,11 @@ def _with_body(mocap: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, 
 
 def _derived(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Parameters:
     """Derive parameters of other nodes, stand-ins included, from the arm's and the cameras'."""
-    model = ("joint_names", "model_joint_names", "urdf", "tool_frame")
-    driver = ("period", "state_topic", "velocity_topic", "command_topic", "command_type")
+    model = ("joint_names", "model_joint_names", "urdf", "base_frame", "tool_frame")
+    driver = ("period", "state_topic", "velocity_topic", "command_topic", "command_type", "output")
     world = ("guarded_names", "guarded_links", "guarded_points", REGION)
-    cameras = ("body", "single_marker", "pose_topic", "markers_topic", "up_axis", "world_to_base")
+    cameras = ("body", "single_marker", "pose_topic", "markers_topic", "message_type")
+    cameras += ("body_in_message", "up_axis", "world_to_base", "rate")
     topics = [name for name in (arm["command_topic"], arm["velocity_topic"]) if name]
     derived: Parameters = {
         "demonstration_recorder": {
@@ -387,14 +408,18 @@ def _derived(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Parameters:
             "mocap_topics": [mocap["pose_topic"] or mocap["markers_topic"]],
         },
         "pancake_tracker": {"base_frame": arm["base_frame"]},
-        "learner": {name: arm[name] for name in (*model, "base_frame")},
+        "tag_camera": {"body": mocap["body"]},
+        "learner": {name: arm[name] for name in model},
         "wam_sim": {
             **{name: arm[name] for name in (*model, *driver, *world)},
             "driver_compensates_gravity": arm["driver_compensates_gravity"],
             "velocity": "empty" if arm["velocity_topic"] else "filled",
             "effort": {"torque": "filled", "none": "empty"}.get(arm["effort"], arm["effort"]),
         },
-        "optitrack_sim": {name: mocap[name] for name in (*cameras, "rate")},
+        "optitrack_sim": {
+            **{name: mocap[name] for name in cameras},
+            "frame": mocap["mocap_frame"],
+        },
     }
     if mocap["latency_offset"]:  # stamps are later than the exposure
         derived["optitrack_sim"] |= {"stamps": "receipt", "latency": mocap["latency_offset"]}

@@ -14,8 +14,10 @@ from wam_power_ros.control.arm import Arm, guarded_points
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.controller_settings import ControllerSettings, MotionSettings
 from wam_power_ros.control.corrections import Corrections
+from wam_power_ros.control.reference_output import controller_of
 from wam_power_ros.control.safety import limits_of
 from wam_power_ros.faults import Fault
+from wam_power_ros.learning.policy import PERIOD
 from wam_power_ros.params.node_params import Params
 from wam_power_ros.regions import Region, region_of
 
@@ -89,11 +91,15 @@ class TorqueControllerParams(Params, MotionSettings):
     velocity_topic: str
     command_topic: str = Field(min_length=1)
     command_type: Literal["multiarray", "joint_state"]
-    effort: Literal["torque", "current", "none"]
+    output: Literal["torque", "position", "trajectory"]
+    set_point_period: float = Field(
+        ge=0.0, le=0.02, description="in s: 0 for one to each state; beyond, the arm moves in steps"
+    )
+    effort: Literal["torque", "external", "current", "none"]
     allow_no_realtime: bool
     idle_service: str
     urdf: str
-    base_frame: str
+    base_frame: str = Field(min_length=1)
     tool_frame: str
     joint_zeros: Annotated[
         tuple[Annotated[float, Field(ge=-0.2, le=0.2)], ...],
@@ -176,6 +182,11 @@ class TorqueControllerParams(Params, MotionSettings):
         """Check combinations of parameters, and the stricter bounds on a real arm."""
         require_same_joints(self.joint_names, self.model_joint_names)
         _ = self.corrections  # raises for a list of another length
+        if 0.0 < self.set_point_period < self.period:
+            raise ValueError(
+                f"set_point_period = {self.set_point_period} must be 0 or at least the period of "
+                f"the states, {self.period}: a set point answers a state"
+            )
         if not self.simulation:
             if self.autostart:
                 raise ValueError(
@@ -196,6 +207,16 @@ class TorqueControllerParams(Params, MotionSettings):
         return self
 
     @property
+    def message(self) -> str:
+        """Kind of the commands, one of `ros.joint_messages.COMMAND_TYPES`."""
+        return self.output if self.output == "trajectory" else self.command_type
+
+    @property
+    def sent_period(self) -> float:
+        """Time between two positions that are sent [s]; 0 if torques are sent."""
+        return 0.0 if self.output == "torque" else self.set_point_period or self.period
+
+    @property
     def region(self) -> Region | None:
         """Guarded region, None for none."""
         return region_of(self.guarded_region_name, self.guarded_region)
@@ -214,7 +235,7 @@ class TorqueControllerParams(Params, MotionSettings):
         """
         guarded = guarded_points(self.guarded_names, self.guarded_links, self.guarded_points)
         names, tool = self.model_joint_names, self.tool_frame
-        arm = Arm(urdf, names, tool, guarded, self.corrections)
+        arm = Arm(urdf, names, tool, guarded, self.corrections, self.base_frame)
         limits = limits_of(
             arm,
             torque=self.torque_share * arm.tau_max,
@@ -232,4 +253,13 @@ class TorqueControllerParams(Params, MotionSettings):
             region=self.region,
             arm=arm.identity(),
         )
-        return Controller(arm, settings, latched)
+        if self.output != "torque":  # the arm carries itself; its model runs at 500 Hz or more
+            settings = settings.model_copy(
+                update={
+                    "period": min(self.period, PERIOD),
+                    "state_period": self.period,
+                    "set_point_period": self.sent_period,
+                    "driver_compensates_gravity": False,
+                }
+            )
+        return controller_of(arm, settings, latched)

@@ -27,7 +27,7 @@ from wam_power_ros.practice.best_policy import Best, choose_best, choose_demonst
 from wam_power_ros.practice.improvement import ArmModel, Improvement, feasibility
 from wam_power_ros.practice.session_log import Line, NewDemonstration, Pause, Rating, Record, Trial
 from wam_power_ros.practice.settings import PracticeSettings, SessionSettings
-from wam_power_ros.tasks.task import Assessment, Task
+from wam_power_ros.tasks.task import Assessment, Task, cut_short
 
 COMPARED_ROLLOUTS = 5  # latest ones, whose mean return a demonstration added later must exceed
 RATING_MAX = 1.0  # magnitude of one rating; returns are of this order
@@ -213,6 +213,11 @@ class Practice:
             if rollout.fault.kind is FaultKind.EXTERNAL_TORQUE and before and before.fault:
                 assessment = Assessment(0.0, why=f"{fault}, again: counts as return 0")
         return self.learn_assessed(trial, assessment, fault=fault, **logged)
+
+    def awaits_rating(self, trial: Trial, rollout: Rollout) -> bool:
+        """Whether a person is to rate this rollout, as of a task that nothing else judges."""
+        whole = not cut_short(trial.policy, rollout, self.task.settle_time)
+        return self.task.rated and rollout.fault is None and whole
 
     def learn_assessed(
         self,

@@ -128,7 +128,7 @@ class StoppingRule:
         count, enough = self.count, self._settings.confirm
         said = f"{count} {'success' if count == 1 else 'successes'} in a row"
         if count >= enough:
-            self.complete = f"{said}: {_shown(count)}"
+            self.complete = f"{count} of {count} succeeded: {_shown(count)}"
             return said
         size = len(self._margins[0])
         expected = len(self._scatter) == size
@@ -145,7 +145,8 @@ class StoppingRule:
         few = max(needed - count, 0)
         if not few and (mean > tolerance_factor(count, freedom, rate) * sd).all():
             least = float((mean / np.maximum(sd, 1e-12)).min())
-            self.complete = f"{said}, margins of {least:.2g} sd or more: {_shown(enough)}"
+            inside = f"all well inside the limits ({least:.2g} standard deviations or more)"
+            self.complete = f"{count} of {count} succeeded, {inside}: {_shown(enough)}"
             return said
         # It would more likely fail than not before it shows something.
         if (mean < float(ndtri(0.5 ** (1.0 / (few or enough - count)))) * sd).any():
@@ -166,4 +167,4 @@ class StoppingRule:
 
 def _shown(count: int) -> str:
     """What a number of successes in a row shows, in words."""
-    return f"p > {rate_shown(count):.2g} with {CONFIDENCE:.0%} confidence"
+    return f"at least {rate_shown(count):.0%} will ({CONFIDENCE:.0%} confidence)"

@@ -14,12 +14,14 @@ import struct
 import numpy as np
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory
 
 from wam_power_ros.ros.joint_messages import JointReading, JointStateReader, TorqueWriter
 
 _ORIGIN = 4  # offset of the message, after two bytes of encoding and two of options
 _STAMP = struct.Struct("=iI")
 _LABEL_OFFSET = _ORIGIN + 8  # of a torque, whose label begins with the stamp in digits
+_FRAME_OFFSET = _ORIGIN + _STAMP.size + 4  # of the same in a trajectory
 
 
 class StateReader:
@@ -117,6 +119,8 @@ class TorqueSerializer:
     def __init__(self, writer: TorqueWriter) -> None:
         self._writer = writer
         self._in_header = writer.message_type is JointState
+        trajectory = writer.message_type is JointTrajectory
+        self._label_offset = _FRAME_OFFSET if trajectory else _LABEL_OFFSET
         self._bytes = bytearray()  # the last message
         self._tau_offset = 0
         self._label, self._digit_count = "", 0  # of the stamp in the last message
@@ -132,6 +136,6 @@ class TorqueSerializer:
         if self._in_header:
             _STAMP.pack_into(data, _ORIGIN, *divmod(stamp_ns, 1_000_000_000))
         else:
-            data[_LABEL_OFFSET : _LABEL_OFFSET + len(digits)] = digits
+            data[self._label_offset : self._label_offset + len(digits)] = digits
         data[self._tau_offset : self._tau_offset + len(numbers)] = numbers
         return bytes(data)

@@ -22,7 +22,9 @@ POLICY = "policy"
 ROLLOUT_END_EFFECTOR = "rollout/end_effector"
 ROLLOUT_END = "rollout/end"
 LEARNER_MARKERS = "learner/markers"
+IMAGES, CALIBRATION = "camera/image_raw", "camera/camera_info"  # as camera drivers name them
 ROBOT_DESCRIPTION = "robot_description"
+TF, TF_STATIC = "/tf", "/tf_static"  # subscribed when a frame is a foreign one
 DIAGNOSTICS = "/diagnostics"
 CLOCK = "/clock"
 LOG = "/rosout"
@@ -46,6 +48,7 @@ RECORD = "recorder/record"
 LEARNER_REWARD = "learner/reward"
 LEARNER_PUNISH = "learner/punish"
 LEARNER_PAUSE = "learner/pause"
+LEARNER_RATE = "learner/rate"
 ADD_DEMONSTRATION = "learner/add_demonstration"
 WAM_GRAVITY_COMPENSATE = "wam/gravityCompensate"
 WAM_HOLD = "wam/holdJointPosition"
@@ -119,6 +122,7 @@ STATE_RECORD = _qos(2000, "BEST_AVAILABLE")
 MOCAP = _qos(500)  # a path needs every frame: two seconds at 240 Hz
 MOCAP_BEST_EFFORT = _qos(500, "BEST_EFFORT")
 LATCHED = _qos(1, durability="TRANSIENT_LOCAL")
+FIXED = _qos(100, durability="TRANSIENT_LOCAL")  # of /tf_static, as tf2 subscribes
 REPLAYS = _qos(10)
 DIAGNOSTICS_QOS = _qos(10)
 LOG_QOS = _qos(1000, durability="TRANSIENT_LOCAL")

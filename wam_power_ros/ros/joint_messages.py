@@ -19,7 +19,12 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from wam_power_ros.ros.stamps import checked_stamp, nanoseconds, time_message
 
-COMMAND_TYPES = {"multiarray": Float64MultiArray, "joint_state": JointState}
+COMMAND_TYPES = {
+    "multiarray": Float64MultiArray,
+    "joint_state": JointState,
+    "trajectory": JointTrajectory,
+}
+Command = Float64MultiArray | JointState | JointTrajectory
 
 
 class JointReading(NamedTuple):
@@ -195,43 +200,61 @@ def movement_message(joint_names: Sequence[str], movement: JointMovement) -> Joi
 
 
 class TorqueReading(NamedTuple):
-    """One torque command and the state it was computed from."""
+    """One command and the state it was computed from."""
 
     stamp_ns: int | None  # None when the sender does not label its commands
     label: str
-    tau: np.ndarray  # (nj,) [N m]
+    tau: np.ndarray  # (nj,) [N m]; [rad] for an arm that takes positions
 
 
 class TorqueWriter:
-    """Torques -> command message, labelled with the state they were computed from.
+    """Torques or positions -> command message, labelled with the state they were computed from.
 
-    A Float64MultiArray carries "<stamp_ns> <label>" in `layout.dim[0].label`, a JointState the
-    stamp in its header and the label as frame_id. Real drivers read neither.
+    A Float64MultiArray carries "<stamp_ns> <label>" in `layout.dim[0].label`, a JointTrajectory as
+    frame_id, a JointState the stamp in its header and the label as frame_id. Real drivers read
+    none of them.
+
+    Args:
+        joint_names: Joints in the order of the commands.
+        command_type: One of `COMMAND_TYPES`.
+        set_point_period: Time in which a position is to be reached [s]; 0 for torques.
     """
 
-    def __init__(self, joint_names: Sequence[str], command_type: str) -> None:
+    def __init__(
+        self, joint_names: Sequence[str], command_type: str, set_point_period: float = 0.0
+    ) -> None:
         if command_type not in COMMAND_TYPES:
             raise ValueError(f"command_type {command_type!r} must be one of {list(COMMAND_TYPES)}")
         self.message_type = COMMAND_TYPES[command_type]
         self._states = JointStateWriter(joint_names) if command_type == "joint_state" else None
+        self._positions = set_point_period > 0.0
+        self._trajectory = None
+        if command_type == "trajectory":  # stamp 0: from its arrival on
+            self._trajectory = JointTrajectory(joint_names=list(joint_names))
+            self._point = JointTrajectoryPoint()
+            self._point.time_from_start.nanosec = round(set_point_period * 1e9)
+            self._trajectory.points = [self._point]
         size = len(joint_names)
         self._dimension = MultiArrayDimension(size=size, stride=size)
         self._message = Float64MultiArray()
         self._message.layout.dim = [self._dimension]
 
-    def __call__(
-        self, stamp_ns: int, label: str, tau: np.ndarray
-    ) -> Float64MultiArray | JointState:
-        """Fill the message, the same object every time, with tau (nj,) [N m]."""
+    def __call__(self, stamp_ns: int, label: str, tau: np.ndarray) -> Command:
+        """Fill the message, the same object every time, with tau (nj,) [N m], or [rad]."""
         if self._states is not None:
-            return self._states(stamp_ns, (), (), tau, frame=label)
+            q, torques = (tau, ()) if self._positions else ((), tau)
+            return self._states(stamp_ns, q, (), torques, frame=label)
+        if self._trajectory is not None:
+            self._trajectory.header.frame_id = f"{stamp_ns} {label}"
+            self._point.positions = array("d", tau.tolist())
+            return self._trajectory
         self._dimension.label = f"{stamp_ns} {label}"
         self._message.data = array("d", tau.tolist())
         return self._message
 
 
-def torque(message: Float64MultiArray | JointState, joint_names: Sequence[str]) -> TorqueReading:
-    """Read a torque command as a driver does.
+def torque(message: Command, joint_names: Sequence[str]) -> TorqueReading:
+    """Read a command as a driver does; the last point of a trajectory.
 
     Raises:
         ValueError: When the length or the names are wrong, or a value is not finite.
@@ -239,14 +262,19 @@ def torque(message: Float64MultiArray | JointState, joint_names: Sequence[str]) 
     if isinstance(message, JointState):
         if message.name != list(joint_names):
             raise ValueError(f"names {message.name} must be {list(joint_names)}")
-        values, label = message.effort, message.header.frame_id
+        values, label = message.effort or message.position, message.header.frame_id
         stamp_ns = nanoseconds(message.header.stamp) or None
     else:
-        values = message.data
-        labels = [dimension.label for dimension in message.layout.dim] or [""]
+        if isinstance(message, JointTrajectory):
+            if message.joint_names != list(joint_names) or not message.points:
+                raise ValueError(f"points of {message.joint_names} must be of {list(joint_names)}")
+            values, labels = message.points[-1].positions, [message.header.frame_id]
+        else:
+            values = message.data
+            labels = [dimension.label for dimension in message.layout.dim] or [""]
         number, _, label = labels[0].partition(" ")
         stamp_ns = int(number) if number.isascii() and number.isdigit() else None
-    tau = _joint_values("torque", values, len(joint_names)).copy()
+    tau = _joint_values("command", values, len(joint_names)).copy()
     if not np.isfinite(tau).all():
-        raise ValueError(f"torque {tau.tolist()} must be finite")
+        raise ValueError(f"command {tau.tolist()} must be finite")
     return TorqueReading(stamp_ns, label, tau)

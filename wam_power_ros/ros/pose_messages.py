@@ -8,11 +8,12 @@ are `int` nanoseconds, quaternions xyzw, all else SI.
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from diagnostic_msgs.msg import KeyValue
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, TransformStamped
 from nav_msgs.msg import Odometry, Path
 from sensor_msgs.msg import PointCloud2, PointField
 
@@ -33,7 +34,16 @@ class PoseReading(NamedTuple):
     quat_xyzw: np.ndarray  # (4,)
 
 
-def _fill_pose(pose: object, position: np.ndarray, quat_xyzw: np.ndarray) -> None:
+class MarkersReading(NamedTuple):
+    """Unlabelled markers; one that is not finite is left out."""
+
+    stamp_ns: int
+    frame: str
+    points: np.ndarray  # (m, 3) [m]
+
+
+def fill_pose(pose: object, position: Sequence[float], quat_xyzw: Sequence[float]) -> None:
+    """Set position (3,) [m] and quat_xyzw (4,) of a Pose."""
     p, o = pose.position, pose.orientation
     p.x, p.y, p.z = (float(value) for value in position)
     o.x, o.y, o.z, o.w = (float(value) for value in quat_xyzw)
@@ -50,31 +60,45 @@ def pose_message(
     """Message of a pose: position (3,) [m] and quat_xyzw (4,), in `frame`."""
     message = PoseStamped()
     message.header.stamp, message.header.frame_id = time_message(stamp_ns), frame
-    _fill_pose(message.pose, position, quat_xyzw)
+    fill_pose(message.pose, position, quat_xyzw)
     return message
 
 
 def pose(message: PoseStamped) -> PoseReading:
-    """Read a pose; the quaternion comes back normalised.
+    """Read a pose, see `reading`."""
+    return reading(message, message.pose)
+
+
+def reading(message: object, pose: object) -> PoseReading:
+    """Read a Pose in a message with a header; the quaternion comes back normalised.
 
     Raises:
         ValueError: When the stamp is not set, a value is not finite, or the quaternion is not of
             unit length (1e-3).
     """
-    position, quat_xyzw = _pose_arrays(message.pose)
+    return _checked(message, sensor_stamp(message), *_pose_arrays(pose))
+
+
+def transform(message: TransformStamped, stamped: bool = True) -> PoseReading:
+    """Read the pose of the child frame, see `reading`; static ones need no stamp."""
+    p, o = message.transform.translation, message.transform.rotation
+    stamp_ns = sensor_stamp(message) if stamped else nanoseconds(message.header.stamp)
+    return _checked(message, stamp_ns, np.array([p.x, p.y, p.z]), np.array([o.x, o.y, o.z, o.w]))
+
+
+def _checked(
+    message: object, stamp_ns: int, position: np.ndarray, quat_xyzw: np.ndarray
+) -> PoseReading:
     if not (np.isfinite(position).all() and np.isfinite(quat_xyzw).all()):
-        raise ValueError(f"pose {position.tolist()} {quat_xyzw.tolist()} must be finite")
+        raise ValueError(f"pose not finite: {position.tolist()} {quat_xyzw.tolist()}")
     norm = float(np.linalg.norm(quat_xyzw))
     if abs(norm - 1.0) > 1e-3:
-        raise ValueError(f"quaternion {quat_xyzw.tolist()} must be of unit length, is {norm:.4g}")
-    return PoseReading(sensor_stamp(message), message.header.frame_id, position, quat_xyzw / norm)
+        raise ValueError(f"quaternion not of unit length: {quat_xyzw.tolist()} has {norm:.4g}")
+    return PoseReading(stamp_ns, message.header.frame_id, position, quat_xyzw / norm)
 
 
-def markers(message: PointCloud2) -> tuple[int, str, np.ndarray]:
+def markers(message: PointCloud2) -> MarkersReading:
     """Read unlabelled markers.
-
-    Returns:
-        Stamp [ns], frame, and positions (m, 3) [m]; a marker that is not finite is left out.
 
     Raises:
         ValueError: When the stamp is not set, float32 x, y or z is missing, or a length is wrong.
@@ -104,21 +128,27 @@ def markers(message: PointCloud2) -> tuple[int, str, np.ndarray]:
     cloud = np.frombuffer(bytes(message.data), dtype=layout)
     points = np.column_stack([cloud[name] for name in "xyz"]).astype(float)  # (m, 3)
     finite = np.isfinite(points).all(axis=1)
-    return sensor_stamp(message), message.header.frame_id, points[finite]
+    return MarkersReading(sensor_stamp(message), message.header.frame_id, points[finite])
 
 
 def markers_message(stamp_ns: int, frame: str, points: np.ndarray) -> PointCloud2:
     """Markers (m, 3) [m] as an unordered cloud of float32 x, y, z."""
-    points = np.asarray(points, dtype="<f4").reshape(-1, 3)
-    message = PointCloud2(height=1, width=len(points), point_step=12, is_dense=True)
+    message = PointCloud2()
     message.header.stamp, message.header.frame_id = time_message(stamp_ns), frame
-    message.row_step = 12 * len(points)
+    fill_markers(message, points)
+    return message
+
+
+def fill_markers(message: PointCloud2, points: np.ndarray) -> None:
+    """Set the points (m, 3) [m] of a cloud of float32 x, y, z."""
+    points = np.asarray(points, dtype="<f4").reshape(-1, 3)
+    message.height, message.width, message.is_dense = 1, len(points), True
+    message.point_step, message.row_step = 12, 12 * len(points)
     message.fields = [
         PointField(name=name, offset=4 * i, datatype=PointField.FLOAT32, count=1)
         for i, name in enumerate("xyz")
     ]
     message.data = points.tobytes()
-    return message
 
 
 class StateReading(NamedTuple):
@@ -137,7 +167,7 @@ def odometry_message(state: StateReading, child_frame: str) -> Odometry:
     """State as Odometry, whose twist is rotated into the child frame."""
     message = Odometry(child_frame_id=child_frame)
     message.header.stamp, message.header.frame_id = time_message(state.stamp_ns), state.frame
-    _fill_pose(message.pose.pose, state.position, state.quat_xyzw)
+    fill_pose(message.pose.pose, state.position, state.quat_xyzw)
     rotation = rotations.matrix(state.quat_xyzw)
     linear, angular = message.twist.twist.linear, message.twist.twist.angular
     linear.x, linear.y, linear.z = (rotation.T @ state.velocity).tolist()

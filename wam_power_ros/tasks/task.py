@@ -36,6 +36,7 @@ from wam_power_ros.tasks.errors import (
     predictor,
     told,
 )
+from wam_power_ros.tasks.heading import turned
 from wam_power_ros.tasks.reset import Action, BodyState
 from wam_power_ros.tasks.settings import FIT, TaskSettings
 
@@ -115,6 +116,8 @@ class Task:
 
     Attributes:
         name: Name of the task, as in `--task NAME`.
+        rated: Whether a session asks a person to rate each rollout that runs to its end, and
+            learns from that alone.
         body: Name of the tracked rigid body, which its topics contain; "" for none.
         single_policy: Whether one policy is fitted to all demonstrations; otherwise one to each,
             and learning starts from the one that reproduces best.
@@ -135,12 +138,14 @@ class Task:
         settle_time: Time that a rollout continues after the movement [s].
         gain: Share of a measured error by which a rollout is corrected in hindsight; 0 for none.
         region: Guarded region at which the controller ends its rollouts, None for none.
+        heading: Direction of a planar movement about the vertical [rad], if `context` has one.
 
     A task is constructed from its settings and from `context`: the session stores what `context_of`
     derives from the demonstrations at its start.
     """
 
     name: ClassVar[str]
+    rated: ClassVar[bool] = False
     body: ClassVar[str] = ""
     single_policy: ClassVar[bool] = False
     fit_settings: ClassVar[FitSettings] = FIT
@@ -216,6 +221,7 @@ class Task:
         self.settings = settings
         self.settle_time: float = settings.settle_time
         self.targets = {**self.targets, **context.get("goal", {})}
+        self.heading = float(context.get("heading", 0.0))
 
     @classmethod
     def declares(cls, *names: str) -> bool:
@@ -462,11 +468,13 @@ class Task:
     def figure(self, rollout: Rollout) -> tuple[Figure, str] | None:
         """Figure of a rollout, and a sentence on it, which may be empty; None for no figure.
 
-        By default tool and body from the side.
+        By default tool and body from the side of the movement.
         """
         from wam_power_ros.tasks.side_view import side_view  # imports matplotlib: slow
 
-        return side_view(rollout, self.body), f"Dots are camera frames of the {self.body}."
+        return side_view(
+            turned(rollout, self.heading), self.body
+        ), f"Dots are camera frames of the {self.body}."
 
 
 def fault_assessment(fault: Fault) -> Assessment:

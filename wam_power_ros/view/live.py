@@ -61,6 +61,7 @@ class View(Node):
     Attributes:
         urdf: Text of the arm's URDF, "" until it is received.
         model_joint_names: Names of the joints in the URDF.
+        base_frame: Link in whose frame the body is.
     """
 
     def __init__(self, controller: Mapping[str, Any], body: str, namespace: str = "") -> None:
@@ -69,6 +70,7 @@ class View(Node):
         self.urdf = robot_description(controller["urdf"]) if controller["urdf"] else ""
         self._reader = JointStateReader(controller["joint_names"])
         self.model_joint_names = tuple(controller["model_joint_names"])
+        self.base_frame = controller["base_frame"]
         self.link = link = Link(self, APPEAR_TIMEOUT)
         self._feedback = Feedback(link)
         self._robot = Robot(link, controller["state_topic"], body=body)
@@ -103,9 +105,9 @@ class View(Node):
 
     # Called from the threads of the buttons
 
-    def give(self, kind: str) -> Answer:
+    def give(self, kind: str, value: float | None = None) -> Answer:
         """Give feedback, see `Feedback.give`; the answer says why if it could not be given."""
-        return self._answered(lambda: self._feedback.give(kind))
+        return self._answered(lambda: self._feedback.give(kind, value=value))
 
     def teach(self, lead: Callable[[], object], notify: Callable[[str], object]) -> Answer:
         """Add a demonstration to the session, see `Feedback.teach`.

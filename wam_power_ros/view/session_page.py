@@ -28,6 +28,7 @@ STILL = 1e-4  # [rad] between two updates: less is noise of the encoders
 STATE_TIMEOUT = 1.0  # [s of wall time] after which a missing joint state is reported
 RUNNING, ENDED = "running", "not running: records only"
 REWARD, PUNISH, PAUSE, CONTINUE = "Reward", "Punish", "Pause", "Continue"
+RATINGS = {f"Rate {key}": key / 9.0 for key in (0, 3, 5, 7, 9)}  # of the task `rated`
 TEACH, END_TEACHING, STOP = "Teach again", "End of movement", "STOP the arm"
 
 
@@ -72,9 +73,18 @@ class SessionPage:
         self._teaching: threading.Event | None = None  # set at the end of the movement
         self._leading = False  # whether a person moves the arm now
         last = "the last finished rollout"
-        buttons = {
+        rated = {
             REWARD: ("green", last, partial(self._give, REWARD, "reward")),
             PUNISH: ("orange", last, partial(self._give, PUNISH, "punish")),
+        }
+        if task.rated:
+            hint = "the rollout that waits for it; 0 worst, 9 as it should be"
+            rated = {
+                label: ("green", hint, partial(self._give, label, "rate", value))
+                for label, value in RATINGS.items()
+            }
+        buttons = {
+            **rated,
             PAUSE: ("blue", "after the current trial", partial(self._give, PAUSE, "pause")),
             CONTINUE: ("blue", "after a pause", partial(self._give, CONTINUE, "continue")),
             TEACH: ("violet", "pause, guide the arm by hand, learn from it", self._teach),
@@ -113,16 +123,18 @@ class SessionPage:
         usable = {STOP: self._node is not None, PAUSE: practises, CONTINUE: practises}
         rated = learns and bool(self._progress.records)
         usable |= {REWARD: rated, PUNISH: rated, TEACH: learns, END_TEACHING: self._leading}
-        for label, use in usable.items():
-            if self._buttons[label].disabled == use:
-                self._buttons[label].disabled = not use
+        usable |= dict.fromkeys(RATINGS, learns)
+        for label, button in self._buttons.items():
+            if button.disabled == usable[label]:
+                button.disabled = not usable[label]
 
     def _draw(self, state: LiveState) -> None:
         node, page = self._node, self._page
         if state.q is None or not node.urdf:
             return
         if self._skeleton is None or page.skeleton is not self._skeleton:  # a movement was played
-            self._drawn, self._skeleton = LiveState(), Skeleton(node.urdf, node.model_joint_names)
+            arm = Skeleton(node.urdf, node.model_joint_names, node.base_frame)
+            self._drawn, self._skeleton = LiveState(), arm
             self._trail.clear()
             page.show_arm(self._skeleton)
         drawn = self._drawn
@@ -167,12 +179,12 @@ class SessionPage:
     def _notify(self, label: str, text: str, good: bool = True) -> None:
         self._page.server.draw(partial(self._page.notify, label, text, good))
 
-    def _give(self, label: str, kind: str) -> None:
+    def _give(self, label: str, kind: str, value: float | None = None) -> None:
         """Give feedback to the session and show the answer in the browser."""
         if (node := self._node) is None:
             self._notify(label, "the session is not running", good=False)
             return
-        answer = node.give(kind)
+        answer = node.give(kind, value)
         self._notify(label, answer.said, answer.success)
 
     def _teach(self) -> None:

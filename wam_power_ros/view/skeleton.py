@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from wam_power_ros import rotations
+from wam_power_ros.control.arm import rebased
 from wam_power_ros.control.urdf_checks import parsed
 
 
@@ -23,12 +24,15 @@ class Skeleton:
     Args:
         urdf: Text of the URDF.
         joint_names: Moving joints; all joints that are not fixed if omitted.
+        base_frame: Link whose frame all poses are in; the root if empty.
 
     Raises:
-        ValueError: The text is no URDF, or has no such joint.
+        ValueError: The text is no URDF, or has no such joint or link.
     """
 
-    def __init__(self, urdf: str, joint_names: Sequence[str] | None = None) -> None:
+    def __init__(
+        self, urdf: str, joint_names: Sequence[str] | None = None, base_frame: str = ""
+    ) -> None:
         try:
             tree = parsed(urdf)
             for link in tree.iter("link"):
@@ -46,6 +50,11 @@ class Skeleton:
         if missing or not self.joint_names:
             raise ValueError(f"joints {missing} are not in the robot description; known: {known}")
         self._columns = [model.joints[model.getJointId(name)].idx_q for name in self.joint_names]
+        if base_frame:
+            root = rebased(model, base_frame)
+            for shape in self._visual.geometryObjects:
+                if shape.parentJoint == 0:
+                    shape.placement = root * shape.placement
         self._data = model.createData()
         self._tip = [i for i, f in enumerate(model.frames) if f.type == pin.FrameType.BODY][-1]
         self.tool = model.frames[self._tip].name

@@ -4,22 +4,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, ClassVar
 
 import numpy as np
 
-from wam_power_ros.learning.demonstration import ToolPose
+from wam_power_ros.learning.demonstration import Demonstration, ToolPose
 from wam_power_ros.learning.parametrization import (
     Attractors,
     Direction,
     Parametrization,
     parametrization_of,
+    seen_from,
 )
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Rollout
+from wam_power_ros.regions import Region
 from wam_power_ros.tasks.ball_in_cup.put_back import (
     emptying,
     stilling,
@@ -35,6 +37,7 @@ from wam_power_ros.tasks.ball_in_cup.swing import (
     swing_of,
 )
 from wam_power_ros.tasks.errors import Effect, Error
+from wam_power_ros.tasks.heading import forward_of_stroke, heading, turned
 from wam_power_ros.tasks.reset import Action, BodyState
 from wam_power_ros.tasks.task import (
     Assessment,
@@ -46,7 +49,7 @@ from wam_power_ros.tasks.task import (
     fault_assessment,
 )
 
-SWING_PLANE = (0, 2)  # axes of the movement: outward and up
+SWING_PLANE = (0, 2)  # axes of the movement, from its heading: outward and up
 SIDEWAYS_PROFILE = (0.5, 1.0)  # of the last attractors, at the catch, per unit of the shift [1]
 HANGING_TOLERANCE = 0.05  # [m] of the ball from below the cup before a rollout
 REST_SPEED = 0.03  # [m/s] of a ball at rest: a swing of 6 mm, or less and the noise of the cameras
@@ -103,6 +106,13 @@ class BallInCup(Task):
             raise ValueError(f"string = {self.string} m must be {STRINGS[0]} to {STRINGS[1]} m")
         self.rest_time = math.pi / swing_rate(self.string)  # half a swing: the ball is slow there
 
+    @classmethod
+    def context_of(
+        cls, demonstrations: Sequence[Demonstration], region: Region | None
+    ) -> dict[str, Any]:
+        """Heading of the swings; see `Task`."""
+        return {"heading": heading(demonstrations, forward_of_stroke)}
+
     def carried(self, policy: Policy, former: Mapping[str, float]) -> Policy:
         """Scale the path with the string, and time with its root: accelerations stay, see `Task`.
 
@@ -138,14 +148,15 @@ class BallInCup(Task):
             raise ValueError(f"{text}, policy {policy.id!r} has {n}")
         sideways, still = np.zeros((2, n, 3))
         sideways[-last:, 1] = SIDEWAYS_PROFILE
-        swing = policy.attractors - policy.attractors[0]
-        turn = policy.rotation_attractors - policy.rotation_attractors[0]
+        seen = seen_from(policy, self.heading)
+        swing = seen.attractors - seen.attractors[0]
+        turn = seen.rotation_attractors - seen.rotation_attractors[0]
         groups = (
             Attractors(noise.attractor, SWING_PLANE),
             Direction(noise.vigour, "vigour", attractors=swing, rotation=turn),
             Direction(noise.sideways, "sideways", attractors=sideways, rotation=still),
         )
-        return Parametrization(policy, groups)
+        return Parametrization(policy, groups, self.heading)
 
     def ready(self, body: BodyState | None, tool: Pose) -> str:
         """Check that the ball hangs below the cup, at rest; see `Task`."""
@@ -184,6 +195,7 @@ class BallInCup(Task):
             return fault_assessment(rollout.fault)
         if why := cut_short(policy, rollout, self.settle_time):
             return Assessment(None, why=why)
+        rollout = turned(rollout, self.heading)
         swing = None if rollout.body is None else observe_swing(rollout.tool, rollout.body)
         if swing is None:
             return Assessment(None, why="the ball was not seen when it came down or at the end")

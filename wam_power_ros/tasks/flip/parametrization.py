@@ -15,6 +15,7 @@ from wam_power_ros.learning.parametrization import (
     Stiffness,
     Tempo,
     parametrization_of,
+    seen_from,
 )
 from wam_power_ros.learning.policy import Policy
 
@@ -36,10 +37,13 @@ class FlipNoise(NoiseScales):
     catch_shift: float = Field(gt=0.0, le=1.0)  # [m]
 
 
-def flip_parametrization(policy: Policy, variant: str, noise: FlipNoise) -> Parametrization:
+def flip_parametrization(
+    policy: Policy, variant: str, noise: FlipNoise, heading: float = 0.0
+) -> Parametrization:
     """Parametrization of a toss around a demonstrated policy.
 
-    The variant "planar" is of a movement in the x-z plane: K_xx, K_zz and K_xz, mu_x and mu_z, the
+    The variant "planar" is of a movement in the x-z plane of axes that are turned about the
+    vertical by a heading [rad]: K_xx, K_zz and K_xz, mu_x and mu_z, the
     rotation attractor about y (pitch), the tempo, and five more parameters:
         vigour: Scales the demonstrated movement in the plane, mu_i - mu_1 and r_i - r_1, by
             1 + vigour [1]. Eq. 1 is linear in its attractors, so all speeds and accelerations grow
@@ -63,8 +67,9 @@ def flip_parametrization(policy: Policy, variant: str, noise: FlipNoise) -> Para
             f"policy {policy.id!r} has {n}"
         )
     swing, turn, shift, side, level, zeros = np.zeros((6, n, 3))
-    swing[:, [0, 2]] = (policy.attractors - policy.attractors[0])[:, [0, 2]]
-    pitch = policy.rotation_attractors[:, 1]
+    seen = seen_from(policy, heading)
+    swing[:, [0, 2]] = (seen.attractors - seen.attractors[0])[:, [0, 2]]
+    pitch = seen.rotation_attractors[:, 1]
     turn[:, 1] = pitch - pitch[0]
     shift[-len(CATCH_PROFILE) :, 0] = side[-len(CATCH_PROFILE) :, 1] = CATCH_PROFILE
     level[-len(CATCH_PROFILE) :, 1] = CATCH_PROFILE
@@ -79,4 +84,4 @@ def flip_parametrization(policy: Policy, variant: str, noise: FlipNoise) -> Para
         Direction(noise.catch_shift, "catch_shift", attractors=shift, rotation=zeros),
         Tempo(noise.tempo),
     )
-    return Parametrization(policy, groups)
+    return Parametrization(policy, groups, heading)

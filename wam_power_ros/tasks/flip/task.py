@@ -11,9 +11,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from wam_power_ros.learning.demonstration import Demonstration
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Foreseen, Rollout
+from wam_power_ros.regions import Region
 from wam_power_ros.tasks.flip import assessment as flip_assessment
 from wam_power_ros.tasks.flip import paper
 from wam_power_ros.tasks.flip.flight import DELTA_H
@@ -29,6 +31,7 @@ from wam_power_ros.tasks.flip.toss_errors import (
     SLOWED,
     measured_errors,
 )
+from wam_power_ros.tasks.heading import forward_of_turn, heading, turned, turned_path
 from wam_power_ros.tasks.task import (
     Assessment,
     BodyState,
@@ -85,9 +88,17 @@ class Flip(Task):
         if (apex := self.targets["apex"]) <= DELTA_H:
             raise ValueError(f"apex = {apex} m must be above delta_h = {DELTA_H} m")
 
+    @classmethod
+    def context_of(
+        cls, demonstrations: Sequence[Demonstration], region: Region | None
+    ) -> dict[str, Any]:
+        """Heading of the tosses; see `Task`."""
+        return {"heading": heading(demonstrations, forward_of_turn)}
+
     def parametrization(self, policy: Policy) -> Parametrization:
         """Learnt parameters of a policy; see `Task`."""
-        return flip_parametrization(policy, self.settings.variant, self.settings.noise)
+        settings = self.settings
+        return flip_parametrization(policy, settings.variant, settings.noise, self.heading)
 
     def ready(self, body: BodyState | None, tool: Pose) -> str:
         """Check that the pancake rests in the pan, which may be tilted; see `Task`."""
@@ -113,7 +124,7 @@ class Flip(Task):
 
     def assess(self, policy: Policy, rollout: Rollout) -> Assessment:
         """Return and success of a rollout of `policy`, less far from a goal's apex."""
-        found = flip_assessment.assess(policy, rollout, self.settings)
+        found = flip_assessment.assess(policy, turned(rollout, self.heading), self.settings)
         apex, seen = self.targets["apex"], found.observation
         if math.isnan(apex) or found.ret is None or seen is None:
             return found
@@ -135,7 +146,8 @@ class Flip(Task):
 
     def predict(self, foreseen: Foreseen) -> Sequence[Mapping[str, float]]:
         """Toss from the simulated path of the pan, and that of a pancake which drag slows more."""
-        tosses = (predict_toss(foreseen.tool, pancake) for pancake in (PANCAKE, SLOWED))
+        pan = turned_path(foreseen.tool, self.heading)
+        tosses = (predict_toss(pan, pancake) for pancake in (PANCAKE, SLOWED))
         return [NOT_TOSSED if toss is None else toss for toss in tosses]
 
     def outcome(self, record: LoggedRollout) -> str:

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A first set-up from a URDF alone: complete, without a mistake, and with reasons."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from wam_power_ros.cli import main
+from wam_power_ros.cli.set_up_checks import mistakes
+from wam_power_ros.commissioning.new_arm import chain
+from wam_power_ros.control.urdf_checks import parsed
+from wam_power_ros.params import overlay
+from wam_power_ros.params.resources import share
+
+ARMS = {"ur5e": "pan", "fr3": "fr3_pan", "openarm": "openarm_pan", "cobot7": "cobot_pan"}
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_what_is_proposed_for_an_arm_is_a_set_up_without_a_mistake(
+    tmp_path: Path, arm: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copy(share(f"urdf/{arm}.urdf"), urdf := tmp_path / "mine.urdf")
+    assert main.main(["new-arm", str(urdf), "--output", "position"]) == 0
+    assert "not yet right" not in capsys.readouterr().out
+    file = tmp_path / "mine.yaml"
+    values = [line for line in file.read_text().splitlines() if line.startswith("    ")]
+    assert len(values) > 15 and all("  # " in line for line in values)
+    setup = overlay.setup([str(file)], task="reach")
+    assert setup["torque_controller"]["tool_frame"] == ARMS[arm]
+    assert setup["torque_controller"]["output"] == "position"
+    assert not [*mistakes(setup)]
+    model = setup.arm()
+    assert model is not None
+    assert model.tool_pose(np.array(setup["wam_sim"]["home"]))[1][2, 2] > 0.99
+    assert main.main(["new-arm", str(urdf)]) == 2  # exists
+
+
+def test_the_tool_is_moved_by_the_most_joints_and_no_finger() -> None:
+    joint = '<joint name="{0}" type="{1}"><parent link="{2}"/><child link="{0}_link"/></joint>'
+    joints = [("j1", "revolute", "base"), ("j2", "revolute", "j1_link")]
+    joints += [("hand", "fixed", "j2_link"), ("tcp", "fixed", "hand_link")]
+    joints += [("finger", "prismatic", "hand_link")]
+    links = ["base", *(f"{name}_link" for name, *_ in joints)]
+    text = "".join(
+        [f'<link name="{link}"/>' for link in links] + [joint.format(*j) for j in joints]
+    )
+    tree = parsed(f"<robot>{text}</robot>")
+    assert chain(tree) == (["j1", "j2"], ["base", "j1_link", "j2_link"], "tcp_link")
+    assert chain(tree, "finger_link")[0] == ["j1", "j2", "finger"]
+    for tool, said in (("gripper", "no link 'gripper'"), ("base", "no joint moves")):
+        with pytest.raises(ValueError, match=said):
+            chain(tree, tool)

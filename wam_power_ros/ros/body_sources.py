@@ -1,0 +1,252 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages of motion captures, cameras and trackers <-> pose of one body, or its markers.
+
+`SOURCES` has a reader for each type that the parameter `message_type` may name, and what a
+stand-in publishes. Message packages are imported when they are used: no robot has all of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from importlib import import_module
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+from rclpy.node import Node
+
+from wam_power_ros import rotations
+from wam_power_ros.params.body_tracker_params import BodyTrackerParams, missing_package
+from wam_power_ros.ros import interface, pose_messages
+from wam_power_ros.ros.pose_messages import MarkersReading, PoseReading, fill_pose
+from wam_power_ros.ros.stamps import sensor_stamp, time_message
+from wam_power_ros.tracking.frame_tree import FrameTree
+
+TF_TYPE = "tf2_msgs/msg/TFMessage"
+Reading = PoseReading | MarkersReading
+Message: TypeAlias = Any  # of one of many types
+ELSEWHERE = (-1.0, 0.5, 0.2)  # [m] of the other bodies in what a stand-in sends
+
+
+class Source(NamedTuple):
+    """A type of message.
+
+    Attributes:
+        read: Reading of a message and the name or index of the body in it; None if /tf does not
+            have it this time. A ValueError names what is wrong.
+        fill: Puts a pose (position, quaternion xyzw) or markers of a body into a new message.
+    """
+
+    read: Callable[[Message, str], Reading | None]
+    fill: Callable[..., None]
+
+
+def message_class(name: str) -> type:
+    """Class of messages such as `nav_msgs/msg/Odometry`.
+
+    Raises:
+        ValueError: Its package is not installed; the message says how to install it.
+    """
+    if text := missing_package(name):
+        raise ValueError(text)
+    package, _, kind = name.split("/")
+    return getattr(import_module(f"{package}.msg"), kind)
+
+
+def _found(items: Sequence[Message], names: list[str], body: str) -> Message:
+    if body not in names:
+        raise ValueError(f"the message has no body {body!r}; it has {names[:20]}")
+    return items[names.index(body)]
+
+
+def _in_array(message: Message, body: str) -> PoseReading:
+    names = [str(number) for number in range(len(message.poses))]
+    return pose_messages.reading(message, _found(message.poses, names, body))
+
+
+def _in_named(message: Message, body: str) -> PoseReading:
+    names = [each.name for each in message.poses]
+    return pose_messages.reading(message, _found(message.poses, names, body).pose)
+
+
+def _in_bodies(message: Message, body: str) -> PoseReading:
+    names = [each.rigid_body_name for each in message.rigidbodies]
+    return pose_messages.reading(message, _found(message.rigidbodies, names, body).pose)
+
+
+def _in_tf(message: Message, body: str) -> PoseReading | None:
+    for each in message.transforms:
+        if bare(each.child_frame_id) == bare(body):
+            return pose_messages.transform(each)
+    return None
+
+
+def _points(message: Message, _: str) -> MarkersReading:
+    places = [each.translation for each in message.markers]
+    points = np.array([[it.x, it.y, it.z] for it in places]).reshape(-1, 3)
+    finite = np.isfinite(points).all(axis=1)
+    return MarkersReading(sensor_stamp(message), message.header.frame_id, points[finite])
+
+
+def _fill_transform(message: Message, body: str, *pose: np.ndarray) -> None:
+    message.child_frame_id, transform = body, message.transform
+    place, o = transform.translation, transform.rotation
+    place.x, place.y, place.z = map(float, pose[0])
+    o.x, o.y, o.z, o.w = map(float, pose[1])
+
+
+def _fill_tf(message: Message, body: str, *pose: np.ndarray) -> None:
+    each = message_class("geometry_msgs/msg/TransformStamped")()
+    _fill_transform(each, body, *pose)
+    message.transforms = [each]
+
+
+def _fill_array(message: Message, body: str, *pose: np.ndarray) -> None:
+    message.poses = [message_class("geometry_msgs/msg/Pose")() for _ in range(int(body) + 2)]
+    for each in message.poses:
+        fill_pose(each, ELSEWHERE, pose[1])
+    fill_pose(message.poses[int(body)], *pose)
+
+
+def _fill_named(
+    kind: str, items: str, name: str, message: Message, body: str, *pose: np.ndarray
+) -> None:
+    first, second = (message_class(kind)(**{name: each}) for each in ("another_body", body))
+    fill_pose(first.pose, ELSEWHERE, pose[1])
+    fill_pose(second.pose, *pose)
+    setattr(message, items, [first, second])
+
+
+def _fill_points(message: Message, _: str, points: np.ndarray) -> None:
+    message.markers = [message_class("mocap4r2_msgs/msg/Marker")() for _ in points]
+    for each, point in zip(message.markers, points.tolist(), strict=True):
+        each.translation.x, each.translation.y, each.translation.z = point
+
+
+_OF_POSE = Source(
+    lambda message, _: pose_messages.reading(message, message.pose),
+    lambda message, _, *pose: fill_pose(message.pose, *pose),
+)
+_OF_INNER_POSE = Source(
+    lambda message, _: pose_messages.reading(message, message.pose.pose),
+    lambda message, _, *pose: fill_pose(message.pose.pose, *pose),
+)
+SOURCES = {
+    "geometry_msgs/msg/PoseStamped": _OF_POSE,
+    "geometry_msgs/msg/PoseWithCovarianceStamped": _OF_INNER_POSE,
+    "nav_msgs/msg/Odometry": _OF_INNER_POSE,
+    "geometry_msgs/msg/TransformStamped": Source(
+        lambda message, _: pose_messages.transform(message), _fill_transform
+    ),
+    "geometry_msgs/msg/PoseArray": Source(_in_array, _fill_array),
+    "motion_capture_tracking_interfaces/msg/NamedPoseArray": Source(
+        _in_named,
+        partial(_fill_named, "motion_capture_tracking_interfaces/msg/NamedPose", "poses", "name"),
+    ),
+    "mocap4r2_msgs/msg/RigidBodies": Source(
+        _in_bodies,
+        partial(_fill_named, "mocap4r2_msgs/msg/RigidBody", "rigidbodies", "rigid_body_name"),
+    ),
+    TF_TYPE: Source(_in_tf, _fill_tf),
+    "sensor_msgs/msg/PointCloud2": Source(
+        lambda message, _: pose_messages.markers(message),
+        lambda message, _, points: pose_messages.fill_markers(message, points),
+    ),
+    "mocap4r2_msgs/msg/Markers": Source(_points, _fill_points),
+}
+
+
+def bare(frame: str) -> str:
+    """Name of a frame as /tf has it, without a leading slash."""
+    return frame.lstrip("/")
+
+
+def message(name: str, stamp_ns: int, frame: str, body: str, *measured: np.ndarray) -> Message:
+    """Message of a type with the pose of a body, or markers, in a frame: of a stand-in."""
+    result = message_class(name)()
+    SOURCES[name].fill(result, body, *measured)
+    for each in result.transforms if name == TF_TYPE else [result]:
+        each.header.stamp, each.header.frame_id = time_message(stamp_ns), frame
+    return result
+
+
+class BodySource:
+    """The topic of one body, or of markers: its messages as arrays in the mocap_frame.
+
+    Attributes:
+        topic: Topic, resolved.
+        kind: Class of its messages.
+    """
+
+    def __init__(self, node: Node, params: BodyTrackerParams) -> None:
+        """Prepare to read; the caller subscribes.
+
+        Raises:
+            ValueError: The package of the message type is not installed.
+        """
+        self.topic = node.resolve_topic_name(params.topic)
+        self.kind = message_class(params.source_type)
+        self._read = SOURCES[params.source_type].read
+        self._node, self._body = node, params.source_body
+        self._frame = bare(params.mocap_frame)
+        self._tree: FrameTree | None = None
+        self._seen, self._others = False, set[str]()  # the body, and other frames before it, in /tf
+
+    def read(self, message: Message) -> Reading | None:
+        """Read a message; None if it does not concern the body.
+
+        Raises:
+            ValueError: The message is not valid or lacks the body, or its frame is neither empty
+                nor the mocap_frame nor connected to it in /tf.
+        """
+        reading = self._read(message, self._body)
+        if reading is None:
+            if not self._seen:
+                self._others.update(bare(each.child_frame_id) for each in message.transforms)
+            return None
+        self._seen = True
+        if (frame := bare(reading.frame)) in ("", self._frame):
+            return reading
+        tree = self._tree = self._tree or self._listening()
+        try:
+            position, quat_xyzw = tree.pose(frame, self._frame, reading.stamp_ns)
+        except ValueError as error:
+            raise ValueError(f"frame_id is not mocap_frame, and by /tf {error}") from None
+        rotation = rotations.matrix(quat_xyzw)
+        if isinstance(reading, MarkersReading):
+            return reading._replace(
+                frame=self._frame, points=reading.points @ rotation.T + position
+            )
+        return PoseReading(
+            reading.stamp_ns,
+            self._frame,
+            position + rotation @ reading.position,
+            rotations.multiply(quat_xyzw, reading.quat_xyzw),
+        )
+
+    @property
+    def missing(self) -> str:
+        """What is in /tf instead of the body, as a sentence; empty if it was there, or nothing."""
+        if self._seen or not self._others:
+            return ""
+        return f"/tf has no frame {self._body!r}; it has {sorted(self._others)[:30]}"
+
+    def _listening(self) -> FrameTree:
+        """Tree of frames, filled from now on."""
+        tree, kind = FrameTree(), message_class(TF_TYPE)
+
+        def add(fixed: bool, message: Message) -> None:
+            for each in message.transforms:
+                child, parent = bare(each.child_frame_id), bare(each.header.frame_id)
+                try:
+                    pose = pose_messages.transform(each, stamped=not fixed)
+                except ValueError as error:
+                    text = f"pose of frame {child!r} in /tf refused: {error}"
+                    self._node.get_logger().warning(text, throttle_duration_sec=5.0)
+                    continue
+                tree.add(child, parent, pose.stamp_ns, (pose.position, pose.quat_xyzw), fixed)
+
+        subscribe, moving = self._node.create_subscription, interface.MOCAP_BEST_EFFORT
+        subscribe(kind, interface.TF, partial(add, False), moving)
+        subscribe(kind, interface.TF_STATIC, partial(add, True), interface.FIXED)
+        return tree
