@@ -122,7 +122,7 @@ BUDGET = {
     "launch": 161,
     "wam_power_interfaces": 159,  # its build without ROS
     "examples": 377,
-    "reproduction": 3792,  # rivals, the scenario of reaching; figures of the documents
+    "reproduction": 3872,  # rivals, the scenario of reaching; figures; a person who rates
     "benchmark": 2745,  # the matrix of the reaction has a plant of its own
 }
 PURE = (

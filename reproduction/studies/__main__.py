@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 from reproduction import jobs as job_cache
 from reproduction.jobs import Job, Results, study_of
-from reproduction.studies import ball_in_cup, equal_knowledge, grounds, new_goals
+from reproduction.studies import ball_in_cup, equal_knowledge, grounds, new_goals, rated
 
 
 def runs_of(results: Results, place: str, learner: str) -> Mapping[str, Any]:
@@ -56,7 +56,10 @@ GROUNDS = Table(
     range(grounds.FIRST, grounds.FIRST + 10),
     grounds.jobs,
     grounds.line,
-    (grounds.GROUNDS.keys() - {"hand 4.0 rad/s", "varied world"}, ("model_based", "hindsight")),
+    (
+        grounds.GROUNDS.keys() - {"hand 4.0 rad/s", "varied world", *grounds.TURNED},
+        ("model_based", "hindsight"),
+    ),
     grounds.row,
 )
 STUDIES = {
@@ -85,6 +88,7 @@ STUDIES = {
         new_goals.line,
         runs=new_goals.runs,
     ),
+    "rated": Table(rated.PERSONS, rated.VARIANTS, rated.HELD_OUT, rated.jobs, rated.line),
 }
 
 

@@ -26,7 +26,11 @@ NEAR = 0.05  # [m] beside the middle of the cup, from where a ball usually falls
 HELD_OUT = range(9200, 9220)  # seeds not used for tuning
 
 
-DEMONSTRATORS = {"novice": {}, "practised": {"spread": 1.0}}  # arguments of `session`
+DEMONSTRATORS: Mapping[str, Mapping[str, float]] = {  # arguments of `session`
+    "novice": {},
+    "practised": {"spread": 1.0},
+    **{f"joint 1 at {angle} degrees": {"joint_1": angle} for angle in (-90, -45, 30, 90)},
+}
 LEARNERS = {
     "model_based": Learner("miss, its rough slopes", "model_based"),
     "cup": Learner("return, miss", "cup"),
@@ -41,7 +45,11 @@ LEARNERS = {
 
 
 def session(
-    seed: int, name: str, changes: Mapping[str, Any], spread: float | None = None
+    seed: int,
+    name: str,
+    changes: Mapping[str, Any],
+    spread: float | None = None,
+    joint_1: float = 0.0,
 ) -> dict[str, Any]:
     """Run a session from its demonstration to its re-tests; return plain data.
 
@@ -52,10 +60,13 @@ def session(
         name: Name of the preset.
         changes: Changes to the preset.
         spread: Spread of the demonstrations; None for that of the task's set-up.
+        joint_1: Its angle at the begin [degrees].
     """
     own = {"seed": seed} if spread is None else {"seed": seed, "spread": spread}
     environment = Environment.of(overlay.setup(task=TASK).changed({"wam_sim": own}))
-    script = environment.world.scene.script(np.random.default_rng([seed, 0]))
+    scene = environment.world.scene
+    scene.home = np.array([np.radians(joint_1), *scene.home[1:]])
+    script = scene.script(np.random.default_rng([seed, 0]))
     recorded = environment.demonstrate(script, "demonstration-0")
     demonstration = BallInCup.demonstration_of(environment.arm, *recorded)
     policy = BallInCup.policy_of([demonstration], "demonstration-1")

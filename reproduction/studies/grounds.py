@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hardware_sim.scenes.flip import LEVEL
+from hardware_sim.scenes.flip import HOME, LEVEL
 from reproduction.jobs import Job, study_of
 from reproduction.rivals.learners import RIVALS
 from reproduction.studies.flip_sessions import NOVICE, session
@@ -36,6 +36,10 @@ def _posture(tilt: float, roll: float = 0.0) -> list[float]:
     return q
 
 
+TURNED = {  # the arm stands turned about the vertical: joint 1 begins elsewhere [degrees]
+    f"joint 1 at {angle} degrees": {"condition": {"home": [math.radians(angle), *HOME[1:]]}}
+    for angle in (-90, -45, 30, 90)
+}
 # Arguments of `flip_sessions.session` by ground; one demonstration of a novice unless it says more.
 # The worlds of the last two are drawn from the seed, one for the session or one for each rollout.
 GROUNDS: Mapping[str, Mapping[str, Any]] = {
@@ -53,6 +57,7 @@ GROUNDS: Mapping[str, Mapping[str, Any]] = {
     "pancake of 0.12 m": {"condition": {"body_size": 0.12 / PANCAKE_RADIUS}},
     "unknown world": {"condition": {"unknown": "session"}},
     "varied world": {"condition": {"unknown": "rollout"}},
+    **TURNED,
 }
 # Final policies are run again in as many other worlds as there are re-tests.
 ELSEWHERE = {"carried": {"elsewhere": {"unknown": "rollout"}}, "repeats": RETESTS}
