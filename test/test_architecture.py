@@ -105,7 +105,7 @@ BUDGET = {
     "control": 5319,  # with waypoints of other programs; +324: positions in place of torques
     "commissioning": 1386,  # +165: a set-up proposed from a URDF
     "tracking": 764,  # +48: orientations that turn too fast
-    "tasks": 3524,  # errors and heading of any task, once; +199: the flip doubts its eyes
+    "tasks": 3525,  # errors and heading of any task, once; +199: the flip doubts its eyes
     "practice": 2311,  # refusals and pauses are in its log; +175: why a session failed
     "conformance": 1151,  # +25: effort without gravity
     "bags": 2436,

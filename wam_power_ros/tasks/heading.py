@@ -93,8 +93,9 @@ def turned(rollout: Rollout, heading: float) -> Rollout:
     """Rollout in axes that are turned about the vertical by a heading [rad]."""
     if heading == 0.0:
         return rollout
-    body = None if rollout.body is None else turned_path(rollout.body, heading)
-    return replace(rollout, tool=turned_path(rollout.tool, heading), body=body)
+    seen = (rollout.body, rollout.before)
+    body, before = (None if path is None else turned_path(path, heading) for path in seen)
+    return replace(rollout, tool=turned_path(rollout.tool, heading), body=body, before=before)
 
 
 def turned_path(path: P, heading: float) -> P:
