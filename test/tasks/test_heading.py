@@ -24,7 +24,7 @@ from wam_power_ros.learning.demonstration import (
 )
 from wam_power_ros.learning.parametrization import Parametrization, seen_from
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.rollout import Rollout
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.ball_in_cup.task import BallInCup
 from wam_power_ros.tasks.flip.task import Flip
@@ -171,3 +171,13 @@ def test_a_toss_with_the_arm_turned_at_its_base_is_learnt(joint_1: float) -> Non
     found = flip_sessions.session(5, "model_based", changes={"budget": 20, "retests": 5}, **own)
     assert found["confirmed"]
     assert sum(each["true_flip"] for each in found["retests"]) >= 4
+
+
+def test_frames_before_the_start_are_turned_with_the_others() -> None:
+    t, level = np.array([-0.1, 0.0, 0.1]), np.tile([0.0, 0.0, 0.0, 1.0], (3, 1))
+    place = np.tile([0.6, 0.1, 0.5], (3, 1))
+    tool = EndEffectorPath("trial", t[1:], place[1:], level[1:])
+    found = turned(Rollout(tool, BodyPath("trial", t, place, level)), 0.7)
+    assert found.before is not None and found.body is not None
+    np.testing.assert_allclose(found.before.position[0], found.body.position[0])
+    np.testing.assert_allclose(found.before.quat_xyzw[0], found.body.quat_xyzw[0])
