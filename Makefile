@@ -71,10 +71,11 @@ reproduce: $(READY)
 	@$(call STOPPABLE,$(BIN)/python -m reproduction $(ARGS))
 
 # In the order of test/conftest.py: slow folders first. Four workers on two cores, because many tests wait for a clock.
-# Linear algebra uses one thread, as in every node (entry.py). The last -m counts: ARGS="-m long" runs the others.
+# Linear algebra uses one thread, as in every node (entry.py). The last -m counts: ARGS="-m long" runs others.
 test: export OPENBLAS_NUM_THREADS := 1
 test: $(READY)
-	$(BIN)/python -m pytest -n 4 --dist loadfile --no-loadscope-reorder -m "not long" $(ARGS)
+	$(BIN)/python -m pytest -n 4 --dist loadfile --no-loadscope-reorder -m "not long and not alone" $(ARGS)
+	$(if $(ARGS),,$(BIN)/python -m pytest -m alone)
 
 lint: $(READY)
 	$(BIN)/ruff check .

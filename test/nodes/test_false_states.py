@@ -34,6 +34,7 @@ def lab(tmp_path: Path) -> Iterator[Lab]:
         yield lab
 
 
+@pytest.mark.alone
 @pytest.mark.requirement("S-91")
 @pytest.mark.parametrize("kind", ["velocities negated", "the same state again and again"])
 def test_an_arm_that_keeps_the_last_torque_is_stopped_when_its_states_turn_false(
@@ -51,6 +52,7 @@ def test_an_arm_that_keeps_the_last_torque_is_stopped_when_its_states_turn_false
     raise AssertionError(outcomes)
 
 
+@pytest.mark.alone
 @pytest.mark.requirement("S-05")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_controller_that_is_ended_in_a_rollout_stops_the_arm_first(lab: Lab, number: int) -> None:
