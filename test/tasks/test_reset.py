@@ -109,4 +109,4 @@ def test_what_a_task_may_not_answer_is_refused_and_not_waited_for() -> None:
 @pytest.mark.parametrize("name", ["flip"])
 def test_a_task_that_does_not_know_how_leaves_it_to_a_person(name: str) -> None:
     task = preset(name).make_task({})
-    assert task.reset(None, None, np.zeros(7)) == "person" and task.rest_time == 0.0
+    assert task.reset(None, None, np.zeros(7)) == "person"
