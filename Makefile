@@ -75,7 +75,7 @@ reproduce: $(READY)
 test: export OPENBLAS_NUM_THREADS := 1
 test: $(READY)
 	$(BIN)/python -m pytest -n 4 --dist loadfile --no-loadscope-reorder -m "not long and not alone" $(ARGS)
-	$(if $(ARGS),,$(BIN)/python -m pytest -m alone)
+	$(if $(ARGS),,$(BIN)/python -m pytest -m alone test/nodes)
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -77,7 +77,13 @@ def test_no_test_of_a_requirement_is_left_out_by_make_test() -> None:
 def test_what_make_test_leaves_out_is_run_by_the_ci() -> None:
     makefile = (ROOT / "Makefile").read_text()
     assert '-m "not long and not alone" $(ARGS)\n\t$(if $(ARGS),,' in makefile
-    assert "-m pytest -m alone)\n" in makefile
+    assert "-m pytest -m alone test/nodes)\n" in makefile
+    alone = [
+        path
+        for path in (ROOT / "test").rglob("test_*.py")
+        if "@pytest.mark.alone" in path.read_text()
+    ]
+    assert {path.parent for path in alone} <= {ROOT / "test/nodes", ROOT / "test"}
     for file in (".ci/run", ".github/workflows/ci.yml"):
         lines = re.findall(r"make test\b.*", (ROOT / file).read_text())
         assert re.findall("-m (.*)[\"']", " ".join(lines)) == ["long"]
