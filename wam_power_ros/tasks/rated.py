@@ -49,7 +49,7 @@ class RatedSettings(BaseModel):
 
 
 class Rated(Task):
-    """A person rates each rollout, the task `rated`; see `tasks.task.Task`.
+    """A person rates each rollout.
 
     The rating, from 0 to 1, is the return; 1 is a success.
     """

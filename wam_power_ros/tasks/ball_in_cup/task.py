@@ -65,7 +65,7 @@ MISS_OF_SHIFT = -0.9  # change of the miss along y per shift [1]
 
 
 class BallInCup(Task):
-    """A ball on a string is swung up into a cup, the task `ball_in_cup`; see `tasks.task.Task`.
+    """A ball on a string is swung up into a cup.
 
     The return is that of [Kober2011]: exp(-alpha d^2), with the horizontal distance d of ball and
     cup when the ball comes down through the plane of the rim. A ball that never does counts as one

@@ -62,7 +62,7 @@ def equation_5(record: LoggedRollout) -> float:
 
 
 class Flip(Task):
-    """A pancake is tossed, turns over and is caught, the task `flip`; see `tasks.task.Task`."""
+    """A pancake is tossed, turns over and is caught."""
 
     name: ClassVar[str] = "flip"
     body: ClassVar[str] = "pancake"

@@ -33,7 +33,7 @@ AXES = ("x", "y", "z")  # of the base frame
 
 
 class Reach(Task):
-    """The tool reaches past an obstacle, the task `reach`; see `tasks.task.Task`.
+    """The tool reaches past an obstacle.
 
     The controller stops a rollout whose tool enters the obstacle. Its return is that of a path
     which stays at its last sample before the obstacle (Eq. 4).
