@@ -101,6 +101,21 @@ def test_the_arm_is_live_then_the_newest_rollout_and_ratings_end_with_the_learni
         server.stop()
 
 
+def test_a_body_of_one_marker_is_drawn_as_a_ball_and_one_that_turns_as_a_disc() -> None:
+    server = GuardedServer("127.0.0.1", 8080)
+    try:
+        page = Page(server, "body")
+        ball, disc = (server.scene.get_handle_by_name(f"/body/at/{n}") for n in ("ball", "disc"))
+        place = np.array([0.5, 0.0, 0.5])
+        page.place_body((place, np.array([1.0, 0.0, 0.0, 0.0])))
+        assert ball.visible and not disc.visible
+        page.place_body((place, np.array([0.6, 0.8, 0.0, 0.0])))
+        page.place_body((place, np.array([1.0, 0.0, 0.0, 0.0])))  # by chance
+        assert disc.visible and not ball.visible
+    finally:
+        server.stop()
+
+
 def test_a_session_that_a_person_rates_has_buttons_for_ratings_that_are_passed_on(
     tmp_path: Path,
 ) -> None:

@@ -30,6 +30,8 @@ SHOWN = {
 }
 BODY_TOP, BODY_UNDER = (250, 204, 110), (146, 84, 32)
 BODY_RADIUS, BODY_HEIGHT = 0.09, 0.006  # [m] of each half of the disc that represents a body
+BALL_RADIUS = 0.02  # [m] of one without an orientation, as of one marker
+NOT_TURNED = (1.0, 0.0, 0.0, 0.0)
 PATH_THICKNESS, STICK_THICKNESS = 0.006, 0.06  # [m]
 CAMERA, TARGET = (1.35, -1.5, 1.15), (0.5, 0.0, 0.55)  # [m]
 NARROW, PHONE_CAMERA, PHONE_TARGET = 0.7, (1.8, -2.1, 1.3), (0.5, 0.0, -0.5)
@@ -63,9 +65,14 @@ class Page:
         groups = (*SHOWN, "body", "arm", "attractors/shown")
         self._groups = {name: scene.add_frame(f"/{name}", show_axes=False) for name in groups}
         self._body = scene.add_frame("/body/at", show_axes=False, visible=False)
+        self._turns = False  # whether the body has had an orientation
+        self._disc = scene.add_frame("/body/at/disc", show_axes=False)
+        self._ball = scene.add_icosphere("/body/at/ball", BALL_RADIUS, BODY_TOP, visible=False)
         for name, side, rgb in (("top", 0.5, BODY_TOP), ("under", -0.5, BODY_UNDER)):
             place = (0.0, 0.0, side * BODY_HEIGHT)  # other colours tell how it has turned
-            scene.add_cylinder(f"/body/at/{name}", BODY_RADIUS, BODY_HEIGHT, rgb, position=place)
+            scene.add_cylinder(
+                f"/body/at/disc/{name}", BODY_RADIUS, BODY_HEIGHT, rgb, position=place
+            )
         with gui.add_folder("State"):
             self._state = gui.add_markdown("")
 
@@ -99,10 +106,15 @@ class Page:
         return positions[-1]
 
     def place_body(self, state: tuple[np.ndarray, np.ndarray] | None) -> None:
-        """Draw the tracked body at a position [m] and quaternion wxyz; None hides it."""
+        """Draw the tracked body at a position [m] and quaternion wxyz; None hides it.
+
+        It is a ball until it has an orientation, from then on a disc.
+        """
         with self.server.atomic():
             if state is not None:
                 self._body.position, self._body.wxyz = state
+                turns = self._turns = self._turns or tuple(state[1]) != NOT_TURNED
+                self._disc.visible, self._ball.visible = turns, not turns
             self._body.visible = state is not None
 
     def show_path(
