@@ -8,6 +8,7 @@ import pytest
 from conftest import ROOT
 
 from hardware_sim import scene
+from hardware_sim.wam import JOINTS
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.view.skeleton import Skeleton
 
@@ -18,6 +19,12 @@ BODY = URDF.split("?>", 1)[1]
 
 def cobot(urdf: str, tool: str = "cobot_pan") -> Arm:
     return Arm(urdf, NAMES, tool, ())
+
+
+def test_an_arm_needs_no_link_names_of_the_wam_which_has_its_points_by_default() -> None:
+    assert Arm(URDF, NAMES, "cobot_pan").guarded == ()
+    wam = (ROOT / "urdf/wam7.urdf").read_text()
+    assert Arm(wam, JOINTS).guarded == ("elbow", "forearm")
 
 
 PUBLISHED = {

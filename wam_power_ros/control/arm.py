@@ -150,7 +150,8 @@ class Arm:
         urdf: Text of the URDF.
         joint_names: Names of the joints, base to tip.
         tool_frame: Link whose frame is the tool.
-        guarded: Points whose motion is limited in addition to the tool's.
+        guarded: Points whose motion is limited in addition to the tool's; by default the WAM's, of
+            a URDF that has its links.
         corrections: What was measured on this arm, None for an arm as its URDF describes it.
         base_frame: Link whose frame is the base frame of all numbers; the root link if empty.
 
@@ -165,14 +166,13 @@ class Arm:
         urdf: str,
         joint_names: Sequence[str],
         tool_frame: str = "pan",
-        guarded: Sequence[GuardedPoint] = WAM_GUARDED_POINTS,
+        guarded: Sequence[GuardedPoint] | None = None,
         corrections: Corrections | None = None,
         base_frame: str = "",
     ) -> None:
         self.joint_names = tuple(joint_names)
         tree = parsed(urdf)
         require_usable(tree, self.joint_names)
-        self._given = urdf, self.joint_names, tool_frame, tuple(guarded)
         self._base_frame = base_frame
         try:
             full = pin.buildModelFromXML(urdf)
@@ -180,6 +180,11 @@ class Arm:
             raise ValueError(f"the robot description is not a URDF: {error}") from None
         self.name = tree.get("name", "")
         self.model = _chain(full, self.joint_names)
+        if guarded is None:
+            known = (point.link for point in WAM_GUARDED_POINTS)
+            there = all(self.model.existFrame(link, _LINK) for link in known)
+            guarded = WAM_GUARDED_POINTS if there else ()
+        self._given = urdf, self.joint_names, tool_frame, tuple(guarded)
         require_physical(tree, self.model)
         low, high = np.transpose([soft_limits(tree, name) for name in self.joint_names])
         self.model.lowerPositionLimit = np.maximum(self.model.lowerPositionLimit, low)
