@@ -28,7 +28,7 @@ class TagDetector:
     """Finds the pose of a body with tags in grey images.
 
     Args:
-        family: Of the tags, such as "36h11".
+        family: Family of the AprilTags, such as "36h11".
         tags: Numbers of the tags on the body.
         size: Edge of their black squares [m].
         poses: Seven numbers for each tag: position [m] and quaternion xyzw in the body.

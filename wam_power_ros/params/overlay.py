@@ -217,7 +217,7 @@ def of_files(
         namespace: Namespace of the nodes; sections of others are ignored.
         node: Name that a node was started with, whose sections are those of its kind as well.
         kind: Its name in `NODES`.
-        own_values: What its command line gives it, over all files.
+        own_values: Parameters of the node from its command line, which replace those of files.
 
     Raises:
         ValueError: A file is malformed, or a section has an unknown parameter or a value of another

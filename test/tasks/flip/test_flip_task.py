@@ -14,7 +14,7 @@ from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.flip.settings import TRUE_TURN
 from wam_power_ros.tasks.flip.task import Flip
 from wam_power_ros.tasks.task import Pose
-from wam_power_ros.tracking.tracker import Tracker
+from wam_power_ros.tracking.tracker import LEAD_TIME, Tracker
 
 FLIP = Flip(preset("flip").task_settings, {})
 PAN = Pose(np.array([0.6, -0.1, 0.9]), rotations.exp(np.array([0.3, 0.2, 0.0])))  # tilted
@@ -150,3 +150,7 @@ def test_a_summary_counts_the_re_tests_and_the_truth_of_those_that_have_one() ->
     )
     assert true.endswith("; 1 more turned over and caught")
     assert FLIP.summary(records[2:3]) == []
+
+
+def test_the_pancake_rests_as_long_as_its_path_is_seen_before_the_start() -> None:
+    assert FLIP.rest_time * 1e9 >= LEAD_TIME - 1  # [ns]
