@@ -50,7 +50,6 @@ def checked(stamps_ns: np.ndarray, q: np.ndarray, names: Sequence[str]) -> Check
     Args:
         stamps_ns: Stamps of the states, strictly increasing [ns]. Shape (M,).
         q: Joint angles [rad]. Shape (M, n).
-        names: Names of the joints.
 
     Raises:
         ValueError: A jump remains, more states are not finite, or too many are bad. Times in the

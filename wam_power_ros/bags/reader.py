@@ -28,7 +28,6 @@ class States:
         stamps: Stamps [ns], strictly increasing. Shape (M,).
         q: Joint angles [rad], finite and without a jump. Shape (M, n).
         index: Which message on the topic each is, from 0. Shape (M,).
-        names: Names of the joints in the bag.
         remarks: What was left out or unwrapped.
     """
 
@@ -68,7 +67,6 @@ def read_states(
     see `jumps`.
 
     Args:
-        bag: The bag.
         joint_names: Order of the columns of the result.
         topic: Topic of JointState; if omitted, the one in the metadata, else /joint_states.
         arm: Required arm, if the bag identifies its arm; any if omitted.

@@ -49,15 +49,7 @@ def commission(
     folder: Path | None,
     devices: Devices,
 ) -> int:
-    """Move the arm, analyse the recording, print what was found and write a set-up file.
-
-    Args:
-        tool_mass: Mass of the tool from a scale [kg]; None if it was not weighed.
-        flat: Whether the tracked body lies flat in the tool.
-        output: Set-up file to write; None for arm.yaml in the folder.
-        folder: Folder of the recording; one that has a recording is only analysed again.
-        devices: Choice of set-ups.
-    """
+    """Move the arm, analyse the recording, print what was found and write a set-up file."""
     folder = (folder or Path("commissioning") / timestamp()).resolve()
     setup = devices.parameters(folder=folder)
     setup = setup.changed({RECORDER: {"stem": "commissioning"}, SIMULATION: {"scene": SCENE}})

@@ -80,7 +80,6 @@ class Devices:
 
         Args:
             task: Name of the task whose set-up the others override; empty for none.
-            seed: Seed of the stand-in.
             folder: Folder whose bags/ gets the recordings; None for that of the set-up.
 
         Raises:
@@ -162,7 +161,6 @@ def launch(plan: Plan, text: str = "") -> Iterator[Launcher]:
     """Start the nodes of a plan, except a learner, and activate the controller of an arm.
 
     Args:
-        plan: The plan.
         text: What is shown once nothing stands against it; empty for nothing.
 
     Raises:
@@ -236,7 +234,6 @@ def check_space(folder: Path, needed: float) -> None:
     """Check that a disk has room for the first recording, before a person teaches.
 
     Args:
-        folder: Folder for the bags; it need not exist yet.
         needed: Free space below which the recorder starts no recording [MB].
 
     Raises:

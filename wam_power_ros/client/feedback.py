@@ -33,7 +33,6 @@ class Feedback:
 
         Args:
             kind: One of `SERVICES`, "demonstration" or "rate".
-            bag: Bag of the demonstration.
             value: Rating, from 0 to 1.
 
         Raises:
@@ -58,9 +57,6 @@ class Feedback:
 
         The arm is set to gravity compensation only after the learner has reported that it is paused
         and no trial is under way; from then on it sends nothing until it continues.
-
-        Returns:
-            Answer of the learner to the demonstration.
 
         Raises:
             ServiceError: A service refused, or the trial did not end; the learner may be paused.

@@ -90,7 +90,6 @@ class RolloutSettings:
     Attributes:
         scene_reset: Whether the stand-in puts the scene back; otherwise a person does.
         reset_faults: Whether the controller is reset after a fault; otherwise a person does.
-        record_rollouts: Whether to record each rollout.
         service_timeout: Time for a service to appear and to succeed [s of wall time].
         rollout_timeout: Time for the end of a rollout and for its paths [s of wall time].
         patience: Time for the arm to reach its start, for a movement that puts the body back, and
@@ -128,8 +127,6 @@ class Rollouts:
         awaited: Returns what is waited for without limit, None if nothing; for every thread.
 
     Args:
-        link: Link in whose namespace the nodes run.
-        settings: Settings.
         body: Name of the tracked body, "" for none.
         joint_names: Joint names of the driver, for movements that put the body back; without them
             a person does.
@@ -189,7 +186,6 @@ class Rollouts:
         """Execute a policy once.
 
         Args:
-            policy: Policy to execute.
             duration: Duration of its complete rollout [s].
             ready: Returns what is missing before it may begin, empty if nothing.
             put_back: Returns what is to be done then, see `Task.reset`; a scene that is reset

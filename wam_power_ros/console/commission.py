@@ -18,7 +18,6 @@ def move(robot: Robot, t: np.ndarray, q: np.ndarray, person: bool) -> int:
     """Execute the movement once and record it; returns the exit status.
 
     Args:
-        robot: The arm.
         t: Times [s]. Shape (T,).
         q: Joint angles [rad]. Shape (T, n).
         person: Whether to ask the person beside a real arm before it moves.

@@ -40,8 +40,6 @@ def replay(
     """Replay a movement once, see `replay_trajectory.movement`; returns the exit status.
 
     Args:
-        robot: The arm.
-        name: Name of the recording.
         t: Times [s]. Shape (N,).
         q: Joint angles [rad]. Shape (N, n).
         speed: Speed relative to the recording, for messages.
@@ -81,12 +79,7 @@ def replay(
 
 
 def with_possible_speed(answer: Answer, speed: float) -> str:
-    """Text of the controller's answer, with the highest possible --speed, if any, if too fast.
-
-    Args:
-        answer: Answer of the controller.
-        speed: Value of --speed for the refused movement.
-    """
+    """Text of the controller's answer, with the highest possible --speed, if any, if too fast."""
     if answer.code is not Code.TOO_FAST:
         return answer.text
     possible = answer.speed * speed

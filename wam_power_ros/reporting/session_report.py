@@ -48,7 +48,6 @@ class ShownRollout:
     """A rollout of the session's policy, shown in detail.
 
     Attributes:
-        caption: Outcome of the rollout.
         film: Animated .webp image, None without a film.
     """
 
@@ -91,9 +90,6 @@ def render(
 
 def write(folder: Path, shown: ShownRollout | None = None, why_no_film: str = "") -> Path:
     """Write `report.html` into a session folder.
-
-    Returns:
-        Path of the report.
 
     Raises:
         ValueError: There is no session, or it is malformed.

@@ -175,7 +175,6 @@ class BodySource:
 
     Attributes:
         topic: Topic, resolved.
-        kind: Class of its messages.
     """
 
     def __init__(self, node: Node, params: BodyTrackerParams) -> None:

@@ -42,7 +42,6 @@ class LiveState:
         q: Joint angles [rad], None before the first state. Shape (n,).
         receipt_time: Time of receipt of the newest joint state [s, steady clock].
         body: Position [m] and quaternion wxyz of the tracked body, None before the first state.
-        policy: Last published policy, None before the first.
         tool_path: Path of the tool in the last finished rollout [m]. Shape (T, 3).
         diagnostics: Node -> level and summary of its last diagnostics.
     """
@@ -60,7 +59,6 @@ class View(Node):
 
     Attributes:
         urdf: Text of the arm's URDF, "" until it is received.
-        model_joint_names: Names of the joints in the URDF.
         base_frame: Link in whose frame the body is.
     """
 
@@ -114,7 +112,6 @@ class View(Node):
 
         Args:
             lead: Returns when the person has finished; not called if the stand-in demonstrates.
-            notify: Called with each progress message.
         """
 
         def teach() -> Answer:

@@ -29,10 +29,8 @@ class Movement:
     """A recorded movement.
 
     Attributes:
-        urdf: Text of the arm's URDF.
         t: Time since the first state [s], strictly increasing. Shape (T,).
         q: Joint angles [rad]. Shape (T, n).
-        body: Name of the tracked body, "" for none.
         body_states: Time [s], position [m] and quaternion wxyz of the body. Shape (M, 8).
         policy: Executed policy, None for a demonstration.
     """

@@ -53,8 +53,6 @@ def of_session(
     """Show a session, its rollouts and its learning curve until interrupted.
 
     Args:
-        server: An open server.
-        folder: Folder of the session.
         ready: Called when the page can be opened.
         domain_of: Returns the DDS domain of a session in simulation by its folder; None on an arm.
 
