@@ -23,7 +23,7 @@ GUARDED = [
     for folder in ("wam_power_ros/nodes", "wam_power_ros/console", "hardware_sim")
     for path in sorted((ROOT / folder).glob("*.py"))
     if "\ndef main()" in path.read_text()
-    and path.stem not in ("preparation_worker", "enabling_switch", "play_bag")
+    and path.stem not in ("preparation_worker", "enabling_switch")
 ]
 EXECUTABLES = re.findall(r'f"[\w-]+ = \{NAME\}\.entry:(\w+)"', (ROOT / "setup.py").read_text())
 WAYS = {

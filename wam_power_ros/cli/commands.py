@@ -493,11 +493,3 @@ def config(devices: Devices, task: str | None) -> None:
     if wrong := [*mistakes(setup)]:
         raise ValueError("; ".join(wrong))
     print(overlay.text(setup), end="")
-
-
-def play(bag: Path, rate: float, topics: Sequence[str], wait: float) -> None:
-    """Publish the topics of a bag."""
-    from wam_power_ros.console import play_bag
-
-    signal.signal(signal.SIGTERM, interrupt)
-    play_bag.play(bag, rate, topics, wait)

@@ -55,7 +55,7 @@ HEADINGS = {
     "First": ("learn", "teach", "replay", "view", "doctor"),
     "Session": ("feedback", "stop", "report", "score", "run-policy", "compare"),
     "Arm": ("new-arm", "commission", "enable"),
-    "Recordings": ("bags", "play", "recover"),
+    "Recordings": ("bags", "recover"),
     "Names, set-ups, nodes": ("list", "config", "run"),
 }
 LISTED = ("tasks", "learners", "presets", "set-ups")
@@ -257,21 +257,6 @@ def _parser() -> argparse.ArgumentParser:
         task_option(command)
         command.add_argument("--folder", type=Path, help="for the recordings (default: runs/NOW)")
         _arm_options(command)
-
-    play = add(
-        "play",
-        commands.play,
-        "publish the topics of a bag, as ros2 bag play does, except commands to an arm",
-    )
-    play.add_argument("bag", type=Path, help="any bag of the common message types")
-    play.add_argument("--rate", type=float, default=1.0, help="1: as recorded (default)")
-    play.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="only these topics")
-    play.add_argument(
-        "--wait",
-        type=float,
-        default=0.0,
-        help="longest wait for a subscriber to every topic before playing [s] (default 0)",
-    )
 
     bags_command.add_to(subparsers)
     score_command.add_to(subparsers)
