@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from wam_power_ros import installed
-from wam_power_ros.cli.launcher import UsageError, pasteable, short_path, task_stems
+from wam_power_ros.cli.launcher import UsageError, short_path, task_stems
 from wam_power_ros.cli.node_log import progress_messages
 from wam_power_ros.cli.parser import add_command, config_option, task_option
 from wam_power_ros.cli.session_options import DEFAULT_TASK
@@ -196,7 +196,7 @@ def _row(path: Path, judge: Callable[[Path], tuple[str, str, str]]) -> tuple[str
         with progress_messages(f"reading {path.name}"):
             return judge(path)
     except (ValueError, OSError) as error:
-        reason = pasteable(str(error).removeprefix(printable(path)).lstrip(": "))
+        reason = str(error).removeprefix(printable(path)).lstrip(": ")
         return printable(path.name.partition("_")[0]), f"{'–':>6}  poor   ", reason
 
 

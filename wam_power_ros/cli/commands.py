@@ -19,12 +19,10 @@ from wam_power_ros.cli.launcher import (
     Devices,
     Launcher,
     UsageError,
-    domain_environment,
     folder_lock,
     interrupt,
     launch,
     learner_is_running,
-    pasteable,
     program_command,
     secured,
     session_domain,
@@ -41,7 +39,6 @@ from wam_power_ros.cli.session_options import (
     chosen,
     existing_session,
     learner_parameters,
-    method_words,
     settings_of,
     with_origin,
 )
@@ -146,11 +143,11 @@ def learn(
             _follow(folder, launcher.processes, practising, bell)
     except KeyboardInterrupt:
         print("\nStopped.")
-        _print_how_to_go_on(folder, asked, devices, ["--in-process"] * in_process)
+        _print_how_to_go_on(folder)
         return INTERRUPTED
     except ProcessError as error:  # the advice comes last, below the end of the log
-        print(f"wam-power: {pasteable(str(error))}", file=sys.stderr, flush=True)
-        _print_how_to_go_on(folder, asked, devices)
+        print(f"wam-power: {error}", file=sys.stderr, flush=True)
+        _print_how_to_go_on(folder)
         return 2
     _print_summary(read(folder))
     return report(folder)
@@ -173,31 +170,12 @@ def _learn_in_process(
     return report(folder)
 
 
-def _print_how_to_go_on(
-    folder: Path, asked: SessionOptions, devices: Devices, also: Sequence[str] = ()
-) -> None:
-    """Print what a session that was stopped has on disk, and the command that goes on with it."""
-    from wam_power_ros.bags import series
-    from wam_power_ros.practice.session import Session, read
-    from wam_power_ros.reporting.terminal import counted
-
-    words, where = ["learn", "--session", str(short_path(folder)), *also], short_path(folder)
-    if not Session.exists(folder):  # the options are not on disk yet
-        words += asked.words
-    try:
-        rollouts = len(read(folder).records) if Session.exists(folder) else 0
-        taught = len(series.read(folder / series.FILE))
-    except (ValueError, OSError) as error:
-        print(f"The session in {where} cannot be resumed: {error}")
-        return
-    if rollouts:
-        purpose = f"The session in {where} has {counted(rollouts, 'rollout')}. To resume:"
-    elif taught:
-        found = counted(taught, "demonstration")
-        purpose = f"No rollout yet, {found} in {where}. To continue with them:"
-    else:
-        purpose = f"Nothing has been recorded in {where}. To start again:"
-    _print_command(purpose, [*words, *devices.words])
+def _print_how_to_go_on(folder: Path) -> None:
+    """Print the command as it was typed, with the folder of the session, which it goes on with."""
+    words = sys.argv[1:]
+    named = any(word.partition("=")[0] == "--session" for word in words)
+    words += [] if named else ["--session", str(short_path(folder))]
+    _print_command("To go on with what is recorded:", words)
 
 
 def _has_ended(session: Session) -> bool:
@@ -208,15 +186,12 @@ def _has_ended(session: Session) -> bool:
 
 def _report_ended(session: Session, devices: Devices) -> int:
     """Print the result of a session that has ended and how to practise longer; start nothing."""
-    folder, header = session.folder, session.header
+    folder, budget = session.folder, session.header.settings.practice.budget
     print(f"{short_path(folder)} has ended: all its re-tests are recorded. Nothing is started.")
     _print_summary(session)
-    settings = header.settings
-    words = ["learn", "--task", settings.task, *method_words(settings)]
-    words += ["--trials", str(2 * settings.practice.budget)]
-    bags = map(str, map(short_path, map(Path, header.demonstrations)))
-    words += ["--bags", *bags, *devices.words]
-    _print_command("To practise longer, in a new session on the same demonstrations:", words)
+    words = ["learn", "--from", str(short_path(folder)), "--trials", str(2 * budget)]
+    purpose = "To practise longer, in a new session from its policy:"
+    _print_command(purpose, [*words, *devices.words])
     return 0 if (folder / "report.html").is_file() else report(folder)
 
 
@@ -356,9 +331,8 @@ def _follow(folder: Path, processes: Processes, learner: Running, bell: bool) ->
 
     path, logs = folder / "rollouts.jsonl", NodeLogs(folder / "logs")
     size_shown = 0
-    stopped: list[str] = []
     ended = False
-    with terminal.Display() as display, Keys(domain_environment(session_domain(folder))) as keys:
+    with terminal.Display() as display, Keys(session_domain(folder)) as keys:
         while not ended:
             display.footer = keys.poll()
             ended = learner.process.poll() is not None
@@ -368,10 +342,6 @@ def _follow(folder: Path, processes: Processes, learner: Running, bell: bool) ->
                 size_shown = size
                 found = session.read(folder)
                 display.show(found.log, found.header.settings, found.task)
-            stopped, before = processes.stopped, stopped
-            for text in stopped:
-                if text not in before:
-                    display.show_message(text, is_problem=True)
             for entry in logs.new():
                 display.show_message(entry.text, entry.severity in PROBLEMS)
                 prompt.cue(bell and entry.severity == "ERROR", "fault")
@@ -391,12 +361,14 @@ def feedback(kind: str, given: str | None, session: Path | None) -> int:
     folder = existing_session(session)
     if kind != "stop" and not learner_is_running(folder):  # an arm may move without a learner
         raise UsageError(f"no learner is running in {short_path(folder)}")
-    from wam_power_ros.console.feedback import give
+    from wam_power_ros.console.feedback import connected
+    from wam_power_ros.console.feedback import given as answered
 
     namespace = parameter_file.namespace(folder / "logs/parameters.yaml")
     value = int(given) / 9.0 if kind == "rate" else None
     bag = Path(given) if kind == "demonstration" else None
-    answer = give(kind, bag, value, namespace, session_domain(folder))
+    with connected(namespace, session_domain(folder)) as link:
+        answer = answered(link, kind, bag, value)
     print(answer.text if answer.success else f"refused: {answer.text}")
     return 0 if answer.success else 2
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import fcntl
 import os
-import re
 import shlex
 import shutil
 import signal
@@ -254,14 +253,6 @@ def session_domain(folder: Path) -> int | None:
     return int(text) if text else None
 
 
-def domain_environment(domain: int | None) -> dict[str, str]:
-    """Environment variables of the processes in the domain of a simulation; none without one.
-
-    They override what this terminal exports for a robot.
-    """
-    return {} if domain is None else network.ON_LOOPBACK | {"ROS_DOMAIN_ID": str(domain)}
-
-
 def discovery_range(environment: Mapping[str, str]) -> str:
     """DDS discovery range of started nodes: this machine, unless the environment names one."""
     return environment.get(network.RANGE) or "LOCALHOST"
@@ -308,11 +299,6 @@ def program_command() -> str:
     if found and program.exists() and Path(found).samefile(program):
         return program.name
     return shlex.quote(str(short_path(program)))
-
-
-def pasteable(text: str) -> str:
-    """Text in which `wam-power COMMAND` is replaced by what can be pasted in this terminal."""
-    return re.sub(r"\bwam-power (?=[a-z]+ )", lambda _: f"{program_command()} ", text)
 
 
 def timestamp() -> str:

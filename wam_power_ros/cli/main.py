@@ -28,7 +28,7 @@ from wam_power_ros.cli import (
     new_arm_command,
     score_command,
 )
-from wam_power_ros.cli.launcher import Devices, UsageError, pasteable
+from wam_power_ros.cli.launcher import Devices, UsageError
 from wam_power_ros.cli.parser import (
     Parser,
     add_command,
@@ -77,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"{COMMAND_LINE}: {missing(error)}", file=sys.stderr)
         return 2
     except (UsageError, ProcessError, OSError, ValueError) as error:
-        text = explained(error) if isinstance(error, OSError) else pasteable(str(error))
+        text = explained(error) if isinstance(error, OSError) else str(error)
         print(f"{COMMAND_LINE}: {text}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
