@@ -24,13 +24,12 @@ from wam_power_ros.cli.launcher import (
     launch,
     learner_is_running,
     program_command,
-    secured,
     session_domain,
     short_path,
     timestamp,
 )
 from wam_power_ros.cli.node_log import PROBLEMS, NodeLogs, progress_messages
-from wam_power_ros.cli.plan import LEARNER, RECORDER, TRACKER, plan_of
+from wam_power_ros.cli.plan import LEARNER, RECORDER, TRACKER, Plan
 from wam_power_ros.cli.processes import ProcessError, Processes, Running
 from wam_power_ros.cli.session_options import (
     DEFAULT_TASK,
@@ -45,7 +44,7 @@ from wam_power_ros.cli.session_options import (
 from wam_power_ros.console import prompt
 from wam_power_ros.durable_files import check_name
 from wam_power_ros.entry import INTERRUPTED
-from wam_power_ros.params import overlay, parameter_file
+from wam_power_ros.params import overlay
 
 if TYPE_CHECKING:
     from wam_power_ros.practice.session import Session
@@ -77,7 +76,7 @@ def teach(
     status = 0
     try:
         parameters = devices.parameters(task or DEFAULT_TASK, seed, folder)
-        plan = plan_of(folder, parameters, devices.stand_ins, secure=secured())
+        plan = Plan(folder, parameters, devices.stand_ins)
         with launch(plan, text) as launcher:
             _teach(launcher, file, demonstrations, bell, review=sys.stdin.isatty())
     except KeyboardInterrupt:
@@ -133,7 +132,7 @@ def learn(
         given = learner_parameters(folder, asked, seed, task)
         parameters = parameters.changed({LEARNER: given})
         also = (TRACKER, LEARNER)
-        plan = plan_of(folder, parameters, devices.stand_ins, also=also, secure=secured())
+        plan = Plan(folder, parameters, devices.stand_ins, also)
         with launch(plan, text) as launcher:
             taught: dict[str, list[str]] = {}
             if not resumed and not asked.bags:
@@ -161,7 +160,7 @@ def _learn_in_process(
     from wam_power_ros.reporting import terminal
 
     with folder_lock(folder), terminal.Display() as display:
-        for file, text in plan_of(folder, parameters, stand_ins=True).written.items():
+        for file, text in Plan(folder, parameters, stand_ins=True).written.items():
             file.write_text(text, encoding="utf-8")
         settings, count = settings_of(task, asked), asked.demonstrations
         for session in in_process.run(folder, parameters, settings, seed, count):
@@ -230,7 +229,7 @@ def replay(bag: Path, speed: float, task: str | None, folder: Path | None, devic
         print(f"{bag}: {remark.text}")
     movement = replay_trajectory.movement(states.stamps, states.q, speed)
     signal.signal(signal.SIGTERM, interrupt)
-    plan = plan_of(folder, parameters, devices.stand_ins, secure=secured())
+    plan = Plan(folder, parameters, devices.stand_ins)
     with launch(plan) as launcher, launcher.robot() as robot:
         name, person = bag.resolve().name, not devices.stand_ins
         return replaying.replay(robot, name, *movement, speed, person)
@@ -273,7 +272,7 @@ def _run(
     if comparison and unscored:
         raise UsageError(f"without returns nothing can be compared: {unscored}")
     signal.signal(signal.SIGTERM, interrupt)
-    plan = plan_of(folder, parameters, devices.stand_ins, also=[TRACKER], secure=secured())
+    plan = Plan(folder, parameters, devices.stand_ins, (TRACKER,))
     with launch(plan) as launcher, launcher.robot() as robot:
         if unscored:
             print(f"No returns: {unscored}")
@@ -364,10 +363,9 @@ def feedback(kind: str, given: str | None, session: Path | None) -> int:
     from wam_power_ros.console.feedback import connected
     from wam_power_ros.console.feedback import given as answered
 
-    namespace = parameter_file.namespace(folder / "logs/parameters.yaml")
     value = int(given) / 9.0 if kind == "rate" else None
     bag = Path(given) if kind == "demonstration" else None
-    with connected(namespace, session_domain(folder)) as link:
+    with connected(session_domain(folder)) as link:
         answer = answered(link, kind, bag, value)
     print(answer.text if answer.success else f"refused: {answer.text}")
     return 0 if answer.success else 2

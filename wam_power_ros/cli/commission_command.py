@@ -23,11 +23,10 @@ from wam_power_ros.cli.launcher import (
     UsageError,
     interrupt,
     launch,
-    secured,
     short_path,
     timestamp,
 )
-from wam_power_ros.cli.plan import RECORDER, SIMULATION, TRACKER, plan_of
+from wam_power_ros.cli.plan import RECORDER, SIMULATION, TRACKER, Plan
 from wam_power_ros.commissioning.acceptance import notes, refusals
 from wam_power_ros.commissioning.excitation import Excitation, excitation
 from wam_power_ros.commissioning.identification import tool_centre
@@ -111,8 +110,7 @@ def _move(
     movement.parent.mkdir(parents=True, exist_ok=True)
     np.savez(movement, t=plan.t, q=plan.q, rests=plan.rests, sweeps=plan.sweeps)
     signal.signal(signal.SIGTERM, interrupt)
-    also = [TRACKER]
-    planned = plan_of(movement.parent, setup, devices.stand_ins, also=also, secure=secured())
+    planned = Plan(movement.parent, setup, devices.stand_ins, (TRACKER,))
     with launch(planned) as launcher, launcher.robot() as robot:
         return move(robot, plan.t, plan.q, person=not devices.stand_ins)
 

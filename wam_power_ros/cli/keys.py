@@ -34,7 +34,7 @@ class Keys:
             from wam_power_ros.console.feedback import connected
 
             with self._ends as ends:
-                self._feedback = ends.enter_context(connected(domain=self._domain, quiet=True))
+                self._feedback = ends.enter_context(connected(self._domain, quiet=True))
                 ends.callback(termios.tcsetattr, fd, termios.TCSADRAIN, termios.tcgetattr(fd))
                 tty.setcbreak(fd)
                 self._status, self._ends = HINT, ends.pop_all()

@@ -25,7 +25,6 @@ from wam_power_ros.cli.plan import (
     SIMULATION,
     TRACKER,
     Plan,
-    overrides,
 )
 from wam_power_ros.cli.processes import ProcessError, Processes, Running
 from wam_power_ros.console.prompt import ask, show
@@ -122,8 +121,7 @@ class Launcher:
 
     def node(self, name: str, **parameters: object) -> Running:
         """Start a node of the plan; `parameters` override its own."""
-        (planned,) = (process for process in self.plan.processes if process.name == name)
-        return self.processes.start(name, [*planned.command, *overrides(f"{name}:", parameters)])
+        return self.processes.start(name, self.plan.command(name, secured(), **parameters))
 
     @contextmanager
     def robot(self) -> Iterator[Robot]:
@@ -137,8 +135,7 @@ class Launcher:
         from wam_power_ros.ros.node_runner import interrupt_on_signals
         from wam_power_ros.ros.outcomes import ServiceError
 
-        plan = self.plan
-        where = session_domain(plan.folder), plan.namespace, plan.stand_ins
+        plan, domain = self.plan, session_domain(self.plan.folder)
         with ExitStack() as stack:
             for number in SIGNALS:
                 stack.callback(signal.signal, number, signal.getsignal(number))
@@ -147,7 +144,8 @@ class Launcher:
                 os.environ[ENCLAVE] = "/operator"
                 stack.callback(os.environ.pop, ENCLAVE)
             try:
-                robot = stack.enter_context(connected(plan.parameters, *where))
+                arm = connected(plan.parameters, domain, on_loopback=plan.stand_ins)
+                robot = stack.enter_context(arm)
                 robot.link.log_period = LOG_AFTER
                 with self.processes.watched(robot.link.fail):
                     yield robot
@@ -191,9 +189,9 @@ def launch(plan: Plan, text: str = "") -> Iterator[Launcher]:
         for file, text in files.items():
             file.write_text(text, encoding="utf-8")
         launcher = Launcher(plan, stack.enter_context(Processes(plan.file.parent, environment)))
-        for process in plan.processes:
-            if process.name != LEARNER:
-                launcher.node(process.name)
+        for name in plan.nodes:
+            if name != LEARNER:
+                launcher.node(name)
         if not plan.stand_ins:
             with launcher.robot() as robot:
                 activate(robot.link)

@@ -20,15 +20,12 @@ APPEAR_TIMEOUT = 10.0  # [s of wall time] until a service of the learner is avai
 
 
 @contextmanager
-def connected(
-    namespace: str = "", domain: int | None = None, quiet: bool = False
-) -> Iterator[Feedback]:
-    """Connect to the learner in a namespace.
+def connected(domain: int | None = None, quiet: bool = False) -> Iterator[Feedback]:
+    """Connect to a learner, in the domain of a simulation; None for that of ROS_DOMAIN_ID.
 
-    The domain is that of a simulation; None for that of ROS_DOMAIN_ID. With `quiet` nothing is
-    logged while an answer is waited for.
+    With `quiet` nothing is logged while an answer is waited for.
     """
-    make = lambda: rclpy.create_node("feedback", namespace=namespace)  # noqa: E731
+    make = lambda: rclpy.create_node("feedback")  # noqa: E731
     with (
         participant(make, domain, on_loopback=domain is not None) as node,
         Link(node, APPEAR_TIMEOUT, LOG_AFTER) as link,

@@ -62,8 +62,8 @@ class View(Node):
         base_frame: Link in whose frame the body is.
     """
 
-    def __init__(self, controller: Mapping[str, Any], body: str, namespace: str = "") -> None:
-        super().__init__("view", namespace=namespace)
+    def __init__(self, controller: Mapping[str, Any], body: str) -> None:
+        super().__init__("view")
         self.state = LiveState()
         self.urdf = robot_description(controller["urdf"]) if controller["urdf"] else ""
         self._reader = JointStateReader(controller["joint_names"])
