@@ -107,7 +107,7 @@ def combinations(node: str) -> Iterator[tuple[str, ...]]:
 
 
 def batches(node: str, folder: Path) -> list[list[list[Path]]]:
-    """Files of combinations, and outputs of `wam-power config`, some nodes at once: all, or a few."""
+    """Files of combinations, and outputs of `wam-power config`, for some nodes at once."""
     found = [[ROOT / f"config/{name}.yaml" for name in names] for names in combinations(node)]
     for names in ([], *([driver] for driver in DRIVERS)):
         for simulated in (False, True):
