@@ -58,6 +58,7 @@ ALLOWED: dict[str, set[str]] = {
         "plain_yaml",
         "plain_json",
         "faults",
+        "regions",
         "arm_identity",
         "learning",
         "tasks",
