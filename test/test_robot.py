@@ -155,7 +155,7 @@ def test_a_robot_uses_the_names_of_its_namespace(domain_id: int) -> None:
     try:
         node = rclpy.create_node("robot", namespace="left")
         link = Link(node)
-        Rollouts(link, RolloutSettings.of(setup["learner"]), "pancake")
+        Rollouts(link, RolloutSettings(**setup["learner"]), "pancake")
         link.newest(JointState, "joint_states")
         of_listener = node.get_subscriber_names_and_types_by_node("robot_states", "/left")
         listener = {name for name, _ in of_listener}

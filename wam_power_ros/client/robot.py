@@ -336,6 +336,6 @@ def connected(
         yield Robot(
             *(link, controller["state_topic"], controller["joint_names"]),
             *(setup["pancake_tracker"]["body"], setup.arm()),
-            RolloutSettings.of(setup["learner"]),
+            RolloutSettings(**setup["learner"]),
             float(controller["settle_time"]),
         )
