@@ -161,11 +161,7 @@ def inspect(path: Path, names: Sequence[str], limits: Limits | None = None) -> I
 def _judged(
     path: Path, names: Sequence[str], arm: Arm | None, tasks: Mapping[str, set[str]]
 ) -> InspectedTake:
-    """Inspect a take; a demonstration of a task is also judged as its fit would cut it.
-
-    Raises:
-        ValueError: As `inspect`.
-    """
+    """Inspect a take; a demonstration of a task is also judged as its fit would cut it."""
     from wam_power_ros.bags import quality
     from wam_power_ros.learning.policy import DURATION_MAX
 
@@ -213,11 +209,7 @@ def _noted(path: Path) -> tuple[str, str, str]:
 def _verdict(
     path: Path, names: Sequence[str], arm: Arm | None, tasks: Mapping[str, set[str]]
 ) -> tuple[str, str, str]:
-    """Kind of a take, its duration and quality in columns, and the reasons for its quality.
-
-    Raises:
-        ValueError: As `inspect`.
-    """
+    """Kind of a take, its duration and quality in columns, and the reasons for its quality."""
     return _columns(_judged(path, names, arm, tasks))
 
 

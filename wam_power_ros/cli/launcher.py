@@ -50,15 +50,10 @@ class UsageError(Exception):
 
 @dataclass(frozen=True)
 class Devices:
-    """Choice of set-ups.
+    """Choice of set-ups."""
 
-    Attributes:
-        config: Set-ups, by name or path; later ones override earlier ones.
-        simulate: Whether stand-ins with the same interfaces replace their devices.
-    """
-
-    config: Sequence[str] = ()
-    simulate: bool = False
+    config: Sequence[str] = ()  # set-ups, by name or path; later ones override earlier ones
+    simulate: bool = False  # whether stand-ins with the same interfaces replace their devices
 
     @property
     def stand_ins(self) -> bool:

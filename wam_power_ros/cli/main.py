@@ -88,9 +88,6 @@ def _command(options: argparse.Namespace) -> tuple[Callable[..., int | None], di
     """Command of parsed options, and its arguments by name.
 
     Options that belong together are one argument.
-
-    Raises:
-        UsageError: `--simulate` without a set-up.
     """
     values = dict(vars(options))
     command = values.pop("command")

@@ -23,14 +23,7 @@ DEFAULT_TASK = "flip"
 
 @dataclass(frozen=True)
 class SessionOptions:
-    """What a person asks of a session; None or empty for what is not asked.
-
-    Attributes:
-        demonstrations: Number of demonstrations to record.
-        bags: Demonstrations to learn from instead.
-        origin: Session whose policy is where this one begins.
-        goal: New values of the goal of that session, by name.
-    """
+    """What a person asks of a session; None or empty for what is not asked."""
 
     task: str | None = None
     learner: str = ""
@@ -38,10 +31,10 @@ class SessionOptions:
     trials: int | None = None
     minutes: int | None = None
     seed: int | None = None
-    demonstrations: int = 0
-    bags: Sequence[Path] = ()
-    origin: Path | None = None
-    goal: Sequence[tuple[str, float]] = ()
+    demonstrations: int = 0  # number of demonstrations to record
+    bags: Sequence[Path] = ()  # demonstrations to learn from instead
+    origin: Path | None = None  # session whose policy is where this one begins
+    goal: Sequence[tuple[str, float]] = ()  # new values of the goal of that session, by name
 
 
 def existing_session(folder: Path | None) -> Path:

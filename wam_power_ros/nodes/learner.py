@@ -268,11 +268,7 @@ class Learner(Node):
         )
 
     def _compare(self) -> None:
-        """Ask the controller for its parameters: policies are planned with them.
-
-        Raises:
-            SessionFailed: It has others than this node knows.
-        """
+        """Ask the controller for its parameters: policies are planned with them."""
         known = self._arm.parameters
         values = self._link.parameters(CONTROLLER, list(known), COMPARE_TIMEOUT)
         if not values:  # renamed, or secured
@@ -389,11 +385,7 @@ class Learner(Node):
         return session, practice
 
     def _for_goal(self, origin: FilePath) -> tuple[dict[str, Any], Policy]:
-        """Context with the goal of the parameters, and the policy predicted for it from a session.
-
-        Raises:
-            ValueError: The goal is not one of its task, or nothing can be predicted.
-        """
+        """Context with the goal of the parameters, and the policy predicted for it."""
         goal = plain_json.parse(self.params.goal, "goal")
         known = read(origin)
         settings, of = known.header.settings, (known.task, known.policies, known.records)

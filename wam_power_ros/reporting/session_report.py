@@ -45,15 +45,11 @@ from wam_power_ros.tasks.task import Curve, Task
 
 @dataclass(frozen=True)
 class ShownRollout:
-    """A rollout of the session's policy, shown in detail.
-
-    Attributes:
-        film: Animated .webp image, None without a film.
-    """
+    """A rollout of the session's policy, shown in detail."""
 
     caption: str
     rollout: Rollout
-    film: bytes | None = None
+    film: bytes | None = None  # animated .webp image, None without a film
 
 
 def render(
