@@ -19,7 +19,7 @@ def simulated(folder: Path | str, task: str, seed: int = 0) -> Iterator[Robot]:
     """Start an arm's nodes and stand-ins, in a DDS domain of their own.
 
     Raises:
-        UsageError: Another launcher uses the folder, or its disk is nearly full.
+        UsageError: Another launcher uses the folder.
         ValueError: There is no such task.
     """
     folder = Path(folder).resolve()

@@ -141,7 +141,7 @@ class Learner(Node):
         self._demonstrations = Demonstrations(self._kind, self._arm, params.joint_names, log)
         self._link = Link(self, params.service_timeout)
         self._rollouts = Rollouts(self._link, params, self._kind.body, params.joint_names)
-        self._markers = Markers(self, params.base_frame, self._kind.body, self._arm.region)
+        self._markers = Markers(self, params.base_frame, self._arm.region)
         self._diagnostics = Diagnostics(self, "session", self._kind.body)
         self.create_timer(1.0, self._report, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -430,7 +430,6 @@ class Learner(Node):
             return ended
         finally:
             self._awaits_rating = False
-        self._markers.executed(executed.rollout.tool.position)
         return executed
 
 
