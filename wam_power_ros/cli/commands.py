@@ -360,13 +360,12 @@ def feedback(kind: str, given: str | None, session: Path | None) -> int:
     folder = existing_session(session)
     if kind != "stop" and not learner_is_running(folder):  # an arm may move without a learner
         raise UsageError(f"no learner is running in {short_path(folder)}")
-    from wam_power_ros.console.feedback import connected
-    from wam_power_ros.console.feedback import given as answered
+    from wam_power_ros.client.feedback import answered, connected
 
     value = int(given) / 9.0 if kind == "rate" else None
     bag = Path(given) if kind == "demonstration" else None
     with connected(session_domain(folder)) as link:
-        answer = answered(link, kind, bag, value)
+        answer = answered(lambda: link.give(kind, bag, value))
     print(answer.text if answer.success else f"refused: {answer.text}")
     return 0 if answer.success else 2
 

@@ -36,6 +36,8 @@ from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 
 MOVEMENT = "movement.npz"
 SCENE = "markers"  # of the stand-in
+LOG_PERIOD = 30.0  # [s] between two lines about the movement under way
+WARNING = "Tool below 1.2 m/s: nobody within reach, a hand on the pendant. "
 
 
 def commission(
@@ -98,7 +100,7 @@ def _move(
     devices: Devices,
 ) -> int:
     """Plan the movement, let the arm execute it and record it; returns the exit status."""
-    from wam_power_ros.console.commission import move
+    from wam_power_ros.console.replay import replay
     from wam_power_ros.params.resources import robot_description
 
     limits = controller.controller(robot_description(controller.urdf)).limits
@@ -109,7 +111,9 @@ def _move(
     signal.signal(signal.SIGTERM, interrupt)
     planned = Plan(movement.parent, setup, devices.stand_ins, (TRACKER,))
     with launch(planned) as launcher, launcher.robot() as robot:
-        return move(robot, plan.t, plan.q, person=not devices.stand_ins)
+        robot.link.log_period = LOG_PERIOD
+        person = not devices.stand_ins
+        return replay(robot, "the commissioning", plan.t, plan.q, 1.0, person, warning=WARNING)
 
 
 def _recording(path: Path, setup: overlay.Setup) -> Recording:

@@ -31,7 +31,7 @@ class Keys:
     def __enter__(self) -> Keys:
         fd = sys.stdin.fileno() if sys.stdin.isatty() else None
         if fd is not None and os.tcgetpgrp(fd) == os.getpgrp():  # else a background job
-            from wam_power_ros.console.feedback import connected
+            from wam_power_ros.client.feedback import connected
 
             with self._ends as ends:
                 self._feedback = ends.enter_context(connected(self._domain, quiet=True))
@@ -53,9 +53,9 @@ class Keys:
 
     def _give(self, key: str) -> None:
         """Pass on a key in a thread of its own: a stop waits for no other answer."""
-        from wam_power_ros.console.feedback import given
+        from wam_power_ros.client.feedback import answered
 
         kind, value = (KEYS[key], None) if key in KEYS else ("rate", int(key) / 9.0)
         self._status = f"{kind} …"
-        answer = given(self._feedback, kind, value=value)
+        answer = answered(lambda: self._feedback.give(kind, value=value))
         self._status = answer.text if answer.success else f"{kind} refused: {answer.text}"

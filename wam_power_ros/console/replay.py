@@ -36,6 +36,7 @@ def replay(
     speed: float,
     person: bool,
     running: bool = False,
+    warning: str = "",
 ) -> int:
     """Replay a movement once, see `replay_trajectory.movement`; returns the exit status.
 
@@ -45,6 +46,7 @@ def replay(
         speed: Speed relative to the recording, for messages.
         person: Whether to ask the person beside a real arm before it moves.
         running: Whether the nodes go on afterwards: nothing is recorded, and the arm is held.
+        warning: What the person is told before.
 
     Raises:
         ServiceError: A service does not appear, does not answer in time, or refuses.
@@ -52,8 +54,10 @@ def replay(
     movement = f"{name} at {speed:g} times its speed, {t[-1]:.1f} s"
     robot.stop()  # succeeds once the controller is active
     with let_go_after(person and not running):
+        if not running:
+            robot.await_recorder()
         if person:
-            ask(f"The arm will move to the start of {movement}. Press Enter: ")
+            ask(f"{warning}The arm will move to the start of {movement}. Press Enter: ")
         show(f"Replaying {movement}; Ctrl-C stops the arm")
         with nullcontext() if running else robot.record() as bag:
             try:

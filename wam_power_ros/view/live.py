@@ -15,13 +15,12 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from nav_msgs.msg import Odometry, Path
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from wam_power_interfaces.msg import Policy as PolicyMessage
-from wam_power_ros.client.feedback import SERVICES, Feedback
+from wam_power_ros.client.feedback import SERVICES, Feedback, answered
 from wam_power_ros.client.link import DISCOVERY, Link
 from wam_power_ros.client.robot import Robot
 from wam_power_ros.learning import policy as policies
@@ -29,7 +28,7 @@ from wam_power_ros.learning.policy import Policy
 from wam_power_ros.params.resources import robot_description
 from wam_power_ros.ros import interface, pose_messages
 from wam_power_ros.ros.joint_messages import JointStateReader
-from wam_power_ros.ros.outcomes import Answer, Code, ServiceError
+from wam_power_ros.ros.outcomes import Answer
 
 APPEAR_TIMEOUT = 2.0  # [s of wall time] for the service of a button
 
@@ -105,7 +104,7 @@ class View(Node):
 
     def give(self, kind: str, value: float | None = None) -> Answer:
         """Give feedback, see `Feedback.give`; the answer says why if it could not be given."""
-        return self._answered(lambda: self._feedback.give(kind, value=value))
+        return answered(lambda: self._feedback.give(kind, value=value))
 
     def teach(self, lead: Callable[[], object], notify: Callable[[str], object]) -> Answer:
         """Add a demonstration to the session, see `Feedback.teach`.
@@ -118,15 +117,7 @@ class View(Node):
             simulated = self.link.until(lambda: self._scene.offered, timeout=2.0 * DISCOVERY)
             return self._feedback.teach(self._robot, None if simulated else lead, notify)
 
-        return self._answered(teach)
-
-    def _answered(self, work: Callable[[], Answer]) -> Answer:
-        try:
-            return work()
-        except ServiceError as error:
-            return error.answer or Answer(Code.NOT_ACTIVE, str(error))
-        except ExternalShutdownException:
-            return Answer(Code.NOT_ACTIVE, "the session has ended")
+        return answered(teach)
 
     # Subscriptions
 
