@@ -8,9 +8,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
+@pytest.mark.long
 def test_ctrl_c_stops_the_arm_and_the_movement_can_begin_anew(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "wam_power_ros.cli", "commission", "--folder", str(tmp_path)]
     process = subprocess.Popen(
