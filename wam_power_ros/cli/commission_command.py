@@ -112,6 +112,7 @@ def _move(
     planned = Plan(movement.parent, setup, devices.stand_ins, (TRACKER,))
     with launch(planned) as launcher, launcher.robot() as robot:
         robot.link.log_period = LOG_PERIOD
+        robot.await_recorder()  # of every state: the first rest counts
         person = not devices.stand_ins
         return replay(robot, "the commissioning", plan.t, plan.q, 1.0, person, warning=WARNING)
 

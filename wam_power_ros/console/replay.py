@@ -54,8 +54,6 @@ def replay(
     movement = f"{name} at {speed:g} times its speed, {t[-1]:.1f} s"
     robot.stop()  # succeeds once the controller is active
     with let_go_after(person and not running):
-        if not running:
-            robot.await_recorder()
         if person:
             ask(f"{warning}The arm will move to the start of {movement}. Press Enter: ")
         show(f"Replaying {movement}; Ctrl-C stops the arm")
