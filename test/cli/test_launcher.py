@@ -11,7 +11,7 @@ import yaml
 
 from wam_power_ros.cli import main
 from wam_power_ros.cli.launcher import Devices, Launcher, short_path
-from wam_power_ros.cli.plan import plan_of
+from wam_power_ros.cli.plan import Plan
 from wam_power_ros.cli.processes import Processes
 from wam_power_ros.params import overlay
 
@@ -48,7 +48,7 @@ def test_nodes_get_their_parameters_whatever_characters_are_in_them(
     tmp_path: Path,
 ) -> None:
     odd = str(tmp_path / "séries: 'a' #1.json")
-    plan = plan_of(tmp_path, Devices().parameters(), stand_ins=True)
+    plan = Plan(tmp_path, Devices().parameters(), stand_ins=True)
     plan.file.parent.mkdir()
     plan.file.write_text(overlay.text(plan.parameters))
     with Processes(tmp_path / "logs", {"ROS_DOMAIN_ID": "97"}) as processes:

@@ -268,12 +268,9 @@ def test_a_written_set_up_reads_back_unchanged(values: dict[str, Any]) -> None:
     assert yaml.safe_load(text) == {"/**/node": {"ros__parameters": values}}
 
 
-@pytest.mark.parametrize("namespace", ["", "/left", "/lab/left"])
-def test_the_namespace_of_a_file_is_read(namespace: str, tmp_path: Path) -> None:
+def test_a_written_set_up_has_every_node(tmp_path: Path) -> None:
     file = tmp_path / "parameters.yaml"
-    assert parameter_file.namespace(file) == ""  # the file does not exist
-    file.write_text(overlay.text(overlay.setup(), namespace))
-    assert parameter_file.namespace(file) == namespace
+    file.write_text(overlay.text(overlay.setup()))
     assert parameter_file.of_nodes(file) == overlay.setup()
 
 

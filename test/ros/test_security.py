@@ -48,7 +48,7 @@ NAMES = {f"/{name.lstrip('/')}" for name in RELATIVE | {interface.rollout_topic(
 
 def robot() -> Node:
     """Node of an arm as an object, of which everything is used that is no service."""
-    node, settings = rclpy.create_node("robot"), RolloutSettings.of(overlay.setup()["learner"])
+    node, settings = rclpy.create_node("robot"), RolloutSettings(**overlay.setup()["learner"])
     arm = Robot(Link(node), body="pancake", settings=settings)
     assert all((arm.scene_reset, arm.demonstrator, arm._replays, arm._rollouts))
     return node

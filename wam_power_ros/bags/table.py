@@ -116,9 +116,6 @@ def write(columns: Mapping[str, Sequence[Any]], path: Path) -> int:
 
     CSV restores floats bit for bit; None is an empty cell, and null in Parquet.
 
-    Returns:
-        Number of rows.
-
     Raises:
         ValueError: As `check_new`.
         OSError: The file exists, cannot be written, or has not all rows; it is then removed.

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from wam_power_ros import installed
-from wam_power_ros.cli.launcher import UsageError, pasteable, short_path, task_stems
+from wam_power_ros.cli.launcher import UsageError, short_path, task_stems
 from wam_power_ros.cli.node_log import progress_messages
 from wam_power_ros.cli.parser import add_command, config_option, task_option
 from wam_power_ros.cli.session_options import DEFAULT_TASK
@@ -161,11 +161,7 @@ def inspect(path: Path, names: Sequence[str], limits: Limits | None = None) -> I
 def _judged(
     path: Path, names: Sequence[str], arm: Arm | None, tasks: Mapping[str, set[str]]
 ) -> InspectedTake:
-    """Inspect a take; a demonstration of a task is also judged as its fit would cut it.
-
-    Raises:
-        ValueError: As `inspect`.
-    """
+    """Inspect a take; a demonstration of a task is also judged as its fit would cut it."""
     from wam_power_ros.bags import quality
     from wam_power_ros.learning.policy import DURATION_MAX
 
@@ -196,7 +192,7 @@ def _row(path: Path, judge: Callable[[Path], tuple[str, str, str]]) -> tuple[str
         with progress_messages(f"reading {path.name}"):
             return judge(path)
     except (ValueError, OSError) as error:
-        reason = pasteable(str(error).removeprefix(printable(path)).lstrip(": "))
+        reason = str(error).removeprefix(printable(path)).lstrip(": ")
         return printable(path.name.partition("_")[0]), f"{'–':>6}  poor   ", reason
 
 
@@ -213,11 +209,7 @@ def _noted(path: Path) -> tuple[str, str, str]:
 def _verdict(
     path: Path, names: Sequence[str], arm: Arm | None, tasks: Mapping[str, set[str]]
 ) -> tuple[str, str, str]:
-    """Kind of a take, its duration and quality in columns, and the reasons for its quality.
-
-    Raises:
-        ValueError: As `inspect`.
-    """
+    """Kind of a take, its duration and quality in columns, and the reasons for its quality."""
     return _columns(_judged(path, names, arm, tasks))
 
 

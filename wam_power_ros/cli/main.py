@@ -28,7 +28,7 @@ from wam_power_ros.cli import (
     new_arm_command,
     score_command,
 )
-from wam_power_ros.cli.launcher import Devices, UsageError, pasteable
+from wam_power_ros.cli.launcher import Devices, UsageError
 from wam_power_ros.cli.parser import (
     Parser,
     add_command,
@@ -55,7 +55,7 @@ HEADINGS = {
     "First": ("learn", "teach", "replay", "view", "doctor"),
     "Session": ("feedback", "stop", "report", "score", "run-policy", "compare"),
     "Arm": ("new-arm", "commission", "enable"),
-    "Recordings": ("bags", "play", "recover"),
+    "Recordings": ("bags", "recover"),
     "Names, set-ups, nodes": ("list", "config", "run"),
 }
 LISTED = ("tasks", "learners", "presets", "set-ups")
@@ -77,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"{COMMAND_LINE}: {missing(error)}", file=sys.stderr)
         return 2
     except (UsageError, ProcessError, OSError, ValueError) as error:
-        text = explained(error) if isinstance(error, OSError) else pasteable(str(error))
+        text = explained(error) if isinstance(error, OSError) else str(error)
         print(f"{COMMAND_LINE}: {text}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
@@ -88,9 +88,6 @@ def _command(options: argparse.Namespace) -> tuple[Callable[..., int | None], di
     """Command of parsed options, and its arguments by name.
 
     Options that belong together are one argument.
-
-    Raises:
-        UsageError: `--simulate` without a set-up.
     """
     values = dict(vars(options))
     command = values.pop("command")
@@ -257,21 +254,6 @@ def _parser() -> argparse.ArgumentParser:
         task_option(command)
         command.add_argument("--folder", type=Path, help="for the recordings (default: runs/NOW)")
         _arm_options(command)
-
-    play = add(
-        "play",
-        commands.play,
-        "publish the topics of a bag, as ros2 bag play does, except commands to an arm",
-    )
-    play.add_argument("bag", type=Path, help="any bag of the common message types")
-    play.add_argument("--rate", type=float, default=1.0, help="1: as recorded (default)")
-    play.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="only these topics")
-    play.add_argument(
-        "--wait",
-        type=float,
-        default=0.0,
-        help="longest wait for a subscriber to every topic before playing [s] (default 0)",
-    )
 
     bags_command.add_to(subparsers)
     score_command.add_to(subparsers)

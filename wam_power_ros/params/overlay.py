@@ -275,10 +275,9 @@ def _own() -> Parameters:
     return {node: _read(share(f"config/{node}.yaml"))[node] for node in NODES}
 
 
-def text(setup: Setup, namespace: str = "") -> str:
-    """Text of one parameter file for all nodes of a namespace such as `/left`; of any if empty."""
-    above = namespace or "/**"
-    nodes = {f"{above}/{node}": {"ros__parameters": values} for node, values in setup.items()}
+def text(setup: Setup) -> str:
+    """Text of one parameter file for all nodes, in any namespace."""
+    nodes = {f"/**/{node}": {"ros__parameters": values} for node, values in setup.items()}
     return yaml.dump(nodes, Dumper=_Plain, sort_keys=False, width=1000)
 
 
