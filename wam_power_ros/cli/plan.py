@@ -14,6 +14,7 @@ from wam_power_ros.params import overlay
 DOMAIN_FILE = "ros_domain_id"  # in logs/: the DDS domain of a simulation that has its own
 SIMULATION, TRACKER, LEARNER = "wam_sim", "pancake_tracker", "learner"
 CONTROLLER, RECORDER = "torque_controller", "demonstration_recorder"
+DRIVER = "franka_driver"
 MODULE = (sys.executable, "-m")
 
 
@@ -75,7 +76,8 @@ def plan_of(
         secure: Whether each node runs in its enclave.
     """
     file = Plan(folder, parameters, (), stand_ins).file
-    names = [*[SIMULATION] * stand_ins, CONTROLLER, RECORDER]
+    driver = [DRIVER] if parameters[DRIVER]["address"] else []
+    names = [*([SIMULATION] if stand_ins else driver), CONTROLLER, RECORDER]
     names += [name for name in also if name != TRACKER or parameters[TRACKER]["body"]]
     processes = []
     for name in names:
