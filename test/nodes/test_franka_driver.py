@@ -89,8 +89,7 @@ class Bench:
         self.controller = processes.node(CONTROLLER, self.file)
         probe.until(lambda: len(self.states) > 200, "states")
         for transition in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
-            request = ChangeState.Request(transition=Transition(id=transition))
-            assert probe.call(ChangeState, "torque_controller/change_state", request).success
+            probe.until(lambda: self.change(transition), "the controller active")  # noqa: B023
         self.taken()
 
     def say(self, node: str, key: str) -> str:
@@ -102,6 +101,11 @@ class Bench:
         self.diagnostics.clear()
         self.probe.until(lambda: accept(self.say(node, key)), f"{key} of {node}")
         return self.say(node, key)
+
+    def change(self, transition: int) -> bool:
+        """`ros2 lifecycle set`; refused while the machine is busy."""
+        request = ChangeState.Request(transition=Transition(id=transition))
+        return self.probe.call(ChangeState, "torque_controller/change_state", request).success
 
     def taken(self) -> None:
         """Wait until the robot takes torques of a controller that holds."""

@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-# Parts of their names, the first that fits. The rest belongs to motions that the robot generates.
-REMEDIES = {
+REMEDIES = {  # by a part of the name, the first that fits
+    "motion_generator": "of a motion that the robot generates, and nothing here asks for: look in "
+    "Desk who else is connected, then reset",
     "communication_constraints": "20 torques in a row came late: no other load on this machine, "
     "real-time priority, a cable without a switch; then reset",
     "torque_discontinuity": "a step of more than 1 N m in 1 ms reached the robot, of torques that "
