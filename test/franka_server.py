@@ -3,8 +3,8 @@
 
 `python franka_server.py ADDRESS` ends a motion as the robot does: after 20 lost cycles, a step of
 torque, a limit. Each line on its input is answered by one: `reflex NUMBER` provokes an error of
-libfranka, `freeze SECONDS` repeats the measured posture, `push JOINT TORQUE SECONDS` is a hand, and
-`arm` asks for the true posture, the true speeds and the mode.
+libfranka, `stopped` and `released` are the person's switch, `freeze SECONDS` repeats the measured
+posture, `push JOINT TORQUE SECONDS` is a hand, `arm` asks for the true posture, speeds and mode.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 from conftest import ROOT
 
+IDLE, USER_STOPPED = 1, 5  # modes of the protocol
 PRIORITY = 75  # a robot has a computer of its own
 
 
@@ -68,6 +69,11 @@ def main(address: str) -> None:
         word, *values = line.split()
         if word == "reflex":
             server._abort_with_error(int(values[0]), "provoked")
+        elif word == "stopped":
+            server._abort_with_error((), "the user's stop")
+            server.robot_state.state["robot_mode"] = USER_STOPPED
+        elif word == "released":
+            server.robot_state.state["robot_mode"] = IDLE
         elif word == "freeze":
             frozen = {"q": measure()["q"], "dq": [0.0] * 7}
             frozen_until = time.monotonic() + float(values[0])

@@ -190,6 +190,18 @@ def test_a_driver_that_pauses_is_stopped_by_the_robot_and_goes_on_after_a_reset(
     bench.reset()
 
 
+def test_the_persons_switch_ends_a_movement_and_its_release_moves_nothing(bench: Bench) -> None:
+    sent = bench.replay()
+    bench.server.ask("stopped")
+    assert not bench.probe.answer(sent).success
+    assert bench.until("franka_driver", "fault", bool).startswith("UserStopped: ")
+    bench.probe.spin(1.0)
+    bench.server.ask("released")
+    bench.probe.spin(1.0)
+    assert bench.server.ask()["mode"] == IDLE
+    bench.reset()
+
+
 @pytest.mark.parametrize("who", ["controller", "driver"])
 def test_a_process_that_is_killed_leaves_an_arm_that_the_robot_holds(
     bench: Bench,

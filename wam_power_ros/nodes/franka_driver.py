@@ -67,7 +67,7 @@ class FrankaDriver(Node):
         while not (over := ended()) or self._control is not None:
             try:
                 state = self._state()
-                if self._able(state) and time.monotonic() > self._silent_until:
+                if self._able(state) and not self._silent:
                     self._publish(state)
                 if not over:
                     executor.spin_once(timeout_sec=0.0)
@@ -81,6 +81,11 @@ class FrankaDriver(Node):
                 self._blame(text if lost else self.fault or text)
                 time.sleep(AGAIN)
             self._report()
+
+    @property
+    def _silent(self) -> bool:
+        """Whether the controller is to lose the states, which latches its fault."""
+        return time.monotonic() < self._silent_until
 
     def _state(self) -> franka.RobotState:
         """The next state of the robot, which sends one each millisecond."""
@@ -136,8 +141,8 @@ class FrankaDriver(Node):
         waited = time.monotonic() - self._came
         label, lost = self._torque.label, waited > self._params.watchdog
         if self._control is None:
-            wanted = not lost and label != "fault" and bool(label or not self.fault)
-            if wanted and state.robot_mode == franka.RobotMode.Idle:
+            allowed = label != "fault" and bool(label or not self.fault) and not self._silent
+            if allowed and not lost and state.robot_mode == franka.RobotMode.Idle:
                 self._control, self.fault = self._robot.start_torque_control(), ""
             return
         speeds, sent = np.array(state.dq), np.array(state.tau_J_d)

@@ -36,8 +36,8 @@ def described(errors: object, mode: str) -> str:
         errors: Attributes that are true name an error, as of `franka.Errors`.
         mode: Name of the mode of the robot, as of `franka.RobotMode`.
     """
+    if mode in MODES:
+        return f"{mode}: {MODES[mode]}, then reset"
     names = [name for name in dir(errors) if name[0] != "_" and getattr(errors, name) is True]
     texts = [f"{n}: {next((REMEDIES[p] for p in REMEDIES if p in n), OTHER)}" for n in names]
-    if mode in MODES and not names:
-        texts = [f"{mode}: {MODES[mode]}, then reset"]
     return "; ".join(texts) or f"the robot ended control without an error, in mode {mode}: reset"
