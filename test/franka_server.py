@@ -52,9 +52,12 @@ def main(address: str) -> None:
     arm = server.physics_sim
     measure, driven = arm.get_robot_state, arm.arm_control_torque
     frozen, frozen_until, hand, hand_until = {}, 0.0, np.zeros(7), 0.0
+    switched = False  # the person's switch
 
     def measured() -> dict[str, object]:
         state = measure()
+        if switched:  # whatever the client asks for
+            server.robot_state.state["robot_mode"] = USER_STOPPED
         return {**state, **frozen} if time.monotonic() < frozen_until else state
 
     def driving() -> np.ndarray:
@@ -70,9 +73,10 @@ def main(address: str) -> None:
         if word == "reflex":
             server._abort_with_error(int(values[0]), "provoked")
         elif word == "stopped":
+            switched = True
             server._abort_with_error((), "the user's stop")
-            server.robot_state.state["robot_mode"] = USER_STOPPED
         elif word == "released":
+            switched = False
             server.robot_state.state["robot_mode"] = IDLE
         elif word == "freeze":
             frozen = {"q": measure()["q"], "dq": [0.0] * 7}

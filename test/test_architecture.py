@@ -112,7 +112,7 @@ BUDGET = {
     "params": 1389,  # what may be set at rest; -p body:=NAME is derived from as a file is
     "ros": 2837,  # variables of ROS and DDS are named with their remedy
     "client": 1457,
-    "nodes": 3861,  # actions, the question for another set-up; +213: an FR3 by its maker\'s library
+    "nodes": 3866,  # actions, the question for another set-up; +213: an FR3 by its maker\'s library
     "console": 846,  # a person supports the arm, however a movement ended
     "view": 1220,
     "reporting": 880,

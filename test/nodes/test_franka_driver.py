@@ -227,9 +227,9 @@ def test_a_torque_that_is_not_renewed_moves_nothing(bench: Bench) -> None:
     before = np.array(bench.server.ask()["q"])
     topic = interface.EFFORT_COMMANDS
     torques = bench.probe.publisher(Float64MultiArray, topic, interface.COMMAND)
-    torques.publish(Float64MultiArray(data=[0.0, 8.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
-    torques.publish(Float64MultiArray(data=[np.nan] * 7))
-    torques.publish(Float64MultiArray(data=[50.0] * 6))
+    for data in ([0.0, 8.0, 0.0, 0.0, 0.0, 0.0, 0.0], [np.nan] * 7, [50.0] * 6):
+        torques.publish(Float64MultiArray(data=data))
+        bench.probe.spin(0.2)  # the driver keeps the newest alone
     bench.until("franka_driver", "torques refused", lambda text: text == "2")
     bench.probe.until(lambda: bench.server.ask()["mode"] == IDLE, "the robot's own hold", 5.0)
     assert np.abs(np.array(bench.server.ask()["q"]) - before).max() < 0.02
