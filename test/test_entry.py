@@ -46,8 +46,8 @@ def slow(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_every_executable_and_every_module_with_a_main_is_asked() -> None:
-    assert len(EXECUTABLES) == 10
-    assert len(GUARDED) == 8
+    assert len(EXECUTABLES) == 11
+    assert len(GUARDED) == 9
     assert set(EXECUTABLES) < set(vars(entry))
 
 

@@ -110,7 +110,15 @@ def test_the_recorder_only_listens_and_the_learner_only_proposes() -> None:
     assert {name.split("/")[1] for name in learner["service", "reply"]} == {"learner"}
 
 
-@pytest.mark.parametrize("kind", NODES.values(), ids=NODES)
+def franka_driver() -> Node:
+    """The driver whose library is an extra; it connects later."""
+    pytest.importorskip("pylibfranka")
+    from wam_power_ros.nodes.franka_driver import FrankaDriver
+
+    return FrankaDriver()
+
+
+@pytest.mark.parametrize("kind", [*NODES.values(), franka_driver], ids=[*NODES, "franka_driver"])
 def test_a_node_does_what_the_policy_allows_and_the_policy_allows_what_it_does(
     kind: Callable[[], Node], domain_id: int, tmp_path: Path
 ) -> None:
@@ -118,6 +126,7 @@ def test_a_node_does_what_the_policy_allows_and_the_policy_allows_what_it_does(
     setup = overlay.setup()
     for name in ("torque_controller", "demonstration_recorder", "wam_sim"):
         setup[name]["realtime_priority"] = 0  # the node is in this process
+    setup["franka_driver"].update(address="127.0.57.2", realtime_priority=0)
     file.write_text(overlay.text(setup))
     rclpy.init(args=["--ros-args", "--params-file", str(file)], domain_id=domain_id)
     try:

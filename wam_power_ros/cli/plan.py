@@ -13,6 +13,7 @@ from wam_power_ros.params import overlay
 DOMAIN_FILE = "ros_domain_id"  # in logs/: the DDS domain of a simulation that has its own
 SIMULATION, TRACKER, LEARNER = "wam_sim", "pancake_tracker", "learner"
 CONTROLLER, RECORDER = "torque_controller", "demonstration_recorder"
+DRIVER = "franka_driver"
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,8 @@ class Plan:
         """Nodes in the order in which they are started."""
         tracked = self.parameters[TRACKER]["body"]
         also = [name for name in self.also if name != TRACKER or tracked]
-        return [*[SIMULATION] * self.stand_ins, CONTROLLER, RECORDER, *also]
+        driver = [DRIVER] if self.parameters[DRIVER]["address"] else []
+        return [*([SIMULATION] if self.stand_ins else driver), CONTROLLER, RECORDER, *also]
 
     @property
     def file(self) -> Path:

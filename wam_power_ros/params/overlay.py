@@ -32,6 +32,7 @@ NODES = (
     "demonstration_recorder",
     "pancake_tracker",
     "tag_camera",
+    "franka_driver",
     "learner",
     "wam_sim",
     "optitrack_sim",
@@ -408,6 +409,9 @@ def _derived(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Parameters:
         },
         "pancake_tracker": {"base_frame": arm["base_frame"]},
         "tag_camera": {"body": mocap["body"]},
+        "franka_driver": {
+            name: arm[name] for name in ("joint_names", "state_topic", "command_topic", "period")
+        },
         "learner": {name: arm[name] for name in model},
         "wam_sim": {
             **{name: arm[name] for name in (*model, *driver, *world)},
