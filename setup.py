@@ -43,6 +43,7 @@ nodes = [
     f"learner = {NAME}.entry:learner",
     f"check_driver = {NAME}.entry:check_driver",
     f"tag_camera = {NAME}.entry:tag_camera",
+    f"natnet_client = {NAME}.entry:natnet_client",
     f"wam_sim = {NAME}.entry:wam_sim",
     f"replay = {NAME}.entry:replay",
 ]

@@ -32,6 +32,7 @@ NODES = (
     "demonstration_recorder",
     "pancake_tracker",
     "tag_camera",
+    "natnet_client",
     "learner",
     "wam_sim",
     "optitrack_sim",
@@ -40,6 +41,7 @@ STAND_INS = ("wam_sim", "optitrack_sim")
 WITH_BODY = (
     "pancake_tracker",
     "tag_camera",
+    "natnet_client",
     "demonstration_recorder",
     "optitrack_sim",
 )  # that of the task
@@ -409,6 +411,7 @@ def _derived(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Parameters:
         },
         "pancake_tracker": {"base_frame": arm["base_frame"]},
         "tag_camera": {"body": mocap["body"]},
+        "natnet_client": {"body": mocap["body"], "frame": mocap["mocap_frame"]},
         "learner": {name: arm[name] for name in model},
         "wam_sim": {
             **{name: arm[name] for name in (*model, *driver, *world)},
