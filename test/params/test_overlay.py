@@ -21,6 +21,7 @@ from wam_power_ros.nodes.learner import LearnerParams
 from wam_power_ros.params import overlay, parameter_file
 from wam_power_ros.params.body_tracker_params import BodyTrackerParams
 from wam_power_ros.params.franka_driver_params import FrankaDriverParams
+from wam_power_ros.params.natnet_client_params import NatNetClientParams
 from wam_power_ros.params.node_params import Params
 from wam_power_ros.params.resources import robot_description
 from wam_power_ros.params.tag_camera_params import TagCameraParams
@@ -32,6 +33,7 @@ READS: dict[str, type[Params]] = {
     "pancake_tracker": BodyTrackerParams,
     "tag_camera": TagCameraParams,
     "franka_driver": FrankaDriverParams,
+    "natnet_client": NatNetClientParams,
     "learner": LearnerParams,
     "wam_sim": ArmSimParams,
     "optitrack_sim": OptitrackSimParams,

@@ -54,6 +54,13 @@ def robot() -> Node:
     return node
 
 
+def natnet_client() -> Node:
+    pytest.importorskip("natnet")
+    from wam_power_ros.nodes.natnet_client import NatNet
+
+    return NatNet()
+
+
 NODES = {
     "robot": robot,
     "torque_controller_preparation": lambda: PreparationWorker(pair()[0]),
@@ -61,6 +68,7 @@ NODES = {
     "demonstration_recorder": DemonstrationRecorder,
     "pancake_tracker": BodyTracker,
     "tag_camera": TagCamera,
+    "natnet_client": natnet_client,
     "learner": Learner,
     "wam_sim": lambda: Simulation().wam,  # offers services once its world is built
     "optitrack_sim": OptitrackSim,

@@ -27,6 +27,7 @@ from wam_power_ros.cli import (
     doctor_command,
     new_arm_command,
     score_command,
+    sessions_command,
 )
 from wam_power_ros.cli.launcher import Devices, UsageError
 from wam_power_ros.cli.parser import (
@@ -53,12 +54,12 @@ NODES = {  # executable of `ros2 run` -> entry point, as setup.py declares them
 
 HEADINGS = {
     "First": ("learn", "teach", "replay", "view", "doctor"),
-    "Session": ("feedback", "stop", "report", "score", "run-policy", "compare"),
+    "Session": ("sessions", "feedback", "stop", "report", "score", "run-policy", "compare"),
     "Arm": ("new-arm", "commission", "enable"),
     "Recordings": ("bags", "recover"),
     "Names, set-ups, nodes": ("list", "config", "run"),
 }
-LISTED = ("tasks", "learners", "presets", "set-ups")
+LISTED = ("tasks", "learners", "presets", "set-ups", "sessions")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -161,7 +162,8 @@ def _parser() -> argparse.ArgumentParser:
     task_option(config)
     _arm_options(config)
 
-    listing = add("list", _list, "print a line for each task, learner, preset or set-up")
+    sessions_command.add_to(subparsers)
+    listing = add("list", _list, "print a line for each task, learner, preset, ...")
     listing.add_argument("what", choices=LISTED, metavar="WHAT", help=", ".join(LISTED))
 
     commission_command.add_to(add, _arm_options)
@@ -312,6 +314,8 @@ def _list(what: str) -> None:
     """Print a line for each name of a kind, with what it is."""
     from wam_power_ros.practice.settings import preset
 
+    if what == "sessions":
+        return sessions_command.sessions([])
     tasks, kind = installed.names("task"), what.removesuffix("s")
     if what == "presets":
         pairs = [(task, name) for task in tasks for name in installed.task_type(task).presets]

@@ -33,6 +33,7 @@ NODES = (
     "pancake_tracker",
     "tag_camera",
     "franka_driver",
+    "natnet_client",
     "learner",
     "wam_sim",
     "optitrack_sim",
@@ -41,6 +42,7 @@ STAND_INS = ("wam_sim", "optitrack_sim")
 WITH_BODY = (
     "pancake_tracker",
     "tag_camera",
+    "natnet_client",
     "demonstration_recorder",
     "optitrack_sim",
 )  # that of the task
@@ -412,6 +414,7 @@ def _derived(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Parameters:
         "franka_driver": {
             name: arm[name] for name in ("joint_names", "state_topic", "command_topic", "period")
         },
+        "natnet_client": {"body": mocap["body"], "frame": mocap["mocap_frame"]},
         "learner": {name: arm[name] for name in model},
         "wam_sim": {
             **{name: arm[name] for name in (*model, *driver, *world)},
