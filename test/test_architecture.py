@@ -110,10 +110,10 @@ BUDGET = {
     "practice": 2357,  # +46: candidates are fitted here, for the nodes and for one process
     "conformance": 1151,  # +25: effort without gravity
     "bags": 2633,  # +246: sets of LeRobot, written and read
-    "params": 1399,  # what may be set at rest; -p body:=NAME is derived from as a file is; NatNet, FR3
+    "params": 1399,  # what may be set at rest; -p body:=NAME is derived from; NatNet, FR3
     "ros": 2675,  # variables of ROS and DDS are named with their remedy
     "client": 1457,
-    "nodes": 3896,  # actions, the question for another set-up; +217: an FR3 by its maker's library; +122: NatNet
+    "nodes": 3896,  # actions; +217: an FR3 by its maker's library; +122: NatNet
     "console": 549,  # a person supports the arm, however a movement ended
     "view": 1190,
     "reporting": 870,
