@@ -91,7 +91,7 @@ def _taught(
     for group in [tuple(read)] if kind.single_policy and read else [(each,) for each in read]:
         movements = [read[number] for number in group]
         try:
-            policy = kind.policy_of(movements, f"demonstration-{group[0]}")
+            policy = kind.policy_of(movements, f"demonstration-{group[0]}", settings.task_settings)
             task = settings.make_task(kind.context_of(movements, region))
             if fault := environment.infeasible(reproduction_of(policy, task)):
                 raise ValueError(f"would end in a fault: {fault.text}")

@@ -80,7 +80,7 @@ class Demonstrations:
         Raises:
             ValueError: It cannot be fitted or is not feasible; names the bags and the reason.
         """
-        policy = self.fit(group, bags, f"demonstration-{number}")
+        policy = self.fit(group, bags, f"demonstration-{number}", settings)
         task = settings.make_task(self._kind.context_of(group, self._arm.region))
         if fault := self._arm.infeasible(reproduction_of(policy, task)):
             raise ValueError(f"{bags}: would end in a fault: {fault.text}")
@@ -106,10 +106,16 @@ class Demonstrations:
         except (ValueError, OSError) as error:
             raise ValueError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from error
 
-    def fit(self, demonstrations: list[Demonstration], bag: str, policy_id: str) -> Policy:
+    def fit(
+        self,
+        demonstrations: list[Demonstration],
+        bag: str,
+        policy_id: str,
+        settings: SessionSettings,
+    ) -> Policy:
         """Fit a policy to demonstrations; on failure, a ValueError names the bags and reason."""
         try:
-            policy = self._kind.policy_of(demonstrations, policy_id)
+            policy = self._kind.policy_of(demonstrations, policy_id, settings.task_settings)
             return replace(policy, arm=self._arm.identity)
         except ValueError as error:
             raise ValueError(f"{bag}: {error}") from error

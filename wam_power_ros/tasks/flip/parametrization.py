@@ -20,7 +20,7 @@ from wam_power_ros.learning.parametrization import (
 from wam_power_ros.learning.policy import Policy
 
 PLANE = (0, 2)  # axes of the movement
-CATCH_PROFILE = (0.5, 1.0, 1.0)  # of the last three attractors, per unit of shift or pitch [1]
+CATCH = (4 / 7, 6 / 7)  # share of the movement in which a shift or pitch of the catch begins [1]
 TURN_OF_FLICK = 2.0  # additional rotation per unit of flick, measured on wrist flicks [rad]
 TURN_OF_VIGOUR = 3.0  # additional rotation per unit of vigour [rad]
 # Additional rotation per unit of log tempo [rad]: both spin and time of flight, whose product is a
@@ -60,19 +60,13 @@ def flip_parametrization(
     """
     if variant != "planar":
         return parametrization_of(policy, variant, noise)
-    n = policy.basis.count
-    if n < len(CATCH_PROFILE):
-        raise ValueError(
-            f"variant {variant!r} shifts the last {len(CATCH_PROFILE)} attractors, "
-            f"policy {policy.id!r} has {n}"
-        )
-    swing, turn, shift, side, level, zeros = np.zeros((6, n, 3))
+    swing, turn, shift, side, level, zeros = np.zeros((6, policy.basis.count, 3))
     seen = seen_from(policy, heading)
     swing[:, [0, 2]] = (seen.attractors - seen.attractors[0])[:, [0, 2]]
     pitch = seen.rotation_attractors[:, 1]
     turn[:, 1] = pitch - pitch[0]
-    shift[-len(CATCH_PROFILE) :, 0] = side[-len(CATCH_PROFILE) :, 1] = CATCH_PROFILE
-    level[-len(CATCH_PROFILE) :, 1] = CATCH_PROFILE
+    late = np.interp(np.linspace(0.0, 1.0, len(shift)), CATCH, (0.0, 1.0))
+    shift[:, 0] = side[:, 1] = level[:, 1] = late
     groups = (
         Stiffness(noise.stiffness, "symmetric", PLANE),
         Attractors(noise.attractor, PLANE),
