@@ -28,7 +28,7 @@ from wam_power_ros.practice.settings import PracticeSettings
 from wam_power_ros.tasks.task import LoggedRollout
 
 CONFIDENCE = 0.95
-BEFORE = 4  # observations that count as known before the first row: scatter differs between worlds
+BEFORE = 4  # observations that count as known before a row: few, as the scatter of worlds differs
 ROW_MIN = 3  # successes in a row: fewer convince nobody
 
 

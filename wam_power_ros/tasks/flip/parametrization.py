@@ -20,7 +20,7 @@ from wam_power_ros.learning.parametrization import (
 from wam_power_ros.learning.policy import Policy
 
 PLANE = (0, 2)  # axes of the movement
-CATCH = (4 / 7, 6 / 7)  # share of the movement in which a shift or pitch of the catch begins [1]
+CATCH = (4 / 7, 6 / 7)  # share of the movement in which the catch begins [1]
 TURN_OF_FLICK = 2.0  # additional rotation per unit of flick, measured on wrist flicks [rad]
 TURN_OF_VIGOUR = 3.0  # additional rotation per unit of vigour [rad]
 # Additional rotation per unit of log tempo [rad]: both spin and time of flight, whose product is a
@@ -49,14 +49,13 @@ def flip_parametrization(
             1 + vigour [1]. Eq. 1 is linear in its attractors, so all speeds and accelerations grow
             by the same factor, in the same time.
         flick: Scales the demonstrated rotation of the pan about y, r_i - r_1, by 1 + flick [1].
-        catch_shift: Moves mu_x of the last three attractors by 0.5, 1 and 1 times this [m].
-        catch_pitch: Turns the last three r_i about y by 0.5, 1 and 1 times this [rad]: the pan that
-            catches is lower in front.
-        side_shift: Moves mu_y of the last three attractors in the same way [m]: a pan that is not
-            level, or a tilted base, tosses to the side.
+        catch_shift: Moves mu_x of the attractors that catch by this [m], see `CATCH`.
+        catch_pitch: Turns their r_i about y [rad]: the pan that catches is lower in front.
+        side_shift: Moves their mu_y [m]: a pan that is not level, or a tilted base, tosses to the
+            side.
 
     Raises:
-        ValueError: If the variant is unknown, or "planar" with fewer than three attractors.
+        ValueError: If the variant is unknown.
     """
     if variant != "planar":
         return parametrization_of(policy, variant, noise)
