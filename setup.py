@@ -43,6 +43,8 @@ nodes = [
     f"learner = {NAME}.entry:learner",
     f"check_driver = {NAME}.entry:check_driver",
     f"tag_camera = {NAME}.entry:tag_camera",
+    f"franka_driver = {NAME}.entry:franka_driver",
+    f"natnet_client = {NAME}.entry:natnet_client",
     f"wam_sim = {NAME}.entry:wam_sim",
     f"replay = {NAME}.entry:replay",
 ]

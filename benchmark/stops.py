@@ -16,7 +16,6 @@ from __future__ import annotations
 import itertools
 import json
 import os
-import subprocess
 import sys
 import tempfile
 import time
@@ -37,6 +36,7 @@ from benchmark.terminal import options
 from wam_power_interfaces.action import ExecutePolicy, MoveToStart, Replay
 from wam_power_interfaces.srv import Pause
 from wam_power_ros.cli.processes import Processes
+from wam_power_ros.client.feedback import Feedback
 from wam_power_ros.client.link import Link
 from wam_power_ros.params import overlay
 from wam_power_ros.practice import session
@@ -97,7 +97,7 @@ class Person:
         self,
         link: Link,
         view: View,
-        keys: subprocess.Popen[str],
+        keys: Feedback,
         state: str,
         check: Callable[[], None],
     ) -> None:
@@ -157,9 +157,7 @@ class Person:
         elif means == "page":
             self.view.give("stop")
         elif means == "key":
-            self._keys.stdin.write("stop\n")
-            self._keys.stdin.flush()
-            self._keys.stdout.readline()
+            self._keys.give("stop")
         elif means == "gravity compensation":
             self.link.call(interface.GRAVITY_COMPENSATION, True)
         else:
@@ -192,22 +190,16 @@ class Person:
 @contextmanager
 def person(setup: overlay.Setup, check: Callable[[], None]) -> Iterator[Person]:
     """A person in the domain of this process."""
-    command = [sys.executable, "-m", "wam_power_ros.console.feedback"]
-    pipe = subprocess.PIPE
-    keys = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, text=True)
     state = setup["torque_controller"]["state_topic"]
-    try:
-        with Link(rclpy.create_node("person")) as link:
-            view = View(setup["torque_controller"], setup["pancake_tracker"]["body"])
-            link.prepare(interface.STOP)
-            link.prepare(interface.GRAVITY_COMPENSATION, data=True)
-            link.prepare(interface.LEARNER_PAUSE, data=Pause.Request())
-            link.prepare(CHANGE, data=Transition())
-            with view.link:
-                yield Person(link, view, keys, state, check)
-    finally:
-        keys.stdin.close()
-        keys.wait()
+    make = rclpy.create_node
+    with Link(make("person")) as link, Link(make("feedback")) as keys:
+        view = View(setup["torque_controller"], setup["pancake_tracker"]["body"])
+        link.prepare(interface.STOP)
+        link.prepare(interface.GRAVITY_COMPENSATION, data=True)
+        link.prepare(interface.LEARNER_PAUSE, data=Pause.Request())
+        link.prepare(CHANGE, data=Transition())
+        with view.link:
+            yield Person(link, view, Feedback(keys), state, check)
 
 
 def run_again(folder: Path) -> list[str]:

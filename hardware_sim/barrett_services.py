@@ -7,12 +7,12 @@ import numpy as np
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
+from hardware_sim.deferred_service import DeferredTrigger
 from hardware_sim.settings import ArmSimParams, WorldSettings
 from hardware_sim.wam import FOLDED, HOME_SPEED, POSITION_KD, POSITION_KP, POSITION_TAU_MAX
 from hardware_sim.world import World
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.deferred_service import DeferredTrigger
 from wam_power_ros.ros.outcomes import Answer, Code, fill
 
 STIFFNESS, DAMPING = 400.0, 40.0  # [1/s^2], [1/s] of position control of another arm than the WAM

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from rclpy.node import Node
 
+from hardware_sim import body_messages
 from hardware_sim.sensors import MocapFrame
 from hardware_sim.settings import OptitrackSimParams
 from wam_power_ros import rotations
@@ -63,7 +64,7 @@ class OptitrackSim(Node):
             self._send(each, stamp_ns + stamp_offset_ns)
 
     def _send(self, frame: MocapFrame, stamp_ns: int) -> None:
-        params, write = self.params, body_sources.message
+        params, write = self.params, body_messages.message
         where = stamp_ns, params.frame, params.source_body
         if self._poses is not None:
             position, quat_xyzw = frame.position, frame.quat_xyzw

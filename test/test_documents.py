@@ -19,7 +19,8 @@ AS_THEY_ARE = ("docs/decisions", "docs/references.md")  # records of their time;
 PROSE = [page for page in PAGES if not page.startswith(AS_THEY_ARE)]
 CODE = re.compile(r"^( *)```.*?^ *```|^<!--.*?-->", re.DOTALL | re.MULTILINE)
 # Words; "how" has the requirements. Arms that take positions: a page, three rows, a table.
-BUDGET = {"use": 12000, "how": 8240, "evidence": 6216}
+# +350, +149: a second way to an FR3, the drivers that are served, the makers' libraries.
+BUDGET = {"use": 12350, "how": 8240, "evidence": 6365}
 WORDS, SENTENCES, WIDTH = 25, 5, 200  # of a sentence, a paragraph, a line of a table
 
 

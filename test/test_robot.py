@@ -27,7 +27,6 @@ from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.action_server import Action
 from wam_power_ros.ros.outcomes import Answer, Code, ServiceError
-from wam_power_ros.view.live import View
 
 
 @pytest.fixture(scope="module")
@@ -150,19 +149,18 @@ def names(node: Node) -> set[str]:
     return {name for name, _ in found} - {"/rosout", "/parameter_events", interface.DIAGNOSTICS}
 
 
-def test_robot_and_page_use_the_names_of_their_namespace(domain_id: int) -> None:
+def test_a_robot_uses_the_names_of_its_namespace(domain_id: int) -> None:
     setup = overlay.setup()
     rclpy.init(domain_id=domain_id)
     try:
         node = rclpy.create_node("robot", namespace="left")
         link = Link(node)
-        Rollouts(link, RolloutSettings.of(setup["learner"]), "pancake")
+        Rollouts(link, RolloutSettings(**setup["learner"]), "pancake")
         link.newest(JointState, "joint_states")
         of_listener = node.get_subscriber_names_and_types_by_node("robot_states", "/left")
         listener = {name for name, _ in of_listener}
-        page = View(setup["torque_controller"], "pancake", "/left")
-        used = names(node) | listener | names(page)
-        assert {"/left/controller/stop", "/left/joint_states", "/left/learner/reward"} <= used
+        used = names(node) | listener
+        assert {"/left/controller/reset", "/left/joint_states"} <= used
         assert {name for name in used if not name.startswith("/left/")} == set()
     finally:
         rclpy.shutdown()

@@ -33,7 +33,8 @@ def missing(error: ImportError) -> str:
     package = (error.name or "").partition(".")[0]
     if package in (__package__, "hardware_sim"):
         raise error
-    if extra := {"viser": "view", "cv2": "camera"}.get(package):
+    extras = {"viser": "view", "cv2": "camera", "pylibfranka": "franka", "natnet": "natnet"}
+    if extra := extras.get(package):
         return f'{error}: pip install "wam_power_ros[{extra}]"'
     if package == "rclpy" or package.endswith(("_interfaces", "_msgs", "_srvs")):
         ours = 'pip install "wam_power_ros[ros]" and, in a checkout, ./wam_power_interfaces'
@@ -91,6 +92,8 @@ body_tracker = pancake_tracker = partial(start, "wam_power_ros.nodes.body_tracke
 learner = partial(start, "wam_power_ros.nodes.learner")
 check_driver = partial(start, "wam_power_ros.nodes.check_driver", INTERRUPTED)
 tag_camera = partial(start, "wam_power_ros.nodes.tag_camera")
+franka_driver = partial(start, "wam_power_ros.nodes.franka_driver")
+natnet_client = partial(start, "wam_power_ros.nodes.natnet_client")
 wam_sim = partial(start, "hardware_sim.main")
 replay = partial(start, "wam_power_ros.console.replay_running", INTERRUPTED)
 wam_power = partial(start, "wam_power_ros.cli.main", INTERRUPTED)

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from wam_power_ros.cli import launcher
-from wam_power_ros.cli.plan import TRACKER, plan_of
+from wam_power_ros.cli.plan import TRACKER, Plan
 from wam_power_ros.client.robot import Robot, connect, connected
 
 __all__ = ["Robot", "connect", "simulated"]
@@ -19,12 +19,12 @@ def simulated(folder: Path | str, task: str, seed: int = 0) -> Iterator[Robot]:
     """Start an arm's nodes and stand-ins, in a DDS domain of their own.
 
     Raises:
-        UsageError: Another launcher uses the folder, or its disk is nearly full.
+        UsageError: Another launcher uses the folder.
         ValueError: There is no such task.
     """
     folder = Path(folder).resolve()
     parameters = launcher.Devices().parameters(task, seed, folder)
-    plan = plan_of(folder, parameters, stand_ins=True, also=[TRACKER])
+    plan = Plan(folder, parameters, stand_ins=True, also=(TRACKER,))
     with (
         launcher.launch(plan),
         connected(plan.parameters, launcher.session_domain(folder), on_loopback=True) as arm,

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import csv
+import shutil
 import sys
 from pathlib import Path
 
@@ -170,6 +171,21 @@ def test_a_session_has_a_row_for_each_rollout_with_its_terms(tmp_path: Path) -> 
             )
     assert any(record.terms for record in records)
     assert rows[1]["ret"] != rows[1]["rated_return"]
+
+
+def test_a_set_has_an_episode_for_each_recorded_rollout_of_a_session(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    folder, made = session(tmp_path / "session", 3), tmp_path / "set"
+    for record in read(folder).records[:2]:
+        shutil.copytree(SHIPPED, folder / "bags" / record.bag)
+    words = ["bags", "export", folder, "--format", "lerobot", "--fps", 100, "--output", made]
+    assert main.main([*map(str, words)]) == 0
+    assert "is not a bag" in capsys.readouterr().out  # the third one is left out
+    found = parquet.read_table(made / "data").to_pydict()
+    assert set(found["episode_index"]) == {0, 1}
+    assert found["timestamp"][1] == pytest.approx(0.01)
 
 
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])

@@ -49,7 +49,7 @@ def test_each_key_reaches_its_node_and_the_answer_is_shown(
     serve(Trigger, interface.STOP)
     serve(Pause, interface.LEARNER_PAUSE)
     before = termios.tcgetattr(sys.stdin)
-    with Keys({"ROS_DOMAIN_ID": str(domain_id)}) as keys:
+    with Keys(domain_id) as keys:
         assert keys.poll() == HINT
         for number, (key, expected) in enumerate(
             (
@@ -73,5 +73,5 @@ def test_without_a_terminal_nothing_is_started(
 ) -> None:
     (tmp_path / "input").write_text("r")
     monkeypatch.setattr(sys, "stdin", (tmp_path / "input").open())
-    with Keys({}) as keys:
+    with Keys(None) as keys:
         assert keys.poll() == "" and sys.stdin.read() == "r"

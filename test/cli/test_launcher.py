@@ -11,9 +11,10 @@ import yaml
 
 from wam_power_ros.cli import main
 from wam_power_ros.cli.launcher import Devices, Launcher, short_path
-from wam_power_ros.cli.plan import plan_of
+from wam_power_ros.cli.plan import Plan
 from wam_power_ros.cli.processes import Processes
 from wam_power_ros.params import overlay
+from wam_power_ros.params.franka_driver_params import FrankaDriverParams
 
 
 def devices(*words: str) -> Devices:
@@ -48,7 +49,7 @@ def test_nodes_get_their_parameters_whatever_characters_are_in_them(
     tmp_path: Path,
 ) -> None:
     odd = str(tmp_path / "séries: 'a' #1.json")
-    plan = plan_of(tmp_path, Devices().parameters(), stand_ins=True)
+    plan = Plan(tmp_path, Devices().parameters(), stand_ins=True)
     plan.file.parent.mkdir()
     plan.file.write_text(overlay.text(plan.parameters))
     with Processes(tmp_path / "logs", {"ROS_DOMAIN_ID": "97"}) as processes:
@@ -57,6 +58,28 @@ def test_nodes_get_their_parameters_whatever_characters_are_in_them(
         assert node.process.wait(60.0) == 2
     assert "stem = " in node.log.read_text()
     assert "directory" not in node.log.read_text()
+
+
+@pytest.mark.parametrize(
+    ("names", "simulate", "first"),
+    [
+        (["franka_fci"], False, "franka_driver"),
+        (["franka_fci"], True, "wam_sim"),
+        (["franka"], False, "torque_controller"),
+    ],
+)
+def test_a_driver_of_ours_is_started_on_the_arm_whose_address_is_known(
+    names: list[str], simulate: bool, first: str, tmp_path: Path
+) -> None:
+    nodes = Plan(tmp_path, Devices(names, simulate).parameters(), stand_ins=simulate).nodes
+    assert nodes[0] == first and len(nodes) == 2 + (first != "torque_controller")
+
+
+def test_a_franka_with_another_number_of_joints_is_refused(tmp_path: Path) -> None:
+    mine = tmp_path / "mine.yaml"
+    mine.write_text("franka_driver: {ros__parameters: {address: 10.0.0.1}}")
+    with pytest.raises(ValueError, match=r"joint_names .* must be the robot's 7"):
+        FrankaDriverParams.of_setup(overlay.setup(["ur", str(mine)]))
 
 
 def test_other_set_ups_override_that_of_the_task(tmp_path: Path) -> None:

@@ -79,8 +79,6 @@ def test_another_preset_gives_its_own_return(
     lines = capsys.readouterr().out.splitlines()
     rows = [line.split() for line in lines[1:3]]
     assert all(row[2] != row[4].rstrip(",") for row in rows)
-    assert lines[-1].startswith("exploration, mean return of 1: ")
-    assert all("°" in line for line in lines[1:3])  # what happened, whatever counts as success
 
 
 def test_a_bag_is_scored_as_its_rollout_was_logged(

@@ -15,11 +15,11 @@ from rclpy.executors import ExternalShutdownException
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
+from hardware_sim.deferred_service import DeferredTrigger
 from wam_power_interfaces.srv import AddDemonstration, Pause
 from wam_power_ros.client import link as links
 from wam_power_ros.client.link import Link
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.deferred_service import DeferredTrigger
 from wam_power_ros.ros.outcomes import Answer, Code, ServiceError, fill
 
 Serve = Callable[[str, Callable[[], Answer | None]], DeferredTrigger]

@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
 
@@ -141,7 +140,7 @@ def connect(probe: Probe, cell: Cell) -> Iterator[Connect]:
             **changes: object,
         ) -> Rollouts:
             node = rclpy.create_node("client", context=probe.context)
-            given = replace(settings, **changes) if changes else settings
+            given = settings.model_copy(update=changes) if changes else settings
             return Rollouts(stack.enter_context(Link(node)), given, body, joint_names)
 
         yield connect

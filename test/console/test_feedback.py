@@ -56,8 +56,8 @@ def test_the_answer_of_the_learner_is_returned_and_a_pause_is_not_a_continuation
         ("continue", "(True, 'paused')"),
         ("reward", "(False, 'no rollout has finished')"),
     ):
-        code = f"from wam_power_ros.console.feedback import give; a = give({kind!r}); "
-        code += "print((a.success, a.text))"
+        code = "from wam_power_ros.client.feedback import *\nwith connected() as learner: "
+        code += f"a = answered(lambda: learner.give({kind!r})); print((a.success, a.text))"
         given = subprocess.Popen(
             [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )

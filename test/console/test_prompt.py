@@ -17,7 +17,7 @@ import pytest
 from conftest import lift
 from rigid_arm import HOME, MODEL
 
-from wam_power_ros.console import commission, replay, run_policy
+from wam_power_ros.console import replay, run_policy
 from wam_power_ros.console.prompt import ask, cue, let_go_after, show
 
 T, Q = np.array([0.0, 1.0]), np.array([HOME, HOME])
@@ -69,10 +69,9 @@ class Broken:
     "move",
     [
         lambda robot, person: replay.replay(robot, "bag", T, Q, 1.0, person),
-        lambda robot, person: commission.move(robot, T, Q, person),
         lambda robot, person: run_policy.run(robot, [lift("lift")], None, 1, person),
     ],
-    ids=["replay", "commission", "run-policy"],
+    ids=["replay", "run-policy"],
 )
 def test_each_command_that_moves_the_arm_asks_for_support_also_after_an_unexpected_error(
     move: Callable[[Broken, bool], int], person: bool, capsys: pytest.CaptureFixture[str]

@@ -43,11 +43,8 @@ def replaying(*arguments: object) -> subprocess.Popen[str]:
     )
 
 
-@pytest.mark.parametrize("speed", [0.5, 1.0])
-def test_a_shipped_bag_is_replayed_and_its_tracking_error_reported(
-    tmp_path: Path, speed: float
-) -> None:
-    process = replaying(REACH, "--speed", speed, "--folder", tmp_path)
+def test_a_shipped_bag_is_replayed_and_its_tracking_error_reported(tmp_path: Path) -> None:
+    process = replaying(REACH, "--speed", 0.5, "--folder", tmp_path)
     said = process.communicate(timeout=900.0)[0]
     assert process.returncode == 0, said
     worst = float(re.search(r"rms error ([\d.]+) rad in the worst joint", said)[1])

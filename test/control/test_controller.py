@@ -251,11 +251,12 @@ def test_nothing_begins_before_the_first_state_or_without_a_policy() -> None:
         with pytest.raises(ControllerError):
             request()
     controller, _ = begin(controller=make(None))
-    with pytest.raises(ControllerError, match="no policy") as refused:
+    with pytest.raises(ControllerError) as refused:
         controller.execute()
     assert refused.value.refusal is Refusal.NOTHING
-    with pytest.raises(ControllerError, match="no policy"):
+    with pytest.raises(ControllerError) as refused:
         controller.move_to_start()
+    assert refused.value.refusal is Refusal.NOTHING
 
 
 @pytest.mark.requirement("S-28")
@@ -268,8 +269,9 @@ def test_a_rollout_starts_only_at_rest_at_its_start() -> None:
     stamp, q, _ = plant.state()
     controller.step(stamp, q, np.array([0.2, 0, 0, 0, 0, 0, 0]))
     assert not controller.at_rest
-    with pytest.raises(ControllerError, match="moves at"):
+    with pytest.raises(ControllerError) as refused:
         controller.execute()
+    assert refused.value.refusal is Refusal.BUSY
 
 
 @pytest.mark.requirement("S-15")

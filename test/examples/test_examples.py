@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every example runs as it is, in an empty folder; those over DDS are in test/system."""
 
+import importlib.util
 import os
 import re
 import subprocess
@@ -24,6 +25,13 @@ PRINTS = {  # expressions of which each line of the output is to have one, in th
         r"0\.5 .* elbow at most [\d.]+ m/s",
         r"1\.0 ",
         r"1\.5 .* would end in a fault",
+    ],
+    "11_tasks_of_others": [
+        rf"^{task} +taught 0\.[1-5]\d*, learnt 0\.[89]"
+        for task in (
+            *("via_point", "throw_a_ball", "arm_with_joints"),
+            *("avoid_an_obstacle", "change_the_goal"),
+        )
     ],
     "08_bring_your_simulator": [r"positions in [\d.]+ s, no fault", r"from .* to .*"],
 }
@@ -84,3 +92,15 @@ def test_the_arm_of_the_examples_is_described_by_its_set_up(tmp_path: Path) -> N
     lines = output("07_use_your_arm", tmp_path)
     assert lines[0].startswith("cobot7: 7 joints") and len(lines) == 9
     assert lines[-1] == "the tool may move at 0.5 m/s"
+
+
+@pytest.mark.parametrize("number", range(5))
+def test_a_task_of_others_is_improved_in_sixty_rollouts_by_any_seed(number: int) -> None:
+    file = EXAMPLES / "11_tasks_of_others.py"
+    spec = importlib.util.spec_from_file_location(file.stem, file)
+    assert spec is not None and spec.loader is not None
+    example = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(example)
+    for seed in (11, 12):
+        before, after = example.learn(example.TASKS[number], 60, seed)
+        assert 0.1 < before < 0.6 and after > before + 0.1

@@ -15,6 +15,7 @@ from wam_power_ros.tasks.ball_in_cup.task import BallInCup
 SEED = 3001  # whose reproduction misses the cup
 
 
+@pytest.mark.long
 def test_a_demonstration_that_misses_when_reproduced_is_learnt_without_a_hand(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

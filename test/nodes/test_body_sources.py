@@ -14,6 +14,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Odometry
 from rclpy.parameter import Parameter
 
+from hardware_sim import body_messages
 from hardware_sim.optitrack_node import OptitrackSim
 from hardware_sim.sensors import MocapFrame
 from wam_power_ros import rotations
@@ -130,7 +131,7 @@ class Bench:
 
 
 def test_there_is_a_reader_for_every_type_and_a_set_up_of_each_is_tested() -> None:
-    assert set(body_sources.SOURCES) == set(MESSAGE_TYPES)
+    assert set(body_sources.SOURCES) == set(body_messages.FILLS) == set(MESSAGE_TYPES)
     tested = "".join(SETUPS) + "a TFMessage"
     assert all(name.rpartition("/")[2] in tested for name in MESSAGE_TYPES)
 
@@ -164,11 +165,11 @@ def test_a_foreign_frame_is_refused_by_name_until_tf_has_it_then_transformed(
     # the same camera, whose frame is where the stand-in's coordinates begin
     kind = body_sources.message_class(body_sources.TF_TYPE)
     fixed = probe.publisher(kind, "/tf_static", interface.LATCHED)
-    first = body_sources.message(body_sources.TF_TYPE, 1, frame, "mount", *CAMERA)
+    first = body_messages.message(body_sources.TF_TYPE, 1, frame, "mount", *CAMERA)
     back = CAMERA[1] * np.array([-1.0, -1.0, -1.0, 1.0])
     inverse = -rotations.matrix(back) @ CAMERA[0], back
     np.testing.assert_allclose(compose(CAMERA, inverse)[0], 0.0, atol=1e-12)
-    second = body_sources.message(
+    second = body_messages.message(
         body_sources.TF_TYPE, 1, "mount", "camera_optical_frame", *inverse
     )
     first.transforms = [*first.transforms, *second.transforms]

@@ -13,6 +13,7 @@ from nav_msgs.msg import Odometry, Path
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
 
+from hardware_sim import body_messages
 from wam_power_ros import rotations
 from wam_power_ros.learning.rollout import EndEffectorPath
 from wam_power_ros.ros import interface, pose_messages
@@ -199,7 +200,8 @@ def test_a_cloud_of_markers_in_a_y_up_world_gives_the_state_in_the_base(
         place = PAN + rng.normal(0.0, 5e-4, 3)
         x, y, z = rng.permutation(np.vstack([marker_fit.LAYOUT + place, other])).T
         cloud = np.stack([x, z, -y], axis=1)
-        frames.publish(pose_messages.markers_message(time.time_ns(), "world", cloud))
+        kind = "sensor_msgs/msg/PointCloud2"
+        frames.publish(body_messages.message(kind, time.time_ns(), "world", "", cloud))
         probe.spin(0.04)
     state = pose_messages.odometry(probe.until(lambda: bench.states, "a state")[-1])
     np.testing.assert_allclose(state.position, PAN, atol=3e-3)

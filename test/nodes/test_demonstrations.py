@@ -98,7 +98,7 @@ def test_a_movement_is_simulated_once_whatever_its_id(
     monkeypatch.setattr(arm, "_verdicts", {})
     for number in (1, 2):
         policy = demonstrations.fit(
-            [demonstrations.read(BAG)], BAG, f"demonstration-{number}", SETTINGS
+            demonstrations.read(BAG), BAG, f"demonstration-{number}", SETTINGS
         )
         arm.infeasible(policy)
     assert len(reports) == 1

@@ -79,8 +79,8 @@ ELSEWHERE = {
     "test_a_python_without_our_modules_is_named_with_what_it_misses_and_the_remedy",
     "export RMW_IMPLEMENTATION, ROS_LOCALHOST_ONLY and others": "ros/test_environment.py::"
     "test_a_node_runs_or_one_line_names_the_variable_and_the_remedy",
-    "ros2 bag play": "console/test_play_bag.py::"
-    "test_a_played_demonstration_is_recorded_again_message_by_message",
+    "ros2 bag play": "nodes/test_demonstration_recorder_node.py::"
+    "test_states_without_velocity_or_effort_are_recorded_and_read_however_they_were_sent",
     "ros2 bag record -a, then our reader": "bags/test_other_recorders.py::"
     "test_no_other_topic_makes_a_bag_unreadable",
     "doctor": "cli/test_doctor_command.py::"

@@ -19,6 +19,7 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import CameraInfo, Image
 
+from hardware_sim import body_messages
 from wam_power_ros import rotations
 from wam_power_ros.nodes.tag_camera import grey_image
 from wam_power_ros.nodes.tag_detector import TagDetector
@@ -157,7 +158,7 @@ def test_images_become_states_of_the_tracker(
     kind = body_sources.message_class(body_sources.TF_TYPE)
     fixed = probe.publisher(kind, "/tf_static", interface.LATCHED, readers=0)
     place = position, rotations.quat_xyzw(rotation)
-    fixed.publish(body_sources.message(body_sources.TF_TYPE, 1, "world", "camera_optical", *place))
+    fixed.publish(body_messages.message(body_sources.TF_TYPE, 1, "world", "camera_optical", *place))
     reports = probe.listen(DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS)
     states = probe.listen(Odometry, "pancake/state", interface.DEEP)
     poses = probe.listen(PoseStamped, "pancake/pose", interface.DEEP)

@@ -21,13 +21,16 @@ from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorderPara
 from wam_power_ros.nodes.learner import LearnerParams
 from wam_power_ros.params import overlay, parameter_file
 from wam_power_ros.params.body_tracker_params import BodyTrackerParams
+from wam_power_ros.params.franka_driver_params import FrankaDriverParams
+from wam_power_ros.params.natnet_client_params import NatNetClientParams
 from wam_power_ros.params.tag_camera_params import TagCameraParams
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.ros.domain import private_domain
 
 READS = (
     *(TorqueControllerParams, BodyTrackerParams, DemonstrationRecorderParams, LearnerParams),
-    *(TagCameraParams, ArmSimParams, OptitrackSimParams),
+    *(TagCameraParams, FrankaDriverParams, NatNetClientParams),
+    *(ArmSimParams, OptitrackSimParams),
 )
 
 Accepts = Callable[[dict[str, dict[str, object]]], str]

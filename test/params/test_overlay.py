@@ -20,6 +20,8 @@ from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorderPara
 from wam_power_ros.nodes.learner import LearnerParams
 from wam_power_ros.params import overlay, parameter_file
 from wam_power_ros.params.body_tracker_params import BodyTrackerParams
+from wam_power_ros.params.franka_driver_params import FrankaDriverParams
+from wam_power_ros.params.natnet_client_params import NatNetClientParams
 from wam_power_ros.params.node_params import Params
 from wam_power_ros.params.resources import robot_description
 from wam_power_ros.params.tag_camera_params import TagCameraParams
@@ -30,6 +32,8 @@ READS: dict[str, type[Params]] = {
     "demonstration_recorder": DemonstrationRecorderParams,
     "pancake_tracker": BodyTrackerParams,
     "tag_camera": TagCameraParams,
+    "franka_driver": FrankaDriverParams,
+    "natnet_client": NatNetClientParams,
     "learner": LearnerParams,
     "wam_sim": ArmSimParams,
     "optitrack_sim": OptitrackSimParams,
@@ -268,12 +272,9 @@ def test_a_written_set_up_reads_back_unchanged(values: dict[str, Any]) -> None:
     assert yaml.safe_load(text) == {"/**/node": {"ros__parameters": values}}
 
 
-@pytest.mark.parametrize("namespace", ["", "/left", "/lab/left"])
-def test_the_namespace_of_a_file_is_read(namespace: str, tmp_path: Path) -> None:
+def test_a_written_set_up_has_every_node(tmp_path: Path) -> None:
     file = tmp_path / "parameters.yaml"
-    assert parameter_file.namespace(file) == ""  # the file does not exist
-    file.write_text(overlay.text(overlay.setup(), namespace))
-    assert parameter_file.namespace(file) == namespace
+    file.write_text(overlay.text(overlay.setup()))
     assert parameter_file.of_nodes(file) == overlay.setup()
 
 

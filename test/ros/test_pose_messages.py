@@ -12,12 +12,15 @@ from geometry_msgs.msg import PoseStamped
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hardware_sim import body_messages
 from wam_power_interfaces.msg import GroundTruth
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
 from wam_power_ros.ros import pose_messages
 
 LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
 STAMPS = st.integers(1, 2**31 * 10**9 - 1)
+
+CLOUD = "sensor_msgs/msg/PointCloud2"
 
 
 @given(STAMPS, st.lists(st.floats(-1e6, 1e6), min_size=3, max_size=3))
@@ -59,13 +62,14 @@ def test_a_state_comes_back_with_its_twist_in_the_base_frame() -> None:
 
 def test_markers_come_back_and_those_not_finite_are_left_out() -> None:
     points = np.array([[1.0, 2.0, 3.0], [math.nan, 0.0, 0.0], [4.0, 5.0, 6.0]])
-    stamp_ns, frame, back = pose_messages.markers(pose_messages.markers_message(9, "world", points))
+    cloud = body_messages.message(CLOUD, 9, "world", "", points)
+    stamp_ns, frame, back = pose_messages.markers(cloud)
     assert (stamp_ns, frame) == (9, "world")
     np.testing.assert_array_equal(back, points[[0, 2]])
 
 
 def test_a_cloud_of_another_layout_is_refused() -> None:
-    message = pose_messages.markers_message(9, "world", np.zeros((2, 3)))
+    message = body_messages.message(CLOUD, 9, "world", "", np.zeros((2, 3)))
     message.data = message.data[:-1]
     with pytest.raises(ValueError, match="bytes"):
         pose_messages.markers(message)

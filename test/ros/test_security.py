@@ -48,10 +48,17 @@ NAMES = {f"/{name.lstrip('/')}" for name in RELATIVE | {interface.rollout_topic(
 
 def robot() -> Node:
     """Node of an arm as an object, of which everything is used that is no service."""
-    node, settings = rclpy.create_node("robot"), RolloutSettings.of(overlay.setup()["learner"])
+    node, settings = rclpy.create_node("robot"), RolloutSettings(**overlay.setup()["learner"])
     arm = Robot(Link(node), body="pancake", settings=settings)
     assert all((arm.scene_reset, arm.demonstrator, arm._replays, arm._rollouts))
     return node
+
+
+def natnet_client() -> Node:
+    pytest.importorskip("natnet")
+    from wam_power_ros.nodes.natnet_client import NatNet
+
+    return NatNet()
 
 
 NODES = {
@@ -61,6 +68,7 @@ NODES = {
     "demonstration_recorder": DemonstrationRecorder,
     "pancake_tracker": BodyTracker,
     "tag_camera": TagCamera,
+    "natnet_client": natnet_client,
     "learner": Learner,
     "wam_sim": lambda: Simulation().wam,  # offers services once its world is built
     "optitrack_sim": OptitrackSim,
@@ -110,7 +118,15 @@ def test_the_recorder_only_listens_and_the_learner_only_proposes() -> None:
     assert {name.split("/")[1] for name in learner["service", "reply"]} == {"learner"}
 
 
-@pytest.mark.parametrize("kind", NODES.values(), ids=NODES)
+def franka_driver() -> Node:
+    """The driver whose library is an extra; it connects later."""
+    pytest.importorskip("pylibfranka")
+    from wam_power_ros.nodes.franka_driver import FrankaDriver
+
+    return FrankaDriver()
+
+
+@pytest.mark.parametrize("kind", [*NODES.values(), franka_driver], ids=[*NODES, "franka_driver"])
 def test_a_node_does_what_the_policy_allows_and_the_policy_allows_what_it_does(
     kind: Callable[[], Node], domain_id: int, tmp_path: Path
 ) -> None:
@@ -118,6 +134,7 @@ def test_a_node_does_what_the_policy_allows_and_the_policy_allows_what_it_does(
     setup = overlay.setup()
     for name in ("torque_controller", "demonstration_recorder", "wam_sim"):
         setup[name]["realtime_priority"] = 0  # the node is in this process
+    setup["franka_driver"].update(address="127.0.57.2", realtime_priority=0)
     file.write_text(overlay.text(setup))
     rclpy.init(args=["--ros-args", "--params-file", str(file)], domain_id=domain_id)
     try:

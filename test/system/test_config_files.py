@@ -107,13 +107,14 @@ def combinations(node: str) -> Iterator[tuple[str, ...]]:
 
 
 def batches(node: str, folder: Path) -> list[list[list[Path]]]:
-    """Files of every combination, and outputs of `wam-power config`, some nodes at once."""
+    """Files of combinations, and outputs of `wam-power config`, for some nodes at once."""
     found = [[ROOT / f"config/{name}.yaml" for name in names] for names in combinations(node)]
     for names in ([], *([driver] for driver in DRIVERS)):
         for simulated in (False, True):
             file = folder / f"{'_'.join(names)}_{simulated}.yaml"
             file.write_text(overlay.text(overlay.setup(names, simulated)))
             found.append([file])
+    found = found if node in COMMANDING else found[:AT_ONCE]
     return [found[k : k + AT_ONCE] for k in range(0, len(found), AT_ONCE)]
 
 

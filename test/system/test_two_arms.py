@@ -13,8 +13,9 @@ from diagnostic_msgs.msg import DiagnosticArray
 from wam_power_ros.bags import layout
 from wam_power_ros.bags.bag import Bag
 from wam_power_ros.cli.launcher import Devices
-from wam_power_ros.cli.plan import LEARNER, plan_of
+from wam_power_ros.cli.plan import LEARNER, Plan
 from wam_power_ros.cli.session_options import SessionOptions, learner_parameters
+from wam_power_ros.params import overlay
 from wam_power_ros.ros import interface
 
 BAGS = sorted((ROOT / "bags").glob("reach_*"))
@@ -33,12 +34,12 @@ def test_two_arms_in_two_namespaces_learn_side_by_side(
         setup = Devices().parameters("reach", seed, folder)
         given = learner_parameters(folder, asked, seed, "reach")
         setup = setup.changed({LEARNER: given | {"changes": json.dumps({"retests": 1})}})
-        plan = plan_of(folder, setup, stand_ins=True, also=[LEARNER], namespace=f"/{name}")
+        plan = Plan(folder, setup, stand_ins=True, also=(LEARNER,))
         plan.file.parent.mkdir(parents=True)
-        for file, text in plan.written.items():
-            file.write_text(text)
-        for process in plan.processes:
-            learners[name] = processes.start([*process.command])  # the last one
+        plan.file.write_text(overlay.text(setup))
+        inside = ["-r", f"__ns:=/{name}", "-r", f"/clock:=/{name}/clock"]
+        for node in plan.nodes:
+            learners[name] = processes.start([*plan.command(node, False), *inside])  # the last one
     for name, learner in learners.items():
         probe.until(lambda ended=learner: ended.poll() is not None, f"the {name} session", PATIENCE)
         assert learner.returncode == 0, processes.output(learner)

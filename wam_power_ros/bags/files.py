@@ -47,19 +47,12 @@ Received = tuple[str, int, bytes]  # topic, time of reception [ns], data
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic of a bag.
+    """A topic of a bag."""
 
-    Attributes:
-        msgtype: Message type, such as "std_msgs/msg/String"; no such name if it is not of ROS 2.
-        offered: QoS of its publishers.
-        found: Number of its messages in the files.
-        counted: Number of its messages according to the recorder.
-    """
-
-    msgtype: str
-    offered: tuple[Qos, ...] = ()
-    found: int = 0
-    counted: int = 0
+    msgtype: str  # message type, such as "std_msgs/msg/String"; no such name if it is not of ROS 2
+    offered: tuple[Qos, ...] = ()  # QoS of its publishers
+    found: int = 0  # number of its messages in the files
+    counted: int = 0  # number of its messages according to the recorder
 
     @property
     def foreign(self) -> bool:

@@ -10,17 +10,11 @@ import numpy as np
 
 
 class Gaps(NamedTuple):
-    """Gaps between the stamps of a topic.
+    """Gaps between the stamps of a topic."""
 
-    Attributes:
-        period: Median interval between messages [s]; 0 without an interval.
-        missing: Number of messages that would fill the intervals longer than 1.5 periods.
-        longest: Longest interval [s].
-    """
-
-    period: float
-    missing: int
-    longest: float
+    period: float  # median interval between messages [s]; 0 without an interval
+    missing: int  # number of messages that would fill the intervals longer than 1.5 periods
+    longest: float  # longest interval [s]
 
 
 def gaps(stamps_ns: Sequence[int] | np.ndarray) -> Gaps:

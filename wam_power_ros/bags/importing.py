@@ -31,8 +31,6 @@ def import_bag(
     """Create a demonstration from the joint states in a bag of any recorder.
 
     Args:
-        bag: The bag.
-        to: Folder of the new bag.
         joint_names: Names of the arm's joints, base to tip.
         bag_names: Names of the same joints in the bag, in that order; `joint_names` if omitted.
         topic: Topic of the joint states; that of our recorder, or the only one, if omitted.

@@ -24,17 +24,11 @@ LEFT_OUT_MAX = 0.01  # share of single bad states; with more of them the driver 
 
 @dataclass(frozen=True)
 class Checked:
-    """Joint angles without a jump.
+    """Joint angles without a jump."""
 
-    Attributes:
-        kept: Indices of the states that remain. Shape (K,).
-        q: Their joint angles, unwrapped [rad]. Shape (K, n).
-        remarks: What was unwrapped or left out.
-    """
-
-    kept: np.ndarray
-    q: np.ndarray
-    remarks: tuple[Remark, ...]
+    kept: np.ndarray  # indices of the states that remain (K,)
+    q: np.ndarray  # their joint angles, unwrapped [rad] (K, n)
+    remarks: tuple[Remark, ...]  # what was unwrapped or left out
 
 
 def checked(stamps_ns: np.ndarray, q: np.ndarray, names: Sequence[str]) -> Checked:
@@ -50,7 +44,6 @@ def checked(stamps_ns: np.ndarray, q: np.ndarray, names: Sequence[str]) -> Check
     Args:
         stamps_ns: Stamps of the states, strictly increasing [ns]. Shape (M,).
         q: Joint angles [rad]. Shape (M, n).
-        names: Names of the joints.
 
     Raises:
         ValueError: A jump remains, more states are not finite, or too many are bad. Times in the

@@ -75,8 +75,6 @@ def movement_remarks(
     Args:
         t: Evenly spaced times from 0 [s]. Shape (N,).
         q: Joint angles [rad]. Shape (N, n).
-        joint_names: Names of the joints.
-        limits: Limits of the arm, if known.
 
     Raises:
         ValueError: A joint is beyond its limits, and where no arm turns.

@@ -22,21 +22,13 @@ JOIN_MAX = 50_000_000  # longest interval over which joints are interpolated to 
 
 @dataclass(frozen=True)
 class States:
-    """Joint states of a bag that can be a movement of an arm.
+    """Joint states of a bag that can be a movement of an arm."""
 
-    Attributes:
-        stamps: Stamps [ns], strictly increasing. Shape (M,).
-        q: Joint angles [rad], finite and without a jump. Shape (M, n).
-        index: Which message on the topic each is, from 0. Shape (M,).
-        names: Names of the joints in the bag.
-        remarks: What was left out or unwrapped.
-    """
-
-    stamps: np.ndarray
-    q: np.ndarray
-    index: np.ndarray
+    stamps: np.ndarray  # stamps [ns], strictly increasing (M,)
+    q: np.ndarray  # joint angles [rad], finite and without a jump (M, n)
+    index: np.ndarray  # which message on the topic each is, from 0 (M,)
     names: tuple[str, ...]
-    remarks: tuple[Remark, ...]
+    remarks: tuple[Remark, ...]  # what was left out or unwrapped
 
 
 def read_demonstration(
@@ -68,7 +60,6 @@ def read_states(
     see `jumps`.
 
     Args:
-        bag: The bag.
         joint_names: Order of the columns of the result.
         topic: Topic of JointState; if omitted, the one in the metadata, else /joint_states.
         arm: Required arm, if the bag identifies its arm; any if omitted.

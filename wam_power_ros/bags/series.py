@@ -40,9 +40,6 @@ def write(file: Path, bags: Sequence[Path]) -> None:
 def discard(bag: Path) -> Path:
     """Move a bag to the trash beside it and remove it from its series.
 
-    Returns:
-        New path of the bag.
-
     Raises:
         ValueError: The path is not a bag, closed or not.
     """

@@ -108,16 +108,13 @@ def check_new(path: Path) -> None:
     if path.exists():
         raise FileExistsError(f"{path} exists already; name another file")
     if path.suffix == ".parquet":
-        _require_pyarrow()
+        require_pyarrow()
 
 
 def write(columns: Mapping[str, Sequence[Any]], path: Path) -> int:
     """Write a table to a new file, which is read back before it has its name.
 
     CSV restores floats bit for bit; None is an empty cell, and null in Parquet.
-
-    Returns:
-        Number of rows.
 
     Raises:
         ValueError: As `check_new`.
@@ -162,7 +159,8 @@ def _write_parquet(columns: Mapping[str, Sequence[Any]], path: Path) -> int:
     return int(parquet.read_table(path).num_rows)
 
 
-def _require_pyarrow() -> None:
+def require_pyarrow() -> None:
+    """Raise a ValueError that names the extra, if pyarrow is missing."""
     try:
         import pyarrow.parquet  # noqa: F401
     except ImportError:
@@ -171,28 +169,29 @@ def _require_pyarrow() -> None:
         ) from None
 
 
-def with_bags(paths: Sequence[Path], folder: Path) -> list[Path]:
-    """Paths, with bags in a folder in the place of tables; see `as_bag`."""
-    return [as_bag(p, folder) if p.suffix in TABLES and p.is_file() else p for p in paths]
+def is_table(path: Path) -> bool:
+    """Whether a path is a file of a table."""
+    return path.suffix in TABLES and path.is_file()
 
 
-def as_bag(path: Path, folder: Path) -> Path:
+def as_bag(path: Path, folder: Path, unit: float = 1.0) -> Path:
     """Write the joint angles of a table into a folder, as a bag that is named as the file.
 
-    Every column of numbers is a joint's angles [rad], but the time: STAMP [ns], or one of TIMES [s]
-    from the first row on, which is at 1 s.
+    Every column of numbers is a joint's angles, in a unit of that many rad, but the time: STAMP
+    [ns], or one of TIMES [s] from the first row on, which is at 1 s.
 
     Raises:
         ValueError: The file is no table, has no time or joint, or its times do not increase.
     """
     read = _read_csv if path.suffix == ".csv" else _read_parquet
     try:
-        return _written(read(path), folder / path.name)
+        return to_bag(read(path), folder / path.name, unit)
     except (ValueError, csv.Error) as error:
         raise ValueError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
 
 
-def _written(columns: Sequence[tuple[str, Sequence[Any]]], to: Path) -> Path:
+def to_bag(columns: Sequence[tuple[str, Sequence[Any]]], to: Path, unit: float) -> Path:
+    """Write a bag of columns with their names, see `as_bag`; raises a ValueError as that does."""
     numeric = [(name, cells) for name, cells in columns if _of_numbers(cells)]
     clock = next((name for name in (STAMP, *TIMES) if name in dict(numeric)), "")
     angles = [(name, _numbers(*each)) for name, *each in _joints(numeric)]
@@ -209,16 +208,16 @@ def _written(columns: Sequence[tuple[str, Sequence[Any]]], to: Path) -> Path:
                 f"{clock} of row {row} is {time} and follows {last}: times must increase, and each "
                 "demonstration needs a file of its own"
             )
-    unit = 1 if clock == STAMP else 1e9
+    tick = 1 if clock == STAMP else 1e9
     zero = 0 if clock == STAMP else times[0] - 1.0
-    stamps = [round((time - zero) * unit) for time in times]
+    stamps = [round((time - zero) * tick) for time in times]
     if not 0 < stamps[0] <= stamps[-1] < STAMP_END:
         raise ValueError(f"{clock} from {times[0]} to {times[-1]} is no time of ROS")
     writer = BagWriter(to)
     writer.add(STATES, JOINT_STATE, [qos(reliable=True, latched=False)])
     of, none = TYPES.types, np.zeros(0)
     names = np.array([name for name, _ in angles])
-    for stamp, q in zip(stamps, np.column_stack([q for _, q in angles]), strict=True):
+    for stamp, q in zip(stamps, unit * np.column_stack([q for _, q in angles]), strict=True):
         time = of["builtin_interfaces/msg/Time"](*divmod(stamp, 1_000_000_000))
         header = of["std_msgs/msg/Header"](stamp=time, frame_id="")
         there = ~np.isnan(q)  # rows of other devices have no angle of the arm
@@ -275,7 +274,7 @@ def _read_csv(path: Path) -> list[tuple[str, Sequence[Any]]]:
 
 
 def _read_parquet(path: Path) -> list[tuple[str, Sequence[Any]]]:
-    _require_pyarrow()
+    require_pyarrow()
     from pyarrow import ArrowException, parquet
 
     try:

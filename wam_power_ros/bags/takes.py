@@ -20,19 +20,13 @@ FOLDERS = ("bags", "demonstrations", "replays", "sessions")  # searched by defau
 
 @dataclass(frozen=True)
 class Take:
-    """A bag, and a summary of its messages.
-
-    Attributes:
-        counts: Number of messages by topic.
-        missing: Number of messages missing according to the stamps, by topic.
-        ended: Reason for the end, such as `layout.STOP_REQUESTED`; empty if unknown.
-    """
+    """A bag, and a summary of its messages."""
 
     bag: Bag
     states: States
-    counts: dict[str, int]
-    missing: dict[str, int]
-    ended: str
+    counts: dict[str, int]  # number of messages by topic
+    missing: dict[str, int]  # number of messages missing according to the stamps, by topic
+    ended: str  # reason for the end, such as `layout.STOP_REQUESTED`; empty if unknown
 
     @property
     def duration(self) -> float:
@@ -62,11 +56,7 @@ def find(places: Iterable[Path]) -> list[Path]:
 
 
 def read(bag: Bag, joint_names: Sequence[str]) -> Take:
-    """Summary of a take.
-
-    Raises:
-        ValueError: As `read_states`.
-    """
+    """Summary of a take."""
     states = read_states(bag, joint_names)
     counts = {name: topic.found for name, topic in bag.topics.items()}
     stamps: dict[str, dict[tuple[str, ...], list[int]]] = {}  # by topic and device

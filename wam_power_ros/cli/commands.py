@@ -19,20 +19,17 @@ from wam_power_ros.cli.launcher import (
     Devices,
     Launcher,
     UsageError,
-    domain_environment,
     folder_lock,
     interrupt,
     launch,
     learner_is_running,
-    pasteable,
     program_command,
-    secured,
     session_domain,
     short_path,
     timestamp,
 )
 from wam_power_ros.cli.node_log import PROBLEMS, NodeLogs, progress_messages
-from wam_power_ros.cli.plan import LEARNER, RECORDER, TRACKER, plan_of
+from wam_power_ros.cli.plan import LEARNER, RECORDER, TRACKER, Plan
 from wam_power_ros.cli.processes import ProcessError, Processes, Running
 from wam_power_ros.cli.session_options import (
     DEFAULT_TASK,
@@ -41,14 +38,13 @@ from wam_power_ros.cli.session_options import (
     chosen,
     existing_session,
     learner_parameters,
-    method_words,
     settings_of,
     with_origin,
 )
 from wam_power_ros.console import prompt
 from wam_power_ros.durable_files import check_name
 from wam_power_ros.entry import INTERRUPTED
-from wam_power_ros.params import overlay, parameter_file
+from wam_power_ros.params import overlay
 
 if TYPE_CHECKING:
     from wam_power_ros.practice.session import Session
@@ -80,7 +76,7 @@ def teach(
     status = 0
     try:
         parameters = devices.parameters(task or DEFAULT_TASK, seed, folder)
-        plan = plan_of(folder, parameters, devices.stand_ins, secure=secured())
+        plan = Plan(folder, parameters, devices.stand_ins)
         with launch(plan, text) as launcher:
             _teach(launcher, file, demonstrations, bell, review=sys.stdin.isatty())
     except KeyboardInterrupt:
@@ -136,7 +132,7 @@ def learn(
         given = learner_parameters(folder, asked, seed, task)
         parameters = parameters.changed({LEARNER: given})
         also = (TRACKER, LEARNER)
-        plan = plan_of(folder, parameters, devices.stand_ins, also=also, secure=secured())
+        plan = Plan(folder, parameters, devices.stand_ins, also)
         with launch(plan, text) as launcher:
             taught: dict[str, list[str]] = {}
             if not resumed and not asked.bags:
@@ -146,11 +142,11 @@ def learn(
             _follow(folder, launcher.processes, practising, bell)
     except KeyboardInterrupt:
         print("\nStopped.")
-        _print_how_to_go_on(folder, asked, devices, ["--in-process"] * in_process)
+        _print_how_to_go_on(folder)
         return INTERRUPTED
     except ProcessError as error:  # the advice comes last, below the end of the log
-        print(f"wam-power: {pasteable(str(error))}", file=sys.stderr, flush=True)
-        _print_how_to_go_on(folder, asked, devices)
+        print(f"wam-power: {error}", file=sys.stderr, flush=True)
+        _print_how_to_go_on(folder)
         return 2
     _print_summary(read(folder))
     return report(folder)
@@ -164,7 +160,7 @@ def _learn_in_process(
     from wam_power_ros.reporting import terminal
 
     with folder_lock(folder), terminal.Display() as display:
-        for file, text in plan_of(folder, parameters, stand_ins=True).written.items():
+        for file, text in Plan(folder, parameters, stand_ins=True).written.items():
             file.write_text(text, encoding="utf-8")
         settings, count = settings_of(task, asked), asked.demonstrations
         for session in in_process.run(folder, parameters, settings, seed, count):
@@ -173,31 +169,12 @@ def _learn_in_process(
     return report(folder)
 
 
-def _print_how_to_go_on(
-    folder: Path, asked: SessionOptions, devices: Devices, also: Sequence[str] = ()
-) -> None:
-    """Print what a session that was stopped has on disk, and the command that goes on with it."""
-    from wam_power_ros.bags import series
-    from wam_power_ros.practice.session import Session, read
-    from wam_power_ros.reporting.terminal import counted
-
-    words, where = ["learn", "--session", str(short_path(folder)), *also], short_path(folder)
-    if not Session.exists(folder):  # the options are not on disk yet
-        words += asked.words
-    try:
-        rollouts = len(read(folder).records) if Session.exists(folder) else 0
-        taught = len(series.read(folder / series.FILE))
-    except (ValueError, OSError) as error:
-        print(f"The session in {where} cannot be resumed: {error}")
-        return
-    if rollouts:
-        purpose = f"The session in {where} has {counted(rollouts, 'rollout')}. To resume:"
-    elif taught:
-        found = counted(taught, "demonstration")
-        purpose = f"No rollout yet, {found} in {where}. To continue with them:"
-    else:
-        purpose = f"Nothing has been recorded in {where}. To start again:"
-    _print_command(purpose, [*words, *devices.words])
+def _print_how_to_go_on(folder: Path) -> None:
+    """Print the command as it was typed, with the folder of the session, which it goes on with."""
+    words = sys.argv[1:]
+    named = any(word.partition("=")[0] == "--session" for word in words)
+    words += [] if named else ["--session", str(short_path(folder))]
+    _print_command("To go on with what is recorded:", words)
 
 
 def _has_ended(session: Session) -> bool:
@@ -208,15 +185,12 @@ def _has_ended(session: Session) -> bool:
 
 def _report_ended(session: Session, devices: Devices) -> int:
     """Print the result of a session that has ended and how to practise longer; start nothing."""
-    folder, header = session.folder, session.header
+    folder, budget = session.folder, session.header.settings.practice.budget
     print(f"{short_path(folder)} has ended: all its re-tests are recorded. Nothing is started.")
     _print_summary(session)
-    settings = header.settings
-    words = ["learn", "--task", settings.task, *method_words(settings)]
-    words += ["--trials", str(2 * settings.practice.budget)]
-    bags = map(str, map(short_path, map(Path, header.demonstrations)))
-    words += ["--bags", *bags, *devices.words]
-    _print_command("To practise longer, in a new session on the same demonstrations:", words)
+    words = ["learn", "--from", str(short_path(folder)), "--trials", str(2 * budget)]
+    purpose = "To practise longer, in a new session from its policy:"
+    _print_command(purpose, [*words, *devices.words])
     return 0 if (folder / "report.html").is_file() else report(folder)
 
 
@@ -255,7 +229,7 @@ def replay(bag: Path, speed: float, task: str | None, folder: Path | None, devic
         print(f"{bag}: {remark.text}")
     movement = replay_trajectory.movement(states.stamps, states.q, speed)
     signal.signal(signal.SIGTERM, interrupt)
-    plan = plan_of(folder, parameters, devices.stand_ins, secure=secured())
+    plan = Plan(folder, parameters, devices.stand_ins)
     with launch(plan) as launcher, launcher.robot() as robot:
         name, person = bag.resolve().name, not devices.stand_ins
         return replaying.replay(robot, name, *movement, speed, person)
@@ -298,7 +272,7 @@ def _run(
     if comparison and unscored:
         raise UsageError(f"without returns nothing can be compared: {unscored}")
     signal.signal(signal.SIGTERM, interrupt)
-    plan = plan_of(folder, parameters, devices.stand_ins, also=[TRACKER], secure=secured())
+    plan = Plan(folder, parameters, devices.stand_ins, (TRACKER,))
     with launch(plan) as launcher, launcher.robot() as robot:
         if unscored:
             print(f"No returns: {unscored}")
@@ -356,9 +330,8 @@ def _follow(folder: Path, processes: Processes, learner: Running, bell: bool) ->
 
     path, logs = folder / "rollouts.jsonl", NodeLogs(folder / "logs")
     size_shown = 0
-    stopped: list[str] = []
     ended = False
-    with terminal.Display() as display, Keys(domain_environment(session_domain(folder))) as keys:
+    with terminal.Display() as display, Keys(session_domain(folder)) as keys:
         while not ended:
             display.footer = keys.poll()
             ended = learner.process.poll() is not None
@@ -368,10 +341,6 @@ def _follow(folder: Path, processes: Processes, learner: Running, bell: bool) ->
                 size_shown = size
                 found = session.read(folder)
                 display.show(found.log, found.header.settings, found.task)
-            stopped, before = processes.stopped, stopped
-            for text in stopped:
-                if text not in before:
-                    display.show_message(text, is_problem=True)
             for entry in logs.new():
                 display.show_message(entry.text, entry.severity in PROBLEMS)
                 prompt.cue(bell and entry.severity == "ERROR", "fault")
@@ -391,12 +360,12 @@ def feedback(kind: str, given: str | None, session: Path | None) -> int:
     folder = existing_session(session)
     if kind != "stop" and not learner_is_running(folder):  # an arm may move without a learner
         raise UsageError(f"no learner is running in {short_path(folder)}")
-    from wam_power_ros.console.feedback import give
+    from wam_power_ros.client.feedback import answered, connected
 
-    namespace = parameter_file.namespace(folder / "logs/parameters.yaml")
     value = int(given) / 9.0 if kind == "rate" else None
     bag = Path(given) if kind == "demonstration" else None
-    answer = give(kind, bag, value, namespace, session_domain(folder))
+    with connected(session_domain(folder)) as link:
+        answer = answered(lambda: link.give(kind, bag, value))
     print(answer.text if answer.success else f"refused: {answer.text}")
     return 0 if answer.success else 2
 
@@ -484,20 +453,15 @@ def config(devices: Devices, task: str | None) -> None:
     from wam_power_ros.cli.set_up_checks import mistakes
     from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorderParams
     from wam_power_ros.nodes.learner import LearnerParams
+    from wam_power_ros.params.franka_driver_params import FrankaDriverParams
+    from wam_power_ros.params.natnet_client_params import NatNetClientParams
     from wam_power_ros.params.tag_camera_params import TagCameraParams
 
     setup = devices.parameters(task or DEFAULT_TASK)
     stand_ins = (ArmSimParams, OptitrackSimParams) if devices.stand_ins else ()
-    for node in (DemonstrationRecorderParams, LearnerParams, TagCameraParams, *stand_ins):
+    devices_of = (TagCameraParams, FrankaDriverParams, NatNetClientParams)
+    for node in (DemonstrationRecorderParams, LearnerParams, *devices_of, *stand_ins):
         node.of_setup(setup)
     if wrong := [*mistakes(setup)]:
         raise ValueError("; ".join(wrong))
     print(overlay.text(setup), end="")
-
-
-def play(bag: Path, rate: float, topics: Sequence[str], wait: float) -> None:
-    """Publish the topics of a bag."""
-    from wam_power_ros.console import play_bag
-
-    signal.signal(signal.SIGTERM, interrupt)
-    play_bag.play(bag, rate, topics, wait)

@@ -6,14 +6,11 @@ from __future__ import annotations
 import argparse
 import signal
 from collections.abc import Callable
-from datetime import date
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import yaml
 
-from wam_power_ros import __version__, durable_files, rotations
+from wam_power_ros import durable_files, rotations
 from wam_power_ros.bags.bag import Bag
 from wam_power_ros.bags.commands import read_commands
 from wam_power_ros.bags.reader import read_states
@@ -23,23 +20,24 @@ from wam_power_ros.cli.launcher import (
     UsageError,
     interrupt,
     launch,
-    secured,
     short_path,
     timestamp,
 )
-from wam_power_ros.cli.plan import RECORDER, SIMULATION, TRACKER, plan_of
+from wam_power_ros.cli.plan import RECORDER, SIMULATION, TRACKER, Plan
 from wam_power_ros.commissioning.acceptance import notes, refusals
 from wam_power_ros.commissioning.excitation import Excitation, excitation
 from wam_power_ros.commissioning.identification import tool_centre
-from wam_power_ros.commissioning.measurement import Commissioned, Recording, analyse
+from wam_power_ros.commissioning.measurement import Recording, analyse
+from wam_power_ros.commissioning.report import report, setup_text
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.corrections import Corrections
 from wam_power_ros.params import overlay
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 
 MOVEMENT = "movement.npz"
-RELIEF = 0.6  # share of the friction that is taken off: with more an arm let go in motion runs on
 SCENE = "markers"  # of the stand-in
+LOG_PERIOD = 30.0  # [s] between two lines about the movement under way
+WARNING = "Tool below 1.2 m/s: nobody within reach, a hand on the pendant. "
 
 
 def commission(
@@ -49,15 +47,7 @@ def commission(
     folder: Path | None,
     devices: Devices,
 ) -> int:
-    """Move the arm, analyse the recording, print what was found and write a set-up file.
-
-    Args:
-        tool_mass: Mass of the tool from a scale [kg]; None if it was not weighed.
-        flat: Whether the tracked body lies flat in the tool.
-        output: Set-up file to write; None for arm.yaml in the folder.
-        folder: Folder of the recording; one that has a recording is only analysed again.
-        devices: Choice of set-ups.
-    """
+    """Move the arm, analyse the recording, print what was found and write a set-up file."""
     folder = (folder or Path("commissioning") / timestamp()).resolve()
     setup = devices.parameters(folder=folder)
     setup = setup.changed({RECORDER: {"stem": "commissioning"}, SIMULATION: {"scene": SCENE}})
@@ -97,7 +87,7 @@ def commission(
         kept = file.with_name(f"{file.name}.{timestamp()}")
         file.rename(kept)
         print(f"{short_path(file)} existed: kept as {short_path(kept)}")
-    durable_files.replace(file, setup_text(arm, setup, found))
+    durable_files.replace(file, setup_text(arm, setup[TRACKER], found))
     print(f"Written: {short_path(file)}. Give it last: --config {short_path(file)}")
     return 0
 
@@ -110,7 +100,7 @@ def _move(
     devices: Devices,
 ) -> int:
     """Plan the movement, let the arm execute it and record it; returns the exit status."""
-    from wam_power_ros.console.commission import move
+    from wam_power_ros.console.replay import replay
     from wam_power_ros.params.resources import robot_description
 
     limits = controller.controller(robot_description(controller.urdf)).limits
@@ -119,10 +109,12 @@ def _move(
     movement.parent.mkdir(parents=True, exist_ok=True)
     np.savez(movement, t=plan.t, q=plan.q, rests=plan.rests, sweeps=plan.sweeps)
     signal.signal(signal.SIGTERM, interrupt)
-    also = [TRACKER]
-    planned = plan_of(movement.parent, setup, devices.stand_ins, also=also, secure=secured())
+    planned = Plan(movement.parent, setup, devices.stand_ins, (TRACKER,))
     with launch(planned) as launcher, launcher.robot() as robot:
-        return move(robot, plan.t, plan.q, person=not devices.stand_ins)
+        robot.link.log_period = LOG_PERIOD
+        robot.await_recorder()  # of every state: the first rest counts
+        person = not devices.stand_ins
+        return replay(robot, "the commissioning", plan.t, plan.q, 1.0, person, warning=WARNING)
 
 
 def _recording(path: Path, setup: overlay.Setup) -> Recording:
@@ -154,107 +146,6 @@ def _recording(path: Path, setup: overlay.Setup) -> Recording:
 
 
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
-
-
-def report(arm: Arm, found: Commissioned) -> list[str]:
-    """What was found, in lines of text."""
-    lines, seen, measured = [], found.cameras, found.arm
-    degrees = np.rad2deg
-    if seen is None:
-        lines.append("cameras    saw no body: frame and zeros were not measured")
-    else:
-        cameras = seen.frame
-        x, y, z = cameras.world_to_base.position
-        rejected = ", ".join(str(number + 1) for number in cameras.rejected) or "none"
-        lines += [
-            f"cameras    residual {cameras.position_rms * 1e3:.1f} mm, "
-            f"{degrees(cameras.rotation_rms):.2f} degrees; rests rejected: {rejected}",
-            f"           frame moved by {x:.4f}, {y:.4f}, {z:.4f} m; base's z against the cameras' "
-            f"{degrees(cameras.upright):.1f} degrees",
-            f"           at the rests that were used: {seen.fit_position * 1e3:.1f} mm, "
-            f"{degrees(seen.fit_rotation):.2f} degrees",
-            f"           at {HELD_OUT_TEXT}: {seen.check_position * 1e3:.1f} mm, "
-            f"{degrees(seen.check_rotation):.2f} degrees",
-            f"           in the sweeps: {seen.sweep_position * 1e3:.1f} mm, "
-            f"{degrees(seen.sweep_rotation):.2f} degrees",
-            f"           stamps late by {seen.latency * 1e3:.1f} ms beyond latency_offset, in the "
-            f"last sweep by {seen.latency_change * 1e3:+.1f} ms more",
-        ]
-        zeros = zip(arm.joint_names, cameras.zeros, cameras.zeros_sd, strict=True)
-        shown = ", ".join(
-            f"{name} {degrees(zero):+.2f} +-{degrees(sd):.2f}" for name, zero, sd in zeros if sd
-        )
-        hidden = "the first" if cameras.zeros_sd[-1] else "the first and the last"
-        lines.append(f"zeros      {shown} degrees; {hidden} cannot be seen")
-    c = measured.corrections
-    lines += [
-        f"friction   {_joined(c.coulomb_friction, '.2f')} N m, "
-        f"of the model {_joined(arm.friction, '.2f')} N m",
-        f"motors     torque over commanded {_joined(c.torque_scales, '.3f')} "
-        f"+-{float(measured.scales_sd.max()):.3f}",
-        f"payload    {c.payload[0]:+.3f} +-{measured.payload_sd:.3f} kg beyond the model, "
-        f"by the torques alone {measured.felt_payload:+.3f} +-{measured.felt_sd:.3f} kg; moment "
-        f"{_joined(c.payload[1:], '+.4f')} kg m +-{float(measured.moment_sd.max()):.4f}",
-        f"base       tilted by {_joined(degrees(c.base_tilt), '+.2f')} degrees",
-        f"loop       {measured.loop_delay * 1e3:.0f} ms from a torque to its motion",
-        "torque not explained, other movements [N m rms]: "
-        + ", ".join(
-            f"{name} {getattr(found.before, name):.2f} -> {getattr(found.after, name):.2f}"
-            for name in ("rest", "slow", "fast")
-        ),
-    ]
-    return lines
-
-
-HELD_OUT_TEXT = "4 postures that were not used"
-
-
-def _joined(values: np.ndarray, spec: str) -> str:
-    return " ".join(format(float(value), spec) for value in values)
-
-
-def setup_text(arm: Arm, setup: overlay.Setup, found: Commissioned) -> str:
-    """Set-up file with what was found."""
-    c = found.arm.corrections
-    controller: dict[str, Any] = {
-        "joint_zeros": _rounded(c.zeros, 6),
-        "torque_scales": _rounded(c.torque_scales, 4),
-        "coulomb_friction": _rounded(c.coulomb_friction, 4),
-        "viscous_friction": _rounded(c.viscous_friction, 4),
-        "friction_asymmetry": _rounded(c.friction_asymmetry, 3),
-        "low_speed_friction": _rounded(c.low_speed_friction, 3),
-        "link_masses": _rounded(c.link_masses, 4),
-        "payload": _rounded(c.payload, 5),
-        "base_tilt": _rounded(c.base_tilt, 5),
-        "loop_delay": round(found.arm.loop_delay, 4),
-        "teaching_friction": RELIEF,
-    }
-    nodes: dict[str, Any] = {"torque_controller": controller}
-    if (seen := found.cameras) is not None:
-        known = setup[TRACKER]["world_to_base"]
-        turn, offset = seen.frame.world_to_base.rotation, seen.frame.world_to_base.position
-        position = turn @ np.array(known[:3]) + offset
-        quat = rotations.quat_xyzw(turn @ rotations.matrix(np.array(known[3:])))
-        late = setup[TRACKER]["latency_offset"] + seen.latency
-        nodes[TRACKER] = {
-            "world_to_base": [*_rounded(position, 5), *_rounded(quat, 7)],
-            "latency_offset": round(max(0.0, late), 5),
-        }
-    sections = {f"/**/{name}": {"ros__parameters": values} for name, values in nodes.items()}
-    header = [
-        f"# Measured by {arm.name} and its cameras on {date.today().isoformat()}, with "
-        f"wam_power_ros {__version__}.",
-        "# Joints in the order of model_joint_names. Measure again after a change of tool, zeros "
-        "or cameras.",
-        *(f"# {line}" for line in report(arm, found)),
-        *(f"# note: {note}" for note in notes(arm, found)),
-    ]
-    body = yaml.safe_dump(sections, sort_keys=False, default_flow_style=None, width=1000)
-    return "\n".join([*header, body])
-
-
-def _rounded(values: np.ndarray, digits: int) -> list[float]:
-    return [round(float(value), digits) + 0.0 for value in values]
 
 
 def add_to(

@@ -5,78 +5,57 @@ from __future__ import annotations
 
 import os
 import select
-import subprocess
 import sys
 import termios
+import threading
 import tty
-from collections.abc import Mapping
-from contextlib import suppress
+from contextlib import ExitStack
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from wam_power_ros.client.feedback import Feedback
 
 KEYS = {"r": "reward", "p": "punish", "s": "stop", " ": "pause", "c": "continue"}
-KEYS |= {str(key): f"rate {key / 9.0}" for key in range(10)}
 HINT = "keys: s stop the arm, space pause, c continue, r reward, p punish, 0 to 9 rate if asked"
 
 
 class Keys:
-    """Context manager that passes keys to the learner; does nothing without a terminal.
+    """Context manager that passes keys to the learner; does nothing without a terminal."""
 
-    A child process calls the services, so that this process need not import ROS.
-
-    Args:
-        environment: Environment variables of the child, such as the session's ROS_DOMAIN_ID.
-    """
-
-    def __init__(self, environment: Mapping[str, str]) -> None:
-        self._environment = {**os.environ, **environment}
-        self._terminal: int | None = None
+    def __init__(self, domain: int | None) -> None:
+        """Take the DDS domain of a simulation; None for that of ROS_DOMAIN_ID."""
+        self._domain, self._ends = domain, ExitStack()
+        self._feedback: Feedback | None = None
         self._status = ""
 
     def __enter__(self) -> Keys:
         fd = sys.stdin.fileno() if sys.stdin.isatty() else None
         if fd is not None and os.tcgetpgrp(fd) == os.getpgrp():  # else a background job
-            self._before = termios.tcgetattr(fd)
-            command = [sys.executable, "-m", "wam_power_ros.console.feedback"]
-            self._feedback = subprocess.Popen(
-                command,
-                env=self._environment,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
-                start_new_session=True,
-            )
-            tty.setcbreak(fd)
-            self._terminal, self._status = fd, HINT
+            from wam_power_ros.client.feedback import connected
+
+            with self._ends as ends:
+                self._feedback = ends.enter_context(connected(self._domain, quiet=True))
+                ends.callback(termios.tcsetattr, fd, termios.TCSADRAIN, termios.tcgetattr(fd))
+                tty.setcbreak(fd)
+                self._status, self._ends = HINT, ends.pop_all()
         return self
 
     def __exit__(self, *error: object) -> None:
-        if self._terminal is not None:
-            termios.tcsetattr(self._terminal, termios.TCSADRAIN, self._before)
-            with suppress(OSError):
-                self._feedback.stdin.close()  # which ends the process
-            self._feedback.stdout.close()
+        self._ends.close()
 
     def poll(self) -> str:
         """Pass on the keys that were pressed; return the status to display."""
-        if self._terminal is None:
-            return ""
-        if _readable(self._terminal):
-            for key in os.read(self._terminal, 64).decode(errors="replace"):
-                self._press(key)
-        if _readable(self._feedback.stdout.fileno()):
-            answers = os.read(self._feedback.stdout.fileno(), 4096).decode(errors="replace")
-            self._status = (answers.strip().splitlines() or ["no learner answers"])[-1]
+        if self._feedback is not None and select.select([sys.stdin], [], [], 0.0)[0]:
+            for key in os.read(sys.stdin.fileno(), 64).decode(errors="replace"):
+                if key in KEYS or key in "0123456789":
+                    threading.Thread(target=self._give, args=(key,), daemon=True).start()
         return self._status
 
-    def _press(self, key: str) -> None:
-        if (kind := KEYS.get(key)) is None:
-            return
-        try:
-            self._feedback.stdin.write(f"{kind}\n".encode())
-            self._feedback.stdin.flush()
-            self._status = f"{kind} …"
-        except OSError:
-            self._status = "keys are disabled; use wam-power feedback"
+    def _give(self, key: str) -> None:
+        """Pass on a key in a thread of its own: a stop waits for no other answer."""
+        from wam_power_ros.client.feedback import answered
 
-
-def _readable(fd: int) -> bool:
-    return bool(select.select([fd], [], [], 0.0)[0])
+        kind, value = (KEYS[key], None) if key in KEYS else ("rate", int(key) / 9.0)
+        self._status = f"{kind} …"
+        answer = answered(lambda: self._feedback.give(kind, value=value))
+        self._status = answer.text if answer.success else f"{kind} refused: {answer.text}"

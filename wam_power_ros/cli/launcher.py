@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import fcntl
 import os
-import re
 import shlex
 import shutil
 import signal
@@ -26,7 +25,6 @@ from wam_power_ros.cli.plan import (
     SIMULATION,
     TRACKER,
     Plan,
-    overrides,
 )
 from wam_power_ros.cli.processes import ProcessError, Processes, Running
 from wam_power_ros.console.prompt import ask, show
@@ -42,7 +40,6 @@ from wam_power_ros.ros.domain import exported, hold, private_domain, shared
 if TYPE_CHECKING:
     from wam_power_ros.client.robot import Robot
 
-MEGABYTE = 1e6
 ENCLAVE = "ROS_SECURITY_ENCLAVE_OVERRIDE"  # environment variable
 
 
@@ -52,15 +49,10 @@ class UsageError(Exception):
 
 @dataclass(frozen=True)
 class Devices:
-    """Choice of set-ups.
+    """Choice of set-ups."""
 
-    Attributes:
-        config: Set-ups, by name or path; later ones override earlier ones.
-        simulate: Whether stand-ins with the same interfaces replace their devices.
-    """
-
-    config: Sequence[str] = ()
-    simulate: bool = False
+    config: Sequence[str] = ()  # set-ups, by name or path; later ones override earlier ones
+    simulate: bool = False  # whether stand-ins with the same interfaces replace their devices
 
     @property
     def stand_ins(self) -> bool:
@@ -80,7 +72,6 @@ class Devices:
 
         Args:
             task: Name of the task whose set-up the others override; empty for none.
-            seed: Seed of the stand-in.
             folder: Folder whose bags/ gets the recordings; None for that of the set-up.
 
         Raises:
@@ -124,8 +115,7 @@ class Launcher:
 
     def node(self, name: str, **parameters: object) -> Running:
         """Start a node of the plan; `parameters` override its own."""
-        (planned,) = (process for process in self.plan.processes if process.name == name)
-        return self.processes.start(name, [*planned.command, *overrides(f"{name}:", parameters)])
+        return self.processes.start(name, self.plan.command(name, secured(), **parameters))
 
     @contextmanager
     def robot(self) -> Iterator[Robot]:
@@ -139,8 +129,7 @@ class Launcher:
         from wam_power_ros.ros.node_runner import interrupt_on_signals
         from wam_power_ros.ros.outcomes import ServiceError
 
-        plan = self.plan
-        where = session_domain(plan.folder), plan.namespace, plan.stand_ins
+        plan, domain = self.plan, session_domain(self.plan.folder)
         with ExitStack() as stack:
             for number in SIGNALS:
                 stack.callback(signal.signal, number, signal.getsignal(number))
@@ -149,7 +138,8 @@ class Launcher:
                 os.environ[ENCLAVE] = "/operator"
                 stack.callback(os.environ.pop, ENCLAVE)
             try:
-                robot = stack.enter_context(connected(plan.parameters, *where))
+                arm = connected(plan.parameters, domain, on_loopback=plan.stand_ins)
+                robot = stack.enter_context(arm)
                 robot.link.log_period = LOG_AFTER
                 with self.processes.watched(robot.link.fail):
                     yield robot
@@ -162,17 +152,15 @@ def launch(plan: Plan, text: str = "") -> Iterator[Launcher]:
     """Start the nodes of a plan, except a learner, and activate the controller of an arm.
 
     Args:
-        plan: The plan.
         text: What is shown once nothing stands against it; empty for nothing.
 
     Raises:
-        UsageError: Another session or learner uses the folder, or its disk is nearly full.
+        UsageError: Another session or learner uses the folder.
         DomainError: Another session holds the robot's DDS domain, or ROS_DOMAIN_ID is invalid.
     """
     # First, because an import of rclpy may execute the program anew.
     from wam_power_ros.console.activation import activate
 
-    check_space(plan.folder, plan.parameters[RECORDER]["free_to_start"])
     files = plan.written
     with ExitStack() as stack:
         if plan.stand_ins:
@@ -194,9 +182,9 @@ def launch(plan: Plan, text: str = "") -> Iterator[Launcher]:
         for file, text in files.items():
             file.write_text(text, encoding="utf-8")
         launcher = Launcher(plan, stack.enter_context(Processes(plan.file.parent, environment)))
-        for process in plan.processes:
-            if process.name != LEARNER:
-                launcher.node(process.name)
+        for name in plan.nodes:
+            if name != LEARNER:
+                launcher.node(name)
         if not plan.stand_ins:
             with launcher.robot() as robot:
                 activate(robot.link)
@@ -232,37 +220,11 @@ def _lock(file: IO[str]) -> bool:
     return True
 
 
-def check_space(folder: Path, needed: float) -> None:
-    """Check that a disk has room for the first recording, before a person teaches.
-
-    Args:
-        folder: Folder for the bags; it need not exist yet.
-        needed: Free space below which the recorder starts no recording [MB].
-
-    Raises:
-        UsageError: The disk has less free space.
-    """
-    existing = next(path for path in (folder, *folder.resolve().parents) if path.exists())
-    free = shutil.disk_usage(existing).free / MEGABYTE
-    if free < needed:
-        raise UsageError(
-            f"{free:.0f} MB free on the disk of {folder}, {needed:.0f} MB needed: free some space"
-        )
-
-
 def session_domain(folder: Path) -> int | None:
     """DDS domain of a session in simulation; None on an arm, whose domain is in ROS_DOMAIN_ID."""
     file = folder / "logs" / DOMAIN_FILE
     text = file.read_text().strip() if file.exists() else ""
     return int(text) if text else None
-
-
-def domain_environment(domain: int | None) -> dict[str, str]:
-    """Environment variables of the processes in the domain of a simulation; none without one.
-
-    They override what this terminal exports for a robot.
-    """
-    return {} if domain is None else network.ON_LOOPBACK | {"ROS_DOMAIN_ID": str(domain)}
 
 
 def discovery_range(environment: Mapping[str, str]) -> str:
@@ -311,11 +273,6 @@ def program_command() -> str:
     if found and program.exists() and Path(found).samefile(program):
         return program.name
     return shlex.quote(str(short_path(program)))
-
-
-def pasteable(text: str) -> str:
-    """Text in which `wam-power COMMAND` is replaced by what can be pasted in this terminal."""
-    return re.sub(r"\bwam-power (?=[a-z]+ )", lambda _: f"{program_command()} ", text)
 
 
 def timestamp() -> str:

@@ -27,8 +27,9 @@ from wam_power_ros.cli import (
     doctor_command,
     new_arm_command,
     score_command,
+    sessions_command,
 )
-from wam_power_ros.cli.launcher import Devices, UsageError, pasteable
+from wam_power_ros.cli.launcher import Devices, UsageError
 from wam_power_ros.cli.parser import (
     Parser,
     add_command,
@@ -53,12 +54,12 @@ NODES = {  # executable of `ros2 run` -> entry point, as setup.py declares them
 
 HEADINGS = {
     "First": ("learn", "teach", "replay", "view", "doctor"),
-    "Session": ("feedback", "stop", "report", "score", "run-policy", "compare"),
+    "Session": ("sessions", "feedback", "stop", "report", "score", "run-policy", "compare"),
     "Arm": ("new-arm", "commission", "enable"),
-    "Recordings": ("bags", "play", "recover"),
+    "Recordings": ("bags", "recover"),
     "Names, set-ups, nodes": ("list", "config", "run"),
 }
-LISTED = ("tasks", "learners", "presets", "set-ups")
+LISTED = ("tasks", "learners", "presets", "set-ups", "sessions")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -77,7 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"{COMMAND_LINE}: {missing(error)}", file=sys.stderr)
         return 2
     except (UsageError, ProcessError, OSError, ValueError) as error:
-        text = explained(error) if isinstance(error, OSError) else pasteable(str(error))
+        text = explained(error) if isinstance(error, OSError) else str(error)
         print(f"{COMMAND_LINE}: {text}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
@@ -88,9 +89,6 @@ def _command(options: argparse.Namespace) -> tuple[Callable[..., int | None], di
     """Command of parsed options, and its arguments by name.
 
     Options that belong together are one argument.
-
-    Raises:
-        UsageError: `--simulate` without a set-up.
     """
     values = dict(vars(options))
     command = values.pop("command")
@@ -164,7 +162,8 @@ def _parser() -> argparse.ArgumentParser:
     task_option(config)
     _arm_options(config)
 
-    listing = add("list", _list, "print a line for each task, learner, preset or set-up")
+    sessions_command.add_to(subparsers)
+    listing = add("list", _list, "print a line for each task, learner, preset, ...")
     listing.add_argument("what", choices=LISTED, metavar="WHAT", help=", ".join(LISTED))
 
     commission_command.add_to(add, _arm_options)
@@ -258,21 +257,6 @@ def _parser() -> argparse.ArgumentParser:
         command.add_argument("--folder", type=Path, help="for the recordings (default: runs/NOW)")
         _arm_options(command)
 
-    play = add(
-        "play",
-        commands.play,
-        "publish the topics of a bag, as ros2 bag play does, except commands to an arm",
-    )
-    play.add_argument("bag", type=Path, help="any bag of the common message types")
-    play.add_argument("--rate", type=float, default=1.0, help="1: as recorded (default)")
-    play.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="only these topics")
-    play.add_argument(
-        "--wait",
-        type=float,
-        default=0.0,
-        help="longest wait for a subscriber to every topic before playing [s] (default 0)",
-    )
-
     bags_command.add_to(subparsers)
     score_command.add_to(subparsers)
 
@@ -330,6 +314,8 @@ def _list(what: str) -> None:
     """Print a line for each name of a kind, with what it is."""
     from wam_power_ros.practice.settings import preset
 
+    if what == "sessions":
+        return sessions_command.sessions([])
     tasks, kind = installed.names("task"), what.removesuffix("s")
     if what == "presets":
         pairs = [(task, name) for task in tasks for name in installed.task_type(task).presets]

@@ -53,17 +53,6 @@ class Running:
     log: Path
 
     @property
-    def stopped(self) -> str:
-        """Say that the process is stopped, as by SIGSTOP; empty if it is not."""
-        try:
-            state = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()[0]
-        except OSError:  # it has ended, or there is no /proc
-            return ""
-        return f"{self.name} is stopped; kill -CONT {self.process.pid} continues it" * (
-            state == "T"
-        )
-
-    @property
     def tail(self) -> str:
         """Last lines of the log."""
         lines = self.log.read_text(errors="replace").splitlines()
@@ -152,11 +141,6 @@ class Processes:
             yield
         finally:
             signal.signal(signal.SIGCHLD, before)
-
-    @property
-    def stopped(self) -> list[str]:
-        """What is said of the processes that are stopped."""
-        return [text for running in self._running if (text := running.stopped)]
 
     def stop(self, timeout: float = 8.0) -> None:
         """End every process: SIGINT, after `timeout` [s] SIGTERM, then SIGKILL."""

@@ -30,21 +30,33 @@ def add_to(subparsers: argparse._SubParsersAction) -> None:
 
 
 def score(recorded: Sequence[Path], task: str | None, preset: str) -> int:
-    """Score bags or sessions."""
-    from wam_power_ros.practice.session import Session
+    """Score bags, or each rollout of sessions beside its logged return."""
+    from wam_power_ros.practice import session
+    from wam_power_ros.practice.session_log import KIND_NAMES
 
     installed.task_type(task or DEFAULT_TASK)  # an unknown name is refused before a bag is read
     failed = 0
     for path in recorded:
-        if Session.exists(path):
-            _score_session(path, task, preset)
-        else:
-            failed += not _score_bag(path, task or DEFAULT_TASK, preset)
+        if not session.Session.exists(path):
+            scored, text = _scored(path, task or DEFAULT_TASK, preset)
+            print(f"{path}: {text}", flush=True)
+            failed += not scored
+            continue
+        found = session.read(path)
+        name = task or found.header.settings.task
+        print(f"{path}: logged return; return under {name}, preset {preset or 'first'}")
+        for record in found.records:
+            logged = "–" if record.ret is None else f"{record.ret:.3f}"
+            text = "no bag"
+            if record.bag:
+                _, text = _scored(path / "bags" / record.bag, name, preset)
+            kind = KIND_NAMES[record.kind]
+            print(f"{record.number:4d}  {kind:12}  {logged:>6}  {text}", flush=True)
     return 1 if failed else 0
 
 
-def _score_bag(path: Path, name: str, chosen: str) -> bool:
-    """Print the score of a bag; return False if it has none."""
+def _scored(path: Path, name: str, chosen: str) -> tuple[bool, str]:
+    """Whether a bag has a return, and it with its terms, or why there is none."""
     from wam_power_ros.bags.bag import Bag
 
     try:
@@ -52,50 +64,9 @@ def _score_bag(path: Path, name: str, chosen: str) -> bool:
         task = _task(name, chosen, _context(bag))
         assessed = task.assess(*recorded_rollout(bag, task))
     except ValueError as error:
-        print(f"{path}: no return: {error}")
-        return False
+        return False, f"no return: {error}"
     terms = ", ".join(f"{term} {value:.3f}" for term, value in assessed.terms.items())
-    print(f"{path}: {_outcome(assessed)}" + (f" ({terms})" if terms else ""))
-    return assessed.ret is not None
-
-
-def _score_session(folder: Path, task_name: str | None, chosen: str) -> None:
-    """Print each rollout of a session with its logged return and its return under the preset."""
-    import numpy as np
-
-    from wam_power_ros.bags.bag import Bag
-    from wam_power_ros.practice import session
-    from wam_power_ros.practice.session_log import KIND_NAMES
-
-    found = session.read(folder)
-    name = task_name or found.header.settings.task
-    task = _task(name, chosen, found.context)
-    print(f"{folder}: logged return; return and success under {name}, preset {chosen or 'first'}")
-    by_kind: dict[str, list[tuple[float, float]]] = {}
-    for record in found.records:
-        logged = "–" if record.ret is None else f"{record.ret:.3f}"
-        bag = folder / "bags" / record.bag
-        if record.fault:
-            outcome = f"fault: {record.fault}"
-        elif not record.bag or not bag.is_dir():
-            outcome = "no bag"
-        else:
-            try:
-                assessed = task.assess(*recorded_rollout(Bag(bag), task))
-            except ValueError as error:
-                outcome = str(error)
-            else:
-                outcome = _outcome(assessed)
-                if name == found.header.settings.task:  # a drop may have a high return
-                    outcome += f"; {task.outcome(record)}"
-                if record.ret is not None and assessed.ret is not None:
-                    pair = record.ret, assessed.ret
-                    by_kind.setdefault(KIND_NAMES[record.kind], []).append(pair)
-        kind = KIND_NAMES[record.kind]
-        print(f"{record.number:4d}  {kind:12}  {logged:>6}  {outcome}", flush=True)
-    for kind, pairs in by_kind.items():
-        before, now = np.mean(pairs, axis=0)
-        print(f"{kind}, mean return of {len(pairs)}: {before:.3f} logged, {now:.3f} now")
+    return assessed.ret is not None, _outcome(assessed) + (f" ({terms})" if terms else "")
 
 
 def recorded_rollout(bag: Bag, task: Task) -> tuple[Policy, Rollout]:

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from wam_power_ros import installed
 from wam_power_ros.cli.launcher import Devices, UsageError, task_stems
 from wam_power_ros.durable_files import check_name
 
@@ -24,14 +23,7 @@ DEFAULT_TASK = "flip"
 
 @dataclass(frozen=True)
 class SessionOptions:
-    """What a person asks of a session; None or empty for what is not asked.
-
-    Attributes:
-        demonstrations: Number of demonstrations to record.
-        bags: Demonstrations to learn from instead.
-        origin: Session whose policy is where this one begins.
-        goal: New values of the goal of that session, by name.
-    """
+    """What a person asks of a session; None or empty for what is not asked."""
 
     task: str | None = None
     learner: str = ""
@@ -39,21 +31,10 @@ class SessionOptions:
     trials: int | None = None
     minutes: int | None = None
     seed: int | None = None
-    demonstrations: int = 0
-    bags: Sequence[Path] = ()
-    origin: Path | None = None
-    goal: Sequence[tuple[str, float]] = ()
-
-    @property
-    def words(self) -> list[str]:
-        """Command-line words that ask the same."""
-        given = {name: value for name, value in vars(self).items() if value not in (None, "")}
-        bags, origin, goal = given.pop("bags"), given.pop("origin", None), given.pop("goal")
-        if origin is not None:  # has the demonstrations, too
-            given, bags = {"from": origin, **given}, ()
-        words = [word for name, value in given.items() for word in (f"--{name}", str(value))]
-        words += ["--goal", *(f"{name}={value}" for name, value in goal)] if goal else []
-        return [*words, "--bags", *map(str, bags)] if bags else words
+    demonstrations: int = 0  # number of demonstrations to record
+    bags: Sequence[Path] = ()  # demonstrations to learn from instead
+    origin: Path | None = None  # session whose policy is where this one begins
+    goal: Sequence[tuple[str, float]] = ()  # new values of the goal of that session, by name
 
 
 def existing_session(folder: Path | None) -> Path:
@@ -153,21 +134,6 @@ def settings_of(task: str, asked: SessionOptions) -> SessionSettings:
     learner = {"name": asked.learner} if asked.learner else None
     limits = {"budget": asked.trials, "minutes": asked.minutes}
     return preset(task, asked.preset, learner, **{k: v for k, v in limits.items() if v is not None})
-
-
-def method_words(settings: SessionSettings) -> list[str]:
-    """Command-line words that ask for the preset and the learner of a session."""
-    from wam_power_ros.practice.settings import preset
-
-    presets = installed.task_type(settings.task).presets
-    learners = {name: preset(settings.task, name).learner for name in presets}
-    for name in sorted(presets, key=lambda of: learners[of] != settings.learner):
-        made = preset(settings.task, name, {"name": settings.learner})
-        if made.model_copy(update={"practice": settings.practice}) == settings:
-            words = [] if name == next(iter(presets)) else ["--preset", name]
-            other = learners[name] != settings.learner
-            return words + (["--learner", settings.learner] if other else [])
-    return ["--learner", settings.learner]
 
 
 def _differences(asked: SessionOptions, header: SessionHeader) -> Iterator[str]:

@@ -23,7 +23,6 @@ class Goal:
     """A goal that was sent.
 
     Attributes:
-        what: Name of the action, for messages.
         result: Its result; None before its end, or if it was lost.
         answer: Its outcome; None before its end.
     """

@@ -4,15 +4,22 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.logging import LoggingSeverity
+
 from wam_power_interfaces.srv import AddDemonstration, Pause, Rate
-from wam_power_ros.client.link import RETRY_PERIOD, TIMEOUT, Link
+from wam_power_ros.client.link import LOG_AFTER, RETRY_PERIOD, TIMEOUT, Link
 from wam_power_ros.client.robot import Robot
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.outcomes import Answer, ServiceError
+from wam_power_ros.ros.node_runner import participant
+from wam_power_ros.ros.outcomes import Answer, Code, ServiceError
 
+APPEAR_TIMEOUT = 10.0  # [s of wall time] until a service of the learner is available
 SERVICES = {  # kind of feedback, or stop -> service and its data
     "reward": (interface.LEARNER_REWARD, None),
     "punish": (interface.LEARNER_PUNISH, None),
@@ -33,7 +40,6 @@ class Feedback:
 
         Args:
             kind: One of `SERVICES`, "demonstration" or "rate".
-            bag: Bag of the demonstration.
             value: Rating, from 0 to 1.
 
         Raises:
@@ -59,9 +65,6 @@ class Feedback:
         The arm is set to gravity compensation only after the learner has reported that it is paused
         and no trial is under way; from then on it sends nothing until it continues.
 
-        Returns:
-            Answer of the learner to the demonstration.
-
         Raises:
             ServiceError: A service refused, or the trial did not end; the learner may be paused.
         """
@@ -76,3 +79,29 @@ class Feedback:
         answer = self.give("demonstration", robot.teach(lead))
         self.give("continue")
         return answer
+
+
+@contextmanager
+def connected(domain: int | None = None, quiet: bool = False) -> Iterator[Feedback]:
+    """Connect to a learner, in the domain of a simulation; None for that of ROS_DOMAIN_ID.
+
+    With `quiet` nothing is logged while an answer is waited for.
+    """
+    make = lambda: rclpy.create_node("feedback")  # noqa: E731
+    with (
+        participant(make, domain, on_loopback=domain is not None) as node,
+        Link(node, APPEAR_TIMEOUT, LOG_AFTER) as link,
+    ):
+        if quiet:
+            node.get_logger().set_level(LoggingSeverity.ERROR)
+        yield Feedback(link)
+
+
+def answered(work: Callable[[], Answer]) -> Answer:
+    """Answer that some work gives; it says why if there is none."""
+    try:
+        return work()
+    except ServiceError as error:
+        return error.answer or Answer(Code.NOT_ACTIVE, str(error))
+    except ExternalShutdownException:
+        return Answer(Code.NOT_ACTIVE, "the session has ended")

@@ -111,10 +111,8 @@ class Link:
         """Wait until a condition holds or the timeout is over.
 
         Args:
-            condition: Condition, checked after every message and answer and every CHECK_PERIOD.
             what: Noun phrase for the log, or a function that returns it at the time of logging;
                 nothing is logged if empty.
-            timeout: Longest wait [s of wall time].
 
         Returns:
             True if the condition holds, False after the timeout.
@@ -267,9 +265,7 @@ class Link:
         """Call a service.
 
         Args:
-            name: Name of the service.
             data: Data of a SetBool or a ChangeState; None for a Trigger.
-            timeout: Longest wait for the answer [s of wall time].
             abandon: Returns True to stop waiting earlier.
 
         Returns:
@@ -305,8 +301,6 @@ class Link:
         """Ask a node for parameters, those that it lacks are not set; [] without an answer.
 
         Args:
-            node: Full name of the node.
-            names: Names of the parameters.
             timeout: Longest wait for the node, and for its answer [s of wall time].
         """
         client = self.node.create_client(GetParameters, f"{node}/get_parameters")

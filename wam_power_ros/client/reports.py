@@ -17,7 +17,6 @@ class ControllerReports:
         mode: Mode of the controller; "" before the first report.
         text: Summary, such as a fault; "" before the first report.
         refusal: Last refusal of the controller; "" for none.
-        fault: Latched fault; None without one.
         last_stop: Id of the last stop by a person; "" for none.
     """
 

@@ -86,11 +86,7 @@ class Robot:
 
     Args:
         link: Link in whose namespace the nodes run.
-        state_topic: Topic of the joint states.
-        joint_names: Joint names of the driver.
         body: Name of the tracked body; "" for none.
-        arm: Model of the arm.
-        settings: For rollouts.
         settle_time: Time after the movement of a policy that belongs to its rollout [s].
     """
 
@@ -206,7 +202,6 @@ class Robot:
         """Move to the start of a policy, execute it once and hold.
 
         Args:
-            policy: Policy to execute.
             ready: Returns what is missing before it may begin, given the state of the tracked body,
                 as `Task.ready` does; "" for nothing.
 
@@ -265,9 +260,6 @@ class Robot:
         Args:
             lead: Returns when the person has finished guiding the arm by hand, such as
                 `lambda: input("Enter")`; None for the simulated demonstrator.
-
-        Returns:
-            Path of the bag.
         """
         self.await_recorder()
         with self.guided():
@@ -344,6 +336,6 @@ def connected(
         yield Robot(
             *(link, controller["state_topic"], controller["joint_names"]),
             *(setup["pancake_tracker"]["body"], setup.arm()),
-            RolloutSettings.of(setup["learner"]),
+            RolloutSettings(**setup["learner"]),
             float(controller["settle_time"]),
         )

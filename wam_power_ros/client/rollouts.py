@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 from typing import Any, Literal, NamedTuple
 
 from nav_msgs.msg import Odometry, Path
+from pydantic import BaseModel, ConfigDict
 
 from wam_power_interfaces.action import ExecutePolicy, MoveToStart, Replay, ResetScene
 from wam_power_interfaces.msg import GroundTruth
@@ -27,6 +28,7 @@ from wam_power_ros.control.modes import Mode
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
+from wam_power_ros.params.node_params import Timeout
 from wam_power_ros.ros import interface, pose_messages
 from wam_power_ros.ros.joint_messages import JointMovement, movement_message
 from wam_power_ros.ros.outcomes import NO_ANSWER, Answer, Code, Ended, ServiceError
@@ -83,31 +85,19 @@ class NotBegunError(RolloutError):
     """As far as is known, the rollout has not begun: a fault came first, or no answer."""
 
 
-@dataclass(frozen=True)
-class RolloutSettings:
-    """Settings of the execution of rollouts, as in config/learner.yaml.
+class RolloutSettings(BaseModel):
+    """Settings of the execution of rollouts, among the parameters of a learner."""
 
-    Attributes:
-        scene_reset: Whether the stand-in puts the scene back; otherwise a person does.
-        reset_faults: Whether the controller is reset after a fault; otherwise a person does.
-        record_rollouts: Whether to record each rollout.
-        service_timeout: Time for a service to appear and to succeed [s of wall time].
-        rollout_timeout: Time for the end of a rollout and for its paths [s of wall time].
-        patience: Time for the arm to reach its start, for a movement that puts the body back, and
-            for a reset of the scene [s of wall time].
-    """
+    model_config = ConfigDict(frozen=True)
 
-    scene_reset: bool
-    reset_faults: bool
+    scene_reset: bool  # whether the stand-in puts the scene back; otherwise a person does
+    reset_faults: bool  # whether the controller is reset after a fault; otherwise a person does it
     record_rollouts: bool
-    service_timeout: float
-    rollout_timeout: float
-    patience: float
-
-    @classmethod
-    def of(cls, learner: Mapping[str, Any]) -> RolloutSettings:
-        """Settings among the parameters of a learner."""
-        return cls(**{each.name: learner[each.name] for each in fields(cls)})
+    service_timeout: Timeout  # for a service to appear and to succeed [s of wall time]
+    rollout_timeout: Timeout  # for the end of a rollout and for its paths [s of wall time]
+    # For the arm to reach its start, for a movement that puts the body back, and for a reset of the
+    # scene [s of wall time].
+    patience: Timeout
 
 
 @dataclass(frozen=True)
@@ -128,8 +118,6 @@ class Rollouts:
         awaited: Returns what is waited for without limit, None if nothing; for every thread.
 
     Args:
-        link: Link in whose namespace the nodes run.
-        settings: Settings.
         body: Name of the tracked body, "" for none.
         joint_names: Joint names of the driver, for movements that put the body back; without them
             a person does.
@@ -189,7 +177,6 @@ class Rollouts:
         """Execute a policy once.
 
         Args:
-            policy: Policy to execute.
             duration: Duration of its complete rollout [s].
             ready: Returns what is missing before it may begin, empty if nothing.
             put_back: Returns what is to be done then, see `Task.reset`; a scene that is reset

@@ -36,17 +36,17 @@ def replay(
     speed: float,
     person: bool,
     running: bool = False,
+    warning: str = "",
 ) -> int:
     """Replay a movement once, see `replay_trajectory.movement`; returns the exit status.
 
     Args:
-        robot: The arm.
-        name: Name of the recording.
         t: Times [s]. Shape (N,).
         q: Joint angles [rad]. Shape (N, n).
         speed: Speed relative to the recording, for messages.
         person: Whether to ask the person beside a real arm before it moves.
         running: Whether the nodes go on afterwards: nothing is recorded, and the arm is held.
+        warning: What the person is told before.
 
     Raises:
         ServiceError: A service does not appear, does not answer in time, or refuses.
@@ -55,7 +55,7 @@ def replay(
     robot.stop()  # succeeds once the controller is active
     with let_go_after(person and not running):
         if person:
-            ask(f"The arm will move to the start of {movement}. Press Enter: ")
+            ask(f"{warning}The arm will move to the start of {movement}. Press Enter: ")
         show(f"Replaying {movement}; Ctrl-C stops the arm")
         with nullcontext() if running else robot.record() as bag:
             try:
@@ -81,12 +81,7 @@ def replay(
 
 
 def with_possible_speed(answer: Answer, speed: float) -> str:
-    """Text of the controller's answer, with the highest possible --speed, if any, if too fast.
-
-    Args:
-        answer: Answer of the controller.
-        speed: Value of --speed for the refused movement.
-    """
+    """Text of the controller's answer, with the highest possible --speed, if any, if too fast."""
     if answer.code is not Code.TOO_FAST:
         return answer.text
     possible = answer.speed * speed

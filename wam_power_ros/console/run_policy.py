@@ -48,7 +48,6 @@ def run(
     """Execute a policy as often as asked, or compare two; returns the exit status.
 
     Args:
-        robot: The arm.
         policies: One policy, or the two of the comparison.
         task: Scores the rollouts; None for no returns.
         rollouts: Number of rollouts; of a comparison that of pairs, at most.

@@ -25,9 +25,7 @@ def record_series(
     """Record demonstrations; the arm holds its position afterwards.
 
     Args:
-        robot: The arm.
         file: List of bags, to which new ones are added.
-        wanted: Number of demonstrations to record.
         person: Whether a person guides the arm by hand, or the demonstrator of the stand-in.
         review: Whether to ask a person after each take to keep, repeat or discard it.
         bell: Whether to give a cue at begin and end of a recording, see `prompt.cue`.

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ from wam_power_ros.learning.demonstration import Demonstration
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.params.overlay import Setup
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
-from wam_power_ros.practice.practice import reproduction_of
+from wam_power_ros.practice.candidates import fitted
 from wam_power_ros.practice.session import Session
 from wam_power_ros.practice.settings import SessionSettings
 from wam_power_ros.regions import Region
@@ -79,7 +78,6 @@ def _taught(
         raise ValueError(f"a person rates the task {kind.name}: learn it without --in-process")
     settings.check(count)
     read: dict[int, Demonstration] = {}
-    candidates: dict[tuple[int, ...], Policy] = {}
     refused = []
     for number in range(count):  # as the stand-in of a graph of nodes draws them
         script = world.scene.script(np.random.default_rng((seed, number)))
@@ -88,16 +86,9 @@ def _taught(
             read[number + 1] = kind.demonstration_of(arm, *recorded)
         except ValueError as error:
             refused.append(str(error))
-    for group in [tuple(read)] if kind.single_policy and read else [(each,) for each in read]:
-        movements = [read[number] for number in group]
-        try:
-            policy = kind.policy_of(movements, f"demonstration-{group[0]}", settings.task_settings)
-            task = settings.make_task(kind.context_of(movements, region))
-            if fault := environment.infeasible(reproduction_of(policy, task)):
-                raise ValueError(f"would end in a fault: {fault.text}")
-            candidates[group] = replace(policy, arm=arm.identity())
-        except ValueError as error:
-            refused.append(str(error))
+    identity = arm.identity()
+    candidates, why = fitted(kind, settings, read, environment, identity, region)
+    refused += why.values()
     if not candidates:
         raise ValueError(f"no demonstration can be reproduced: {'; '.join(refused)}")
     used = [read[number] for group in candidates for number in group]

@@ -28,6 +28,8 @@ from rclpy.qos import QoSProfile
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rclpy.utilities import remove_ros_args
 from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
@@ -38,7 +40,6 @@ from wam_power_ros.conformance.mocap_checks import CloudSample, FrameSample
 from wam_power_ros.conformance.topic_checks import Endpoint, Row, Verdict
 from wam_power_ros.conformance.watchdog_check import CommandCheck
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.nodes import check_console
 from wam_power_ros.params import overlay
 from wam_power_ros.params.body_tracker_params import BodyTrackerParams
 from wam_power_ros.params.resources import robot_description
@@ -62,6 +63,12 @@ DISCOVERY_TIMEOUT = 5.0  # [s] for discovery, and for the next message
 DROP_ATTEMPTS = 3  # with the stand-in: a busy machine may miss frames of a fall
 FALL_TIME = 2.0  # [s] in which a released body falls to the ground
 EXIT_STATUS = {Verdict.OK: 0, Verdict.WARN: 0, Verdict.FAIL: 1}
+COLOURS = {
+    Verdict.OK: "green",
+    Verdict.WARN: "yellow",
+    Verdict.FAIL: "bold red",
+    Verdict.UNCHECKED: "dim",
+}
 
 
 class CheckDriver(Node):
@@ -429,6 +436,20 @@ def _ends(infos: Sequence[TopicEndpointInfo], but: Collection[str] = OWN_NODES) 
     ]
 
 
+def _table(rows: Sequence[Row]) -> Table:
+    """Table of the findings; those that are not OK come with the requirement, some with advice."""
+    table = Table("", "", "found")
+    for row in rows:
+        verdict, lines = row.verdict, [escape(row.found)]
+        if verdict is not Verdict.OK:
+            lines.append(f"[dim]expected: {escape(row.expected)}[/dim]")
+        if row.advice:
+            lines.append(f"[italic]{escape(row.advice)}[/italic]")
+        mark = f"[{COLOURS[verdict]}]{verdict.value}[/{COLOURS[verdict]}]"
+        table.add_row(row.name, mark, "\n".join(lines))
+    return table
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="check_driver",
@@ -475,8 +496,8 @@ def main() -> int:
     except KeyboardInterrupt:
         return 2
     result, sentence = topic_checks.verdict(rows)
-    console.print(check_console.table(rows))
-    console.print(sentence, style=check_console.COLOURS[result])
+    console.print(_table(rows))
+    console.print(sentence, style=COLOURS[result])
     if options.json is not None:
         table = [{**asdict(row), "verdict": row.verdict.value} for row in rows]
         text = {"verdict": result.value, "said": sentence, "config": options.config, "rows": table}

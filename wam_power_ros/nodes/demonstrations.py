@@ -14,7 +14,7 @@ from wam_power_ros.bags.reader import read_states
 from wam_power_ros.learning.demonstration import Demonstration
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.nodes.simulated_arm import SimulatedArm
-from wam_power_ros.practice.practice import reproduction_of
+from wam_power_ros.practice.candidates import fitted
 from wam_power_ros.practice.settings import SessionSettings
 from wam_power_ros.tasks.task import Task
 
@@ -39,26 +39,21 @@ class Demonstrations:
         if not bags:
             raise ValueError("a new session needs demonstrations: name at least one bag")
         read: dict[int, Demonstration] = {}
-        candidates: dict[tuple[int, ...], Policy] = {}
         refused = []
 
-        def leave_out(which: str, error: ValueError) -> None:
-            refused.append(str(error))
-            self._log.warning(f"{which} left out: {error}")
+        def leave_out(group: tuple[int, ...], text: str) -> None:
+            refused.append(text)
+            self._log.warning(f"demonstration {', '.join(map(str, group))} left out: {text}")
 
         for number, bag in enumerate(bags, start=1):
             try:
                 read[number] = self.read(bag)
             except ValueError as error:
-                leave_out(f"demonstration {number}", error)
-        groups = [tuple(read)] if self._kind.single_policy and read else [(each,) for each in read]
-        for group in groups:
-            named = ", ".join(bags[number - 1] for number in group)
-            try:
-                movements = [read[number] for number in group]
-                candidates[group] = self._candidate(settings, movements, named, group[0])
-            except ValueError as error:
-                leave_out(f"demonstration {', '.join(map(str, group))}", error)
+                leave_out((number,), str(error))
+        arm = self._arm
+        candidates, why = fitted(self._kind, settings, read, arm, arm.identity, arm.region)
+        for group, text in why.items():
+            leave_out(group, f"{', '.join(bags[number - 1] for number in group)}: {text}")
         if not candidates:
             raise ValueError(
                 f"nothing can be learnt from any of {len(bags)} demonstrations "
@@ -71,20 +66,6 @@ class Demonstrations:
             [read[number] for number in used],
             list(candidates.values()),
         )
-
-    def _candidate(
-        self, settings: SessionSettings, group: list[Demonstration], bags: str, number: int
-    ) -> Policy:
-        """Fit a policy to some demonstrations and check that its reproduction is feasible.
-
-        Raises:
-            ValueError: It cannot be fitted or is not feasible; names the bags and the reason.
-        """
-        policy = self.fit(group, bags, f"demonstration-{number}", settings)
-        task = settings.make_task(self._kind.context_of(group, self._arm.region))
-        if fault := self._arm.infeasible(reproduction_of(policy, task)):
-            raise ValueError(f"{bags}: would end in a fault: {fault.text}")
-        return policy
 
     def read(self, path: str) -> Demonstration:
         """Read the movement in a bag; if there is none, a ValueError names the bag and reason."""
@@ -107,15 +88,11 @@ class Demonstrations:
             raise ValueError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from error
 
     def fit(
-        self,
-        demonstrations: list[Demonstration],
-        bag: str,
-        policy_id: str,
-        settings: SessionSettings,
+        self, demonstration: Demonstration, bag: str, policy_id: str, settings: SessionSettings
     ) -> Policy:
-        """Fit a policy to demonstrations; on failure, a ValueError names the bags and reason."""
+        """Fit a policy to a demonstration; on failure, a ValueError names the bag and reason."""
         try:
-            policy = self._kind.policy_of(demonstrations, policy_id, settings.task_settings)
+            policy = self._kind.policy_of([demonstration], policy_id, settings.task_settings)
             return replace(policy, arm=self._arm.identity)
         except ValueError as error:
             raise ValueError(f"{bag}: {error}") from error

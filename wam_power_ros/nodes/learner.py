@@ -45,7 +45,7 @@ from wam_power_ros.learning.policy import Policy, with_id
 from wam_power_ros.nodes.demonstrations import Demonstrations
 from wam_power_ros.nodes.markers import Markers
 from wam_power_ros.nodes.simulated_arm import SimulatedArm
-from wam_power_ros.params.node_params import Names, Params, Timeout
+from wam_power_ros.params.node_params import Names, Params
 from wam_power_ros.params.torque_controller_params import require_same_joints
 from wam_power_ros.practice.new_goal import context_for, policy_for
 from wam_power_ros.practice.practice import GO_ON, RATING_MAX, Practice
@@ -65,7 +65,7 @@ from wam_power_ros.tasks.rated import assessed
 from wam_power_ros.tasks.task import Assessment, Pose, Task
 
 
-class LearnerParams(Params):
+class LearnerParams(Params, RolloutSettings):
     """Parameters of the node; the values are in config/learner.yaml."""
 
     file = "learner.yaml"
@@ -89,14 +89,6 @@ class LearnerParams(Params):
     minutes: int = Field(ge=0, le=1_000_000, description="two years")  # 0: the preset's
     changes: str  # to settings of the preset, a JSON object by name
     seed: int = Field(ge=0, le=2**63 - 1, description="an integer of ROS")
-    scene_reset: bool  # a service of the stand-in puts the scene back; otherwise a person does
-    reset_faults: bool  # stand-in only: in the lab a person resets the controller
-    record_rollouts: bool
-    service_timeout: Timeout  # [s of wall time]
-    rollout_timeout: Timeout  # [s of wall time]
-    patience: (
-        Timeout  # for the arm to reach its start, and for a reset of the body [s of wall time]
-    )
     rating: float = Field(gt=0.0, le=RATING_MAX)  # size of a reward or a punishment [return]
     unusable_max: int = Field(
         ge=1, le=1000, description="rollouts in a row; after fewer, a person must check the arm"
@@ -148,10 +140,8 @@ class Learner(Node):
         self._kind = self._task_type()
         self._demonstrations = Demonstrations(self._kind, self._arm, params.joint_names, log)
         self._link = Link(self, params.service_timeout)
-        settings = RolloutSettings.of(params.model_dump())
-        names = params.joint_names
-        self._rollouts = Rollouts(self._link, settings, self._kind.body, names)
-        self._markers = Markers(self, params.base_frame, self._kind.body, self._arm.region)
+        self._rollouts = Rollouts(self._link, params, self._kind.body, params.joint_names)
+        self._markers = Markers(self, params.base_frame, self._arm.region)
         self._diagnostics = Diagnostics(self, "session", self._kind.body)
         self.create_timer(1.0, self._report, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -246,7 +236,7 @@ class Learner(Node):
                 number += 1
             read = self._demonstrations.read(bag)
             name = f"demonstration-{number}"
-            policy = self._demonstrations.fit([read], bag, name, practice.settings)
+            policy = self._demonstrations.fit(read, bag, name, practice.settings)
             return practice.add_demonstration(policy, bag, clock={"at": time.time()})
 
         return self._append(response, make)
@@ -279,11 +269,7 @@ class Learner(Node):
         )
 
     def _compare(self) -> None:
-        """Ask the controller for its parameters: policies are planned with them.
-
-        Raises:
-            SessionFailed: It has others than this node knows.
-        """
+        """Ask the controller for its parameters: policies are planned with them."""
         known = self._arm.parameters
         values = self._link.parameters(CONTROLLER, list(known), COMPARE_TIMEOUT)
         if not values:  # renamed, or secured
@@ -400,11 +386,7 @@ class Learner(Node):
         return session, practice
 
     def _for_goal(self, origin: FilePath) -> tuple[dict[str, Any], Policy]:
-        """Context with the goal of the parameters, and the policy predicted for it from a session.
-
-        Raises:
-            ValueError: The goal is not one of its task, or nothing can be predicted.
-        """
+        """Context with the goal of the parameters, and the policy predicted for it."""
         goal = plain_json.parse(self.params.goal, "goal")
         known = read(origin)
         settings, of = known.header.settings, (known.task, known.policies, known.records)
@@ -449,7 +431,6 @@ class Learner(Node):
             return ended
         finally:
             self._awaits_rating = False
-        self._markers.executed(executed.rollout.tool.position)
         return executed
 
 

@@ -64,7 +64,6 @@ class MotionRequests:
         """Begin a movement, or say why not.
 
         Args:
-            id: Id of the request.
             do: "move_to_start" or "execute" a policy, or "replay" a movement.
             about: The policy or the movement.
             asked_ns: Wall time at which it was sent, or received if that is not known [ns].

@@ -46,7 +46,6 @@ class Preparation:
         pid: Id of the process started last.
 
     Args:
-        domain: DDS domain of the node.
         on_request: Called by `poll` with the id of a request, what to do, the policy or movement
             that it is about, when it was sent [ns], and the last stop that its sender knows.
         on_cancel: Called by `poll` with the id of a request that its sender cancels.

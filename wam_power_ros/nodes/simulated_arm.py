@@ -39,10 +39,7 @@ class SimulatedArm:
 
         Args:
             urdf: Path of the URDF, or a file of our share folder.
-            joint_names: Names of the joints in the URDF.
-            tool_frame: Frame of the tool in the URDF.
             controller: Files of the controller's parameters, later ones over earlier ones.
-            report: Receives a line per simulation.
 
         Raises:
             ValueError: A parameter is not valid.

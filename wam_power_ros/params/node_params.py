@@ -154,21 +154,13 @@ class Params(BaseModel):
 
     @classmethod
     def of_setup(cls: type[P], setup: overlay.Setup) -> P:
-        """Read the parameters of the node that `file` is named after from a set-up.
-
-        Raises:
-            ValueError: As for `of`.
-        """
+        """Read the parameters of the node that `file` is named after from a set-up."""
         node = Path(cls.file).stem
         return cls.of_values(node, setup[node])
 
     @classmethod
     def of_values(cls: type[P], owner: str, values: Mapping[str, object]) -> P:
-        """Check values read from YAML for a node; parameters that ROS itself defines are ignored.
-
-        Raises:
-            ValueError: As for `of`.
-        """
+        """Check values from YAML for a node; parameters that ROS itself defines are ignored."""
         own = {
             name: value
             for name, value in values.items()

@@ -32,6 +32,8 @@ NODES = (
     "demonstration_recorder",
     "pancake_tracker",
     "tag_camera",
+    "franka_driver",
+    "natnet_client",
     "learner",
     "wam_sim",
     "optitrack_sim",
@@ -40,6 +42,7 @@ STAND_INS = ("wam_sim", "optitrack_sim")
 WITH_BODY = (
     "pancake_tracker",
     "tag_camera",
+    "natnet_client",
     "demonstration_recorder",
     "optitrack_sim",
 )  # that of the task
@@ -275,10 +278,9 @@ def _own() -> Parameters:
     return {node: _read(share(f"config/{node}.yaml"))[node] for node in NODES}
 
 
-def text(setup: Setup, namespace: str = "") -> str:
-    """Text of one parameter file for all nodes of a namespace such as `/left`; of any if empty."""
-    above = namespace or "/**"
-    nodes = {f"{above}/{node}": {"ros__parameters": values} for node, values in setup.items()}
+def text(setup: Setup) -> str:
+    """Text of one parameter file for all nodes, in any namespace."""
+    nodes = {f"/**/{node}": {"ros__parameters": values} for node, values in setup.items()}
     return yaml.dump(nodes, Dumper=_Plain, sort_keys=False, width=1000)
 
 
@@ -409,6 +411,10 @@ def _derived(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Parameters:
         },
         "pancake_tracker": {"base_frame": arm["base_frame"]},
         "tag_camera": {"body": mocap["body"]},
+        "franka_driver": {
+            name: arm[name] for name in ("joint_names", "state_topic", "command_topic", "period")
+        },
+        "natnet_client": {"body": mocap["body"], "frame": mocap["mocap_frame"]},
         "learner": {name: arm[name] for name in model},
         "wam_sim": {
             **{name: arm[name] for name in (*model, *driver, *world)},

@@ -129,18 +129,6 @@ def of_nodes(file: Path, namespace: str = "") -> dict[str, dict[str, Any]]:
     return found
 
 
-def namespace(file: Path) -> str:
-    """Namespace of the nodes in a file, such as `/left`; empty for none, several, or no file.
-
-    Raises:
-        ValueError: As for `read`.
-    """
-    if not file.is_file():
-        return ""
-    namespaces = {path.rpartition("/")[0] for path in read(file)} - {"", "/**"}
-    return namespaces.pop() if len(namespaces) == 1 else ""
-
-
 def comments(file: Path) -> dict[str, str]:
     """Comments by parameter in a file of config/: beside the value, and in the lines below it."""
     found: dict[str, str] = {}

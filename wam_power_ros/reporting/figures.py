@@ -169,7 +169,6 @@ def joints(
 
     Args:
         movements: Name -> times [s] (N,) and smooth joint angles [rad] (N, n).
-        joint_names: Names of the joints.
         limits: Limits of the arm, drawn dashed if within view; None if unknown.
     """
     count = len(joint_names)
@@ -202,7 +201,6 @@ def save_film(frames: Sequence[np.ndarray], path: Path, rate: float) -> None:
 
     Args:
         frames: RGB images. Shapes (h, w, 3), uint8.
-        path: File to write.
         rate: Frames per second.
 
     Raises:

@@ -45,16 +45,11 @@ from wam_power_ros.tasks.task import Curve, Task
 
 @dataclass(frozen=True)
 class ShownRollout:
-    """A rollout of the session's policy, shown in detail.
-
-    Attributes:
-        caption: Outcome of the rollout.
-        film: Animated .webp image, None without a film.
-    """
+    """A rollout of the session's policy, shown in detail."""
 
     caption: str
     rollout: Rollout
-    film: bytes | None = None
+    film: bytes | None = None  # animated .webp image, None without a film
 
 
 def render(
@@ -91,9 +86,6 @@ def render(
 
 def write(folder: Path, shown: ShownRollout | None = None, why_no_film: str = "") -> Path:
     """Write `report.html` into a session folder.
-
-    Returns:
-        Path of the report.
 
     Raises:
         ValueError: There is no session, or it is malformed.

@@ -27,9 +27,6 @@ class Action:
         under_way: Ids of the goals that have not ended, oldest first.
 
     Args:
-        node: Node that offers it.
-        kind: Type of the action.
-        name: Name of the action.
         begin: Called with the id and the goal; returns the answer that ends it, or None if `finish`
             will be called. A ValueError that it raises refuses.
         cancel: Called with the id of a goal that its sender cancels; without it none can be.

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages of motion captures, cameras and trackers <-> pose of one body, or its markers.
+"""Messages of motion captures, cameras and trackers -> pose of one body, or its markers.
 
-`SOURCES` has a reader for each type that the parameter `message_type` may name, and what a
-stand-in publishes. Message packages are imported when they are used: no robot has all of them.
+`SOURCES` has a reader for each type that the parameter `message_type` may name. Message packages
+are imported when they are used: no robot has all of them.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import import_module
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from rclpy.node import Node
@@ -18,27 +18,13 @@ from rclpy.node import Node
 from wam_power_ros import rotations
 from wam_power_ros.params.body_tracker_params import BodyTrackerParams, missing_package
 from wam_power_ros.ros import interface, pose_messages
-from wam_power_ros.ros.pose_messages import MarkersReading, PoseReading, fill_pose
-from wam_power_ros.ros.stamps import sensor_stamp, time_message
+from wam_power_ros.ros.pose_messages import MarkersReading, PoseReading
+from wam_power_ros.ros.stamps import sensor_stamp
 from wam_power_ros.tracking.frame_tree import FrameTree
 
 TF_TYPE = "tf2_msgs/msg/TFMessage"
 Reading = PoseReading | MarkersReading
 Message: TypeAlias = Any  # of one of many types
-ELSEWHERE = (-1.0, 0.5, 0.2)  # [m] of the other bodies in what a stand-in sends
-
-
-class Source(NamedTuple):
-    """A type of message.
-
-    Attributes:
-        read: Reading of a message and the name or index of the body in it; None if /tf does not
-            have it this time. A ValueError names what is wrong.
-        fill: Puts a pose (position, quaternion xyzw) or markers of a body into a new message.
-    """
-
-    read: Callable[[Message, str], Reading | None]
-    fill: Callable[..., None]
 
 
 def message_class(name: str) -> type:
@@ -81,6 +67,10 @@ def _in_tf(message: Message, body: str) -> PoseReading | None:
     return None
 
 
+def _inner(message: Message, _: str) -> PoseReading:
+    return pose_messages.reading(message, message.pose.pose)
+
+
 def _points(message: Message, _: str) -> MarkersReading:
     places = [each.translation for each in message.markers]
     points = np.array([[it.x, it.y, it.z] for it in places]).reshape(-1, 3)
@@ -88,71 +78,22 @@ def _points(message: Message, _: str) -> MarkersReading:
     return MarkersReading(sensor_stamp(message), message.header.frame_id, points[finite])
 
 
-def _fill_transform(message: Message, body: str, *pose: np.ndarray) -> None:
-    message.child_frame_id, transform = body, message.transform
-    place, o = transform.translation, transform.rotation
-    place.x, place.y, place.z = map(float, pose[0])
-    o.x, o.y, o.z, o.w = map(float, pose[1])
-
-
-def _fill_tf(message: Message, body: str, *pose: np.ndarray) -> None:
-    each = message_class("geometry_msgs/msg/TransformStamped")()
-    _fill_transform(each, body, *pose)
-    message.transforms = [each]
-
-
-def _fill_array(message: Message, body: str, *pose: np.ndarray) -> None:
-    message.poses = [message_class("geometry_msgs/msg/Pose")() for _ in range(int(body) + 2)]
-    for each in message.poses:
-        fill_pose(each, ELSEWHERE, pose[1])
-    fill_pose(message.poses[int(body)], *pose)
-
-
-def _fill_named(
-    kind: str, items: str, name: str, message: Message, body: str, *pose: np.ndarray
-) -> None:
-    first, second = (message_class(kind)(**{name: each}) for each in ("another_body", body))
-    fill_pose(first.pose, ELSEWHERE, pose[1])
-    fill_pose(second.pose, *pose)
-    setattr(message, items, [first, second])
-
-
-def _fill_points(message: Message, _: str, points: np.ndarray) -> None:
-    message.markers = [message_class("mocap4r2_msgs/msg/Marker")() for _ in points]
-    for each, point in zip(message.markers, points.tolist(), strict=True):
-        each.translation.x, each.translation.y, each.translation.z = point
-
-
-_OF_POSE = Source(
-    lambda message, _: pose_messages.reading(message, message.pose),
-    lambda message, _, *pose: fill_pose(message.pose, *pose),
-)
-_OF_INNER_POSE = Source(
-    lambda message, _: pose_messages.reading(message, message.pose.pose),
-    lambda message, _, *pose: fill_pose(message.pose.pose, *pose),
-)
-SOURCES = {
-    "geometry_msgs/msg/PoseStamped": _OF_POSE,
-    "geometry_msgs/msg/PoseWithCovarianceStamped": _OF_INNER_POSE,
-    "nav_msgs/msg/Odometry": _OF_INNER_POSE,
-    "geometry_msgs/msg/TransformStamped": Source(
-        lambda message, _: pose_messages.transform(message), _fill_transform
+Read: TypeAlias = Callable[[Message, str], Reading | None]
+# Type of message -> reading of one and the name or index of the body in it; None if /tf does not
+# have it this time. A ValueError names what is wrong.
+SOURCES: dict[str, Read] = {
+    "geometry_msgs/msg/PoseStamped": lambda message, _: pose_messages.reading(
+        message, message.pose
     ),
-    "geometry_msgs/msg/PoseArray": Source(_in_array, _fill_array),
-    "motion_capture_tracking_interfaces/msg/NamedPoseArray": Source(
-        _in_named,
-        partial(_fill_named, "motion_capture_tracking_interfaces/msg/NamedPose", "poses", "name"),
-    ),
-    "mocap4r2_msgs/msg/RigidBodies": Source(
-        _in_bodies,
-        partial(_fill_named, "mocap4r2_msgs/msg/RigidBody", "rigidbodies", "rigid_body_name"),
-    ),
-    TF_TYPE: Source(_in_tf, _fill_tf),
-    "sensor_msgs/msg/PointCloud2": Source(
-        lambda message, _: pose_messages.markers(message),
-        lambda message, _, points: pose_messages.fill_markers(message, points),
-    ),
-    "mocap4r2_msgs/msg/Markers": Source(_points, _fill_points),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": _inner,
+    "nav_msgs/msg/Odometry": _inner,
+    "geometry_msgs/msg/TransformStamped": lambda message, _: pose_messages.transform(message),
+    "geometry_msgs/msg/PoseArray": _in_array,
+    "motion_capture_tracking_interfaces/msg/NamedPoseArray": _in_named,
+    "mocap4r2_msgs/msg/RigidBodies": _in_bodies,
+    TF_TYPE: _in_tf,
+    "sensor_msgs/msg/PointCloud2": lambda message, _: pose_messages.markers(message),
+    "mocap4r2_msgs/msg/Markers": _points,
 }
 
 
@@ -161,21 +102,11 @@ def bare(frame: str) -> str:
     return frame.lstrip("/")
 
 
-def message(name: str, stamp_ns: int, frame: str, body: str, *measured: np.ndarray) -> Message:
-    """Message of a type with the pose of a body, or markers, in a frame: of a stand-in."""
-    result = message_class(name)()
-    SOURCES[name].fill(result, body, *measured)
-    for each in result.transforms if name == TF_TYPE else [result]:
-        each.header.stamp, each.header.frame_id = time_message(stamp_ns), frame
-    return result
-
-
 class BodySource:
     """The topic of one body, or of markers: its messages as arrays in the mocap_frame.
 
     Attributes:
         topic: Topic, resolved.
-        kind: Class of its messages.
     """
 
     def __init__(self, node: Node, params: BodyTrackerParams) -> None:
@@ -186,7 +117,7 @@ class BodySource:
         """
         self.topic = node.resolve_topic_name(params.topic)
         self.kind = message_class(params.source_type)
-        self._read = SOURCES[params.source_type].read
+        self._read = SOURCES[params.source_type]
         self._node, self._body = node, params.source_body
         self._frame = bare(params.mocap_frame)
         self._tree: FrameTree | None = None

@@ -30,7 +30,6 @@ def unmatched_publishers(
     """Describe the publishers of a topic from which a subscription receives nothing.
 
     Args:
-        node: Node of the subscription.
         topic: Topic, relative or resolved.
         types: Full names of the expected message types; empty for any.
         qos: QoS of the subscription; None if it adapts to the publishers.

@@ -40,17 +40,11 @@ class VariableError(ValueError):
 
 
 class Profile(NamedTuple):
-    """How a version of Fast DDS gets its profile.
+    """How a version of Fast DDS gets its profile."""
 
-    Attributes:
-        variable: Environment variable with the path of a file.
-        here: File that is also read, in the working directory.
-        ours: File of the loopback interface alone; one word of it differs between the versions.
-    """
-
-    variable: str
-    here: str
-    ours: str
+    variable: str  # environment variable with the path of a file
+    here: str  # file that is also read, in the working directory
+    ours: str  # file of the loopback interface alone; one word of it differs between the versions
 
     @property
     def path(self) -> str:

@@ -203,7 +203,6 @@ def participant(
     """Make a node; its context is shut down at the end.
 
     Args:
-        make_node: Makes the node.
         domain: DDS domain; that of ROS_DOMAIN_ID by default.
         context: Context of the node; that of the process by default.
         on_loopback: Whether the node reaches this machine only, as a simulation does, even if the
@@ -231,7 +230,6 @@ def run_script(make_node: Callable[[], N], work: Callable[[N], int | None]) -> i
     """Run a script that needs a node, and whose main thread dispatches no callbacks.
 
     Args:
-        make_node: Makes the node.
         work: Does the work of the script; its result is the exit status, 0 if None.
 
     Returns:

@@ -103,20 +103,13 @@ def fill(response: Response, answer: Answer) -> Response:
 
 @dataclass(frozen=True)
 class Ended:
-    """End of a rollout.
-
-    Attributes:
-        start_ns: Stamp of the start [ns], which the paths have as theirs.
-        fault: Fault that ended it, None without one.
-        region: Name of the guarded region that ended it, "" if none did.
-        stop: Id of the stop by which a person ended it, "" if none did.
-    """
+    """End of a rollout."""
 
     policy_id: str
-    start_ns: int
-    fault: Fault | None
-    region: str = ""
-    stop: str = ""
+    start_ns: int  # stamp of the start [ns], which the paths have as theirs
+    fault: Fault | None  # fault that ended it, None without one
+    region: str = ""  # name of the guarded region that ended it, "" if none did
+    stop: str = ""  # id of the stop by which a person ended it, "" if none did
 
     def message(self) -> RolloutEnd:
         """Message that says this."""

@@ -131,26 +131,6 @@ def markers(message: PointCloud2) -> MarkersReading:
     return MarkersReading(sensor_stamp(message), message.header.frame_id, points[finite])
 
 
-def markers_message(stamp_ns: int, frame: str, points: np.ndarray) -> PointCloud2:
-    """Markers (m, 3) [m] as an unordered cloud of float32 x, y, z."""
-    message = PointCloud2()
-    message.header.stamp, message.header.frame_id = time_message(stamp_ns), frame
-    fill_markers(message, points)
-    return message
-
-
-def fill_markers(message: PointCloud2, points: np.ndarray) -> None:
-    """Set the points (m, 3) [m] of a cloud of float32 x, y, z."""
-    points = np.asarray(points, dtype="<f4").reshape(-1, 3)
-    message.height, message.width, message.is_dense = 1, len(points), True
-    message.point_step, message.row_step = 12, 12 * len(points)
-    message.fields = [
-        PointField(name=name, offset=4 * i, datatype=PointField.FLOAT32, count=1)
-        for i, name in enumerate("xyz")
-    ]
-    message.data = points.tobytes()
-
-
 class StateReading(NamedTuple):
     """State of a rigid body, in the frame of the pose."""
 

@@ -46,7 +46,6 @@ class RawTopics:
         """Subscribe to topics.
 
         Args:
-            node: Node of the subscriptions.
             topics: Expected message types by topic, none for any: that of the first publisher.
             on_message: Gets the resolved topic and the bytes of each message.
         """

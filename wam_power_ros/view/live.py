@@ -15,13 +15,12 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from nav_msgs.msg import Odometry, Path
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from wam_power_interfaces.msg import Policy as PolicyMessage
-from wam_power_ros.client.feedback import SERVICES, Feedback
+from wam_power_ros.client.feedback import SERVICES, Feedback, answered
 from wam_power_ros.client.link import DISCOVERY, Link
 from wam_power_ros.client.robot import Robot
 from wam_power_ros.learning import policy as policies
@@ -29,7 +28,7 @@ from wam_power_ros.learning.policy import Policy
 from wam_power_ros.params.resources import robot_description
 from wam_power_ros.ros import interface, pose_messages
 from wam_power_ros.ros.joint_messages import JointStateReader
-from wam_power_ros.ros.outcomes import Answer, Code, ServiceError
+from wam_power_ros.ros.outcomes import Answer
 
 APPEAR_TIMEOUT = 2.0  # [s of wall time] for the service of a button
 
@@ -42,7 +41,6 @@ class LiveState:
         q: Joint angles [rad], None before the first state. Shape (n,).
         receipt_time: Time of receipt of the newest joint state [s, steady clock].
         body: Position [m] and quaternion wxyz of the tracked body, None before the first state.
-        policy: Last published policy, None before the first.
         tool_path: Path of the tool in the last finished rollout [m]. Shape (T, 3).
         diagnostics: Node -> level and summary of its last diagnostics.
     """
@@ -60,12 +58,11 @@ class View(Node):
 
     Attributes:
         urdf: Text of the arm's URDF, "" until it is received.
-        model_joint_names: Names of the joints in the URDF.
         base_frame: Link in whose frame the body is.
     """
 
-    def __init__(self, controller: Mapping[str, Any], body: str, namespace: str = "") -> None:
-        super().__init__("view", namespace=namespace)
+    def __init__(self, controller: Mapping[str, Any], body: str) -> None:
+        super().__init__("view")
         self.state = LiveState()
         self.urdf = robot_description(controller["urdf"]) if controller["urdf"] else ""
         self._reader = JointStateReader(controller["joint_names"])
@@ -107,29 +104,20 @@ class View(Node):
 
     def give(self, kind: str, value: float | None = None) -> Answer:
         """Give feedback, see `Feedback.give`; the answer says why if it could not be given."""
-        return self._answered(lambda: self._feedback.give(kind, value=value))
+        return answered(lambda: self._feedback.give(kind, value=value))
 
     def teach(self, lead: Callable[[], object], notify: Callable[[str], object]) -> Answer:
         """Add a demonstration to the session, see `Feedback.teach`.
 
         Args:
             lead: Returns when the person has finished; not called if the stand-in demonstrates.
-            notify: Called with each progress message.
         """
 
         def teach() -> Answer:
             simulated = self.link.until(lambda: self._scene.offered, timeout=2.0 * DISCOVERY)
             return self._feedback.teach(self._robot, None if simulated else lead, notify)
 
-        return self._answered(teach)
-
-    def _answered(self, work: Callable[[], Answer]) -> Answer:
-        try:
-            return work()
-        except ServiceError as error:
-            return error.answer or Answer(Code.NOT_ACTIVE, str(error))
-        except ExternalShutdownException:
-            return Answer(Code.NOT_ACTIVE, "the session has ended")
+        return answered(teach)
 
     # Subscriptions
 

@@ -129,7 +129,6 @@ class Page:
         Args:
             name: Group and name, such as "executed/trail".
             points: Points of the path [m]; fewer than two draw nothing. Shape (T, 3).
-            rgb: Colour.
             thickness: Thickness [m].
         """
         if len(points) < 2:
@@ -179,9 +178,7 @@ class Page:
         """Add a panel of buttons with a note below them; returns the buttons by label.
 
         Args:
-            folder: Title of the panel.
             buttons: Label -> colour, hint and function that a thread calls on a click.
-            note: Markdown.
         """
         handles = {}
         with self.server.gui.add_folder(folder):

@@ -24,7 +24,6 @@ class Player:
         movement: Shown movement, None if there is none or the arm is live.
 
     Args:
-        page: Page to draw on.
         read: Reads a movement by its name; the page shows its `ValueError` or `OSError`.
     """
 

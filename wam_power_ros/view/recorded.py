@@ -26,24 +26,15 @@ BODY_LEAD_MAX = 0.05  # [s] before the first joint state; earlier body states ar
 
 @dataclass(frozen=True, eq=False)
 class Movement:
-    """A recorded movement.
-
-    Attributes:
-        urdf: Text of the arm's URDF.
-        t: Time since the first state [s], strictly increasing. Shape (T,).
-        q: Joint angles [rad]. Shape (T, n).
-        body: Name of the tracked body, "" for none.
-        body_states: Time [s], position [m] and quaternion wxyz of the body. Shape (M, 8).
-        policy: Executed policy, None for a demonstration.
-    """
+    """A recorded movement."""
 
     urdf: str
     joint_names: tuple[str, ...]
-    t: np.ndarray
-    q: np.ndarray
+    t: np.ndarray  # time since the first state [s], strictly increasing (T,)
+    q: np.ndarray  # joint angles [rad] (T, n)
     body: str
-    body_states: np.ndarray
-    policy: Policy | None
+    body_states: np.ndarray  # time [s], position [m] and quaternion wxyz of the body (M, 8)
+    policy: Policy | None  # executed policy, None for a demonstration
 
     @property
     def duration(self) -> float:

@@ -22,7 +22,6 @@ class Skeleton:
         shapes: Shapes of the links, each fixed to the frame `parentJoint`. Meshes are left out.
 
     Args:
-        urdf: Text of the URDF.
         joint_names: Moving joints; all joints that are not fixed if omitted.
         base_frame: Link whose frame all poses are in; the root if empty.
 

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from wam_power_ros.params import parameter_file
 from wam_power_ros.ros.node_runner import participant
 from wam_power_ros.view import recorded
 from wam_power_ros.view.guarded_server import GuardedServer
@@ -53,8 +52,6 @@ def of_session(
     """Show a session, its rollouts and its learning curve until interrupted.
 
     Args:
-        server: An open server.
-        folder: Folder of the session.
         ready: Called when the page can be opened.
         domain_of: Returns the DDS domain of a session in simulation by its folder; None on an arm.
 
@@ -69,8 +66,7 @@ def of_session(
             _draw_until(server, page.tick, PLAYBACK_PERIOD, lambda: running(folder))
         setup = parameters(folder)
         body = setup["pancake_tracker"]["body"]
-        namespace = parameter_file.namespace(folder / "logs/parameters.yaml")
-        make = partial(View, setup["torque_controller"], body, namespace)
+        make = partial(View, setup["torque_controller"], body)
         domain = domain_of(folder)
         with participant(make, domain, on_loopback=domain is not None) as node, node.link:
             server.draw(partial(page.connect, node))

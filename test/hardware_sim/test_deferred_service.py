@@ -6,7 +6,7 @@ from __future__ import annotations
 from conftest import Probe
 from std_srvs.srv import Trigger
 
-from wam_power_ros.ros.deferred_service import DeferredTrigger
+from hardware_sim.deferred_service import DeferredTrigger
 
 
 def test_every_request_is_answered_when_it_is_finished_and_not_before(probe: Probe) -> None:
