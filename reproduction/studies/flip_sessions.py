@@ -26,7 +26,7 @@ from reproduction.studies.habits import HABITS
 from wam_power_ros import rotations
 from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.learning.demonstration import Demonstration, from_joint_samples
-from wam_power_ros.learning.dmp import FitSettings, activations, fit
+from wam_power_ros.learning.dmp import activations, fit
 from wam_power_ros.learning.policy import Policy, with_id
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session_log import Record
@@ -98,11 +98,11 @@ def teach(
     habit: str = "",
 ) -> list[Policy]:
     """Fit a policy to each demonstration of a small series, see `demonstrate`."""
-    return _fitted(demonstrate(environment, seed, count, pitch_rate, habit), FLIP_FIT)
+    return _fitted(demonstrate(environment, seed, count, pitch_rate, habit))
 
 
-def _fitted(shown: Sequence[Demonstration], how: FitSettings) -> list[Policy]:
-    return [fit([each], how, f"demonstration-{k + 1}") for k, each in enumerate(shown)]
+def _fitted(shown: Sequence[Demonstration]) -> list[Policy]:
+    return [fit([each], FLIP_FIT, f"demonstration-{k + 1}") for k, each in enumerate(shown)]
 
 
 def demonstrate(
@@ -155,9 +155,7 @@ def session(
     shown = demonstrate(environment, seed, demonstrations, pitch_rate, habit)
     settings = preset("flip", name, **(changes or {}))
     context = Flip.context_of(shown, None)
-    practice = Practice(
-        settings, context, _fitted(shown, settings.task_settings.fit_settings), seed, environment
-    )
+    practice = Practice(settings, context, _fitted(shown), seed, environment)
     records, best = [*environment.practise(practice)], practice.best
     trials = [record for record in records if record.kind != "retest"]
     parameters = practice.parametrization

@@ -43,7 +43,7 @@ def test_a_rollout_of_one_seed_and_id_repeats_bit_for_bit_whatever_was_before(to
     assert one_truth["tossed"]
 
 
-@pytest.mark.parametrize(("seed", "caught", "by"), [(27, True, "none"), (22, False, "person")])
+@pytest.mark.parametrize(("seed", "caught", "by"), [(22, True, "none"), (21, False, "person")])
 def test_a_caught_pancake_needs_nobody_before_the_next_toss_and_a_dropped_one_a_person(
     seed: int, caught: bool, by: str
 ) -> None:

@@ -22,7 +22,7 @@ from wam_power_ros.learning.dmp import (
     tabulate,
 )
 from wam_power_ros.learning.policy import Basis, Policy, from_json, to_json
-from wam_power_ros.tasks.flip.settings import PAPER_FIT
+from wam_power_ros.tasks.flip.settings import FLIP_FIT
 from wam_power_ros.tasks.reach.settings import REACH_FIT
 
 DT = 0.002
@@ -88,7 +88,7 @@ def linear_acceleration(
 
 
 def test_tabulated_acceleration_is_equation_1() -> None:
-    policy = fit([toss()], PAPER_FIT, "p")
+    policy = fit([toss()], FLIP_FIT, "p")
     tables = tabulate(policy)
     rng = np.random.default_rng(0)
     for k in (0, 17, len(tables.b) - 1, len(tables.b) + 50):
@@ -107,7 +107,7 @@ def test_tabulated_acceleration_is_equation_1() -> None:
 
 
 def test_the_last_row_holds_for_ever() -> None:
-    tables = tabulate(fit([toss()], PAPER_FIT, "p"))
+    tables = tabulate(fit([toss()], FLIP_FIT, "p"))
     assert len(tables.b) == 426
     state = np.ones(3), np.ones(3), np.zeros(6)
     end = dmp.acceleration(tables, len(tables.b) - 1, *state)
@@ -117,11 +117,11 @@ def test_the_last_row_holds_for_ever() -> None:
 
 def test_tables_cannot_be_written() -> None:
     with pytest.raises(ValueError, match="read-only"):
-        tabulate(fit([toss()], PAPER_FIT, "p")).a[0, 0, 0] = 1.0
+        tabulate(fit([toss()], FLIP_FIT, "p")).a[0, 0, 0] = 1.0
 
 
 def test_many_reproductions_are_the_acceleration_integrated_velocity_first() -> None:
-    policies = [fit([toss(seed=seed)], PAPER_FIT, "p") for seed in range(5)]
+    policies = [fit([toss(seed=seed)], FLIP_FIT, "p") for seed in range(5)]
     policies = [replace(policy, basis=policies[0].basis) for policy in policies]
     x0, xd0 = np.array([0.7, 0.0, 0.9]), np.array([0.1, 0.0, -0.2])
     paths, speeds = reproduce_many(
@@ -150,7 +150,7 @@ def test_a_movement_made_by_equation_1_gives_back_its_attractors(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(dmp, "HOLD_TIME", 0.0)  # it does not end at rest
-    truth = fit([toss()], PAPER_FIT, "p")
+    truth = fit([toss()], FLIP_FIT, "p")
     x, _ = reproduced(truth, np.array([0.7, 0.0, 0.9]))
     made = replace(toss(len(x)), position=x)
     found = dmp._fitted_attractors(truth.basis, truth.stiffness, truth.damping, [made])
@@ -186,7 +186,7 @@ def test_a_movement_in_half_the_time_is_reproduced_as_well() -> None:
             acceleration=demonstration.acceleration * faster**2,
             period=demonstration.period / faster,
         )
-        policy = fit([quick], PAPER_FIT, "p")
+        policy = fit([quick], FLIP_FIT, "p")
         x, _ = reproduced(policy, quick.position[0])
         grid = np.linspace(0.0, quick.duration, len(x))
         there = [np.interp(grid, quick.t, column) for column in quick.position.T]
@@ -196,7 +196,7 @@ def test_a_movement_in_half_the_time_is_reproduced_as_well() -> None:
 
 def test_the_toss_is_reproduced_to_millimetres_and_a_degree() -> None:
     demonstration = toss()
-    policy = fit([demonstration], PAPER_FIT, "p")
+    policy = fit([demonstration], FLIP_FIT, "p")
     tables = tabulate(policy)
     x, _ = reproduced(policy, demonstration.position[0], demonstration.velocity[0])
     assert rmse(x, demonstration.position) < 0.005
@@ -245,7 +245,7 @@ def test_solving_the_attractors_again_beats_the_plain_method() -> None:
 
 @pytest.mark.parametrize("refit", [True, False])
 def test_coordination_matrices_are_symmetric_with_eigenvalues_in_the_range(refit: bool) -> None:
-    policy = fit([toss()], replace(PAPER_FIT, refit=refit), "p")
+    policy = fit([toss()], replace(FLIP_FIT, refit=refit), "p")
     assert np.array_equal(policy.stiffness, np.swapaxes(policy.stiffness, 1, 2))
     values = np.linalg.eigvalsh(policy.stiffness)
     assert values.min() == pytest.approx(150.0)
@@ -254,7 +254,7 @@ def test_coordination_matrices_are_symmetric_with_eigenvalues_in_the_range(refit
 
 def test_the_stiffness_is_the_rescaled_inverse_of_the_residuals_covariance() -> None:
     demonstration = toss()
-    policy = fit([demonstration], replace(PAPER_FIT, refit=False), "p")
+    policy = fit([demonstration], replace(FLIP_FIT, refit=False), "p")
     h = activations(policy.basis, demonstration.t)
     d = demonstration
     y = d.acceleration / 325.0 + d.velocity * 32.0 / 325.0 + d.position
@@ -298,7 +298,7 @@ TILTED = rotations.exp([0.3, -0.5, 0.2])
 def test_an_axis_that_does_not_move_has_the_mean_stiffness_and_leaves_the_range_to_the_others(
     still: list[list[float]], moving: list[list[float]]
 ) -> None:
-    policy = fit([along(toss(), *moving)], PAPER_FIT, "p")
+    policy = fit([along(toss(), *moving)], FLIP_FIT, "p")
     for axis in still:
         expected = np.tile(math.sqrt(150.0 * 500.0) * np.array(axis), (8, 1))
         assert policy.stiffness @ axis == pytest.approx(expected, abs=2.0)  # no coupling either
@@ -331,8 +331,8 @@ def test_the_same_movement_at_two_speeds_is_fitted_as_one_of_the_mean_speed() ->
             period=demonstration.period * factor,
         )
 
-    both = fit([demonstration, slower(1.4)], PAPER_FIT, "p")
-    mean = fit([slower(1.2)], PAPER_FIT, "p")
+    both = fit([demonstration, slower(1.4)], FLIP_FIT, "p")
+    mean = fit([slower(1.2)], FLIP_FIT, "p")
     assert both.basis.duration == pytest.approx(mean.basis.duration)
     assert both.attractors == pytest.approx(mean.attractors, abs=1e-6)
     assert both.rotation_attractors == pytest.approx(mean.rotation_attractors, abs=1e-6)
@@ -350,7 +350,7 @@ def test_angular_velocity_is_that_of_the_turning_matrix() -> None:
 
 def test_the_plain_attractors_are_those_of_the_mean_stiffness() -> None:
     demonstration = toss()
-    policy = fit([demonstration], replace(PAPER_FIT, refit=False), "p")
+    policy = fit([demonstration], replace(FLIP_FIT, refit=False), "p")
     h = activations(policy.basis, demonstration.t)
     y = (
         demonstration.acceleration / 325.0
@@ -369,14 +369,14 @@ def test_the_directions_of_the_stiffness_follow_a_turned_demonstration() -> None
         velocity=demonstration.velocity @ matrix.T,
         acceleration=demonstration.acceleration @ matrix.T,
     )
-    one, two = fit([demonstration], PAPER_FIT, "p"), fit([turned], PAPER_FIT, "p")
+    one, two = fit([demonstration], FLIP_FIT, "p"), fit([turned], FLIP_FIT, "p")
     assert two.stiffness == pytest.approx(matrix @ one.stiffness @ matrix.T, abs=1e-6)
     assert two.attractors == pytest.approx(one.attractors @ matrix.T, abs=1e-9)
 
 
 def test_demonstrations_of_different_length_share_one_duration() -> None:
     demonstrations = [toss(n) for n in (400, 426, 452)]
-    policy = fit(demonstrations, PAPER_FIT, "p")
+    policy = fit(demonstrations, FLIP_FIT, "p")
     assert policy.basis.duration == pytest.approx(425 * DT)
     x, _ = reproduced(policy, demonstrations[1].position[0])
     assert rmse(x, demonstrations[1].position) < 0.01
@@ -388,7 +388,7 @@ def test_start_and_orientation_reference_are_those_of_the_first_demonstration() 
     quat = rotations.multiply(np.broadcast_to(turn, (400, 4)), other.quat_xyzw)
     moving = first.q + np.outer(first.t, np.ones(7))
     other = replace(other, q=other.q + 0.5, quat_xyzw=quat)
-    policy = fit([replace(first, q=moving), other], PAPER_FIT, "p")
+    policy = fit([replace(first, q=moving), other], FLIP_FIT, "p")
     assert np.array_equal(policy.q_start, moving[0])
     assert np.array_equal(policy.orientation_reference, first.quat_xyzw[0])
 
@@ -403,13 +403,13 @@ def test_angular_accelerations_are_those_of_the_turning_up_to_both_ends() -> Non
 
 
 def test_a_demonstration_that_never_moves_still_gives_a_valid_policy() -> None:
-    policy = fit([from_positions(np.tile([0.7, 0.0, 0.9], (100, 1)), DT)], PAPER_FIT, "p")
+    policy = fit([from_positions(np.tile([0.7, 0.0, 0.9], (100, 1)), DT)], FLIP_FIT, "p")
     assert policy.attractors == pytest.approx(np.tile([0.7, 0.0, 0.9], (8, 1)), abs=1e-9)
 
 
 def test_a_fitted_policy_survives_its_text_and_starts_where_the_demonstration_did() -> None:
     demonstration = toss()
-    policy = fit([demonstration], PAPER_FIT, "trial-0000")
+    policy = fit([demonstration], FLIP_FIT, "trial-0000")
     assert to_json(from_json(to_json(policy))) == to_json(policy)
     assert np.array_equal(policy.q_start, demonstration.q[0])
     assert np.array_equal(policy.orientation_reference, demonstration.quat_xyzw[0])
@@ -452,15 +452,15 @@ def test_clipping_moves_a_symmetric_matrix_no_farther_than_it_must() -> None:
 )
 def test_senseless_settings_are_refused(change: dict[str, float], words: str) -> None:
     with pytest.raises(ValueError, match=words):
-        replace(PAPER_FIT, **change)
+        replace(FLIP_FIT, **change)
 
 
 def test_no_demonstration_or_too_short_a_one_is_refused() -> None:
     with pytest.raises(ValueError, match="no demonstration"):
-        fit([], PAPER_FIT, "p")
+        fit([], FLIP_FIT, "p")
     with pytest.raises(ValueError, match="samples"):
         fit([from_positions(np.zeros((10, 3)), DT)], FitSettings(8, 0.5, 150, 500, 32), "p")
     with pytest.raises(ValueError, match="k_min"):
         positive_definite(np.eye(3)[None], 0.0)
     with pytest.raises(ValueError, match="dt"):
-        tabulate(fit([toss()], PAPER_FIT, "p"), 0.0)
+        tabulate(fit([toss()], FLIP_FIT, "p"), 0.0)

@@ -97,8 +97,6 @@ def test_a_movement_is_simulated_once_whatever_its_id(
     monkeypatch.setattr(arm, "_report", reports.append)
     monkeypatch.setattr(arm, "_verdicts", {})
     for number in (1, 2):
-        policy = demonstrations.fit(
-            demonstrations.read(BAG), BAG, f"demonstration-{number}", SETTINGS
-        )
+        policy = demonstrations.fit(demonstrations.read(BAG), BAG, f"demonstration-{number}")
         arm.infeasible(policy)
     assert len(reports) == 1

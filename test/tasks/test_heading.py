@@ -169,6 +169,7 @@ def test_a_toss_with_the_arm_turned_at_its_base_is_learnt(joint_1: float) -> Non
     home = [math.radians(joint_1), *scene_type("flip")(WorldSettings()).home[1:]]
     own = {**grounds.arguments("novice"), "condition": {"home": home}}
     found = flip_sessions.session(5, "model_based", changes={"budget": 20, "retests": 5}, **own)
+    assert found["confirmed"]
     assert sum(each["true_flip"] for each in found["retests"]) >= 4
 
 

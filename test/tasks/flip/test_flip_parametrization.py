@@ -124,12 +124,6 @@ def test_only_the_planar_variant_has_a_tempo_and_parameters_of_its_own() -> None
     assert to_json(unchanged) == to_json(policy)
 
 
-@pytest.mark.parametrize("count", [8, 16, 24])
-def test_a_catch_is_the_same_part_of_a_movement_of_any_number_of_springs(count: int) -> None:
-    p = flip_parametrization(demonstrated_policy(count=count), "planar", NOISE)
-    z, index = np.zeros(p.size), p.groups["catch_shift"]
-    z[index] = 1.0 / p.scale[index]
-    moved = (p.policy(z, "moved")[0].attractors - p.policy0.attractors)[:, 0]
-    place = np.linspace(0.0, 1.0, count)
-    assert (moved[place <= 0.57] == 0.0).all() and moved[place >= 0.86] == pytest.approx(1.0)
-    assert np.diff(moved).min() > -1e-9 and 0.0 < moved[place < 0.8].max() < 1.0
+def test_a_policy_with_too_few_attractors_for_a_catch_shift_is_refused() -> None:
+    with pytest.raises(ValueError, match="shifts the last 3 attractors, policy 'flick-1' has 2"):
+        flip_parametrization(demonstrated_policy(count=2), "planar", NOISE)
