@@ -71,9 +71,8 @@ def test_nodes_get_their_parameters_whatever_characters_are_in_them(
 def test_a_driver_of_ours_is_started_on_the_arm_whose_address_is_known(
     names: list[str], simulate: bool, first: str, tmp_path: Path
 ) -> None:
-    plan = plan_of(tmp_path, Devices(names, simulate).parameters(), stand_ins=simulate)
-    assert plan.processes[0].name == first
-    assert len(plan.processes) == 2 + (first != "torque_controller")
+    nodes = Plan(tmp_path, Devices(names, simulate).parameters(), stand_ins=simulate).nodes
+    assert nodes[0] == first and len(nodes) == 2 + (first != "torque_controller")
 
 
 def test_a_franka_with_another_number_of_joints_is_refused(tmp_path: Path) -> None:
