@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from wam_power_ros import installed
-from wam_power_ros.cli.launcher import UsageError, pasteable, short_path
+from wam_power_ros.cli.launcher import UsageError, short_path
 from wam_power_ros.cli.parser import add_command
 from wam_power_ros.cli.session_options import SESSIONS
 from wam_power_ros.durable_files import printable
@@ -44,7 +44,7 @@ def sessions(folder: Sequence[Path]) -> None:
         try:
             rows.append(_facts(read(path)))
         except (ValueError, OSError) as error:
-            why = pasteable(str(error).removeprefix(f"{path}: "))
+            why = str(error).removeprefix(f"{path}: ")
             rows.append({"session": printable(path), "outcome": f"cannot be read: {why}"})
     whole = [row for row in rows if "begun" in row]  # a long reason moves no column
     widths = {key: max(len(row[key]) for row in whole) for key in LINE}
