@@ -10,8 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from itertools import product
-from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import ndtri
@@ -27,6 +26,15 @@ SCATTERS = (0.7, 1.0, 1.4, 2.0)  # true one, relative to that which the task sta
 PLACES = {f"{m}, scatter {s}": (m, s) for m, s in product(MARGINS, SCATTERS)}
 RULES = {"margins": "successes and margins", "counting": "successes", "test": "successes"}
 HELD_OUT = range(100)  # seeds not used for tuning
+
+
+class Drawn(NamedTuple):
+    """What a stopping rule reads of a record."""
+
+    success: bool
+    margins: tuple[float, ...]
+    z: list[float]
+    kind: str = "mean"
 
 
 def session(seed: int, rule: str, margins: str, scatter: float) -> dict[str, Any]:
@@ -47,8 +55,7 @@ def by_margins(rows: np.ndarray) -> int | None:
     settings = PracticeSettings(budget=BUDGET, confirm=COUNT)
     rule = StoppingRule(settings, lambda record: record.margins, [1.0] * rows.shape[1])
     for number, row in enumerate(rows, start=1):
-        success = bool(row.min() > 0.0)
-        rule.add(SimpleNamespace(kind="mean", success=success, z=[0.0], margins=tuple(row)))
+        rule.add(Drawn(bool(row.min() > 0.0), tuple(row), [0.0]))
         if rule.complete:
             return number
     return None
