@@ -107,7 +107,7 @@ BUDGET = {
     "commissioning": 1502,  # +165: a set-up proposed from a URDF; +116: its report, from cli/
     "tracking": 764,
     "tasks": 3526,  # what follows from errors and heading of any task, once
-    "practice": 2344,  # +46: candidates are fitted here, for the nodes and for one process
+    "practice": 2357,  # +46: candidates are fitted here, for the nodes and for one process
     "conformance": 1151,  # +25: effort without gravity
     "bags": 2633,  # +246: sets of LeRobot, written and read
     "params": 1399,  # what may be set at rest; -p body:=NAME is derived from; NatNet, FR3

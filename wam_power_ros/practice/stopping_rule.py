@@ -2,34 +2,42 @@
 """Stopping rule: how many successes of one mean, and how clear ones, end a session.
 
 A number of successes in a row shows, with a confidence of 95 %, that a further rollout succeeds
-with at least some probability: 10 of 10 one of 0.74, 29 of 29 one of 0.9. Margins show the same
-with fewer. The model: the margins of one mean are normally distributed, and a rollout may also fail
-for a reason that no margin has. A one-sided tolerance interval [Odeh1980] bounds the share of the
-rollouts that are inside a limit.
-
-What is known before a row counts as `BEFORE` observations: the scatter that the task states, and
-how often runs of earlier means failed without such a reason.
-
-The interval is looked at after each success. Look l of a session may be wrong with a probability
-of 5 % / l (l + 1); together these are 5 %, however often and at however many means one looks.
+with at least some probability: 10 of 10 one of 0.74, 29 of 29 one of 0.9. A row is run once for a
+mean and ends with its first failure, so the number is exact however often one looks. Margins show
+the same with fewer rollouts: if they are normally distributed, a one-sided tolerance interval
+bounds the share of rollouts that are inside a limit. Their standard deviation is that of the row,
+weighed against the one which the task expects, if it does. The interval is looked at after every
+success, and only while there is no failure, which selects rows that look better than they are.
+Hence a single look must show more (`LOOK_CONFIDENCE`).
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Sequence
 from functools import cache
 
 import numpy as np
-from scipy.special import nctdtrit, ndtr, ndtri
+from scipy.special import nctdtrit, ndtri
 
 from wam_power_ros.practice.session_log import Record
 from wam_power_ros.practice.settings import PracticeSettings
 from wam_power_ros.tasks.task import LoggedRollout
 
 CONFIDENCE = 0.95
-BEFORE = 4  # observations that count as known before a row: few, as the scatter of worlds differs
-ROW_MIN = 3  # successes in a row: fewer convince nobody
+LOOK_CONFIDENCE = 0.995  # of a single look at one margin
+# Successes before margins count. They do not show what fails now and then for another reason, like
+# a body that lay elsewhere. Hence one more for each row that a failure has ended, and two for each
+# of the latest runs of a mean that failed although all its margins were positive.
+ROW_MIN = 5
+UNEXPLAINED = 2
+RECENT = 12  # runs of a mean
+EXPECTED = 4  # observations that the expected standard deviation of a margin counts as
+# A row ends when its margins would need more further successes than clear ones of another mean, and
+# this many rollouts to find it; this many more for each row that has ended so, because the arm may
+# not be able to do better.
+SEARCH = 3
 
 
 def rate_shown(count: int) -> float:
@@ -38,14 +46,14 @@ def rate_shown(count: int) -> float:
 
 
 @cache
-def tolerance_factor(count: int, freedom: int, rate: float, look: int) -> float:
+def tolerance_factor(count: int, freedom: int, rate: float) -> float:
     """Mean margin, in standard deviations, that shows a share of positive margins.
 
     They are `count` independent, normally distributed margins, whose standard deviation has
-    `freedom` >= 1 degrees of freedom; `rate` < 1 is to be shown at a look, counted from 1.
+    `freedom` >= 1 degrees of freedom; `rate` is to be shown with `LOOK_CONFIDENCE`.
     """
-    root, confidence = math.sqrt(count), 1.0 - (1.0 - CONFIDENCE) / (look * (look + 1))
-    return float(nctdtrit(freedom, root * ndtri(rate), confidence)) / root
+    root = math.sqrt(count)
+    return float(nctdtrit(freedom, root * ndtri(rate), LOOK_CONFIDENCE)) / root
 
 
 class StoppingRule:
@@ -67,10 +75,12 @@ class StoppingRule:
         scatter: Sequence[float] = (),
     ) -> None:
         self._settings = settings
+        self._scatter = scatter
         self._margins_of = margins
         self._margins: list[Sequence[float]] = []  # one row for each success
-        self._scatter = scatter
-        self._runs = self._looks = self._unexplained = self._long = 0  # in the session
+        self._failed = 0  # rows that a failure has ended
+        self._long = 0  # rows that have ended because they would have been long
+        self._unexplained: deque[bool] = deque(maxlen=RECENT)  # failures that no margin explains
         self.z: np.ndarray | None = None
         self.complete = ""
         self.mean_is_due = False
@@ -97,16 +107,17 @@ class StoppingRule:
             self._end()
 
     def _add_mean(self, record: Record) -> str:
-        self.mean_is_due, before, self._runs = False, self.count, self._runs + 1
-        margins = tuple(self._margins_of(record))
+        self.mean_is_due, before = False, self.count
         if not record.success:
             self._end()
-            self._unexplained += min(margins, default=0.0) > 0.0
+            self._failed += before > 0
+            self._unexplained.append(min(self._margins_of(record), default=0.0) > 0.0)
             return f"ended after {before} successes in a row" if before else ""
         if self.z is None or record.z != self.z.tolist():
             self._end()
+        self._unexplained.append(False)
         self.z = np.array(record.z)
-        self._margins.append(margins)
+        self._margins.append(tuple(self._margins_of(record)))
         return self._judge()
 
     def _end(self) -> None:
@@ -119,33 +130,35 @@ class StoppingRule:
         if count >= enough:
             self.complete = f"{count} of {count} succeeded: {_shown(count)}"
             return said
-        sizes = {len(each) for each in self._margins}
-        if count < ROW_MIN or len(sizes) > 1 or 0 in sizes:
+        size = len(self._margins[0])
+        expected = len(self._scatter) == size
+        if not size or any(len(each) != size for each in self._margins):
             return said
-        self._looks += 1
-        freedom, squares = count - 1, count * np.var(self._margins, axis=0)
-        if {len(self._scatter)} == sizes:
-            freedom, squares = freedom + BEFORE, squares + BEFORE * np.square(self._scatter)
-        sd = np.sqrt(np.maximum(squares / freedom, 1e-24))
-        clear = np.mean(self._margins, axis=0) / sd  # [standard deviations]
-        unexplained = self._unexplained / (BEFORE + self._runs - count)  # share before the row
-        least, share = float(clear.min()), float(np.prod(ndtr(clear)))  # of successes
-
-        def shows(further: int) -> bool:
-            """Whether so many further successes with these margins show the rate."""
-            n, look = count + further, self._looks + further
-            rate = rate_shown(enough) / (1.0 - BEFORE * unexplained / (BEFORE + n))
-            return rate < 1.0 and least > tolerance_factor(n, freedom + further, rate, look)
-
-        if shows(0):
+        if count < ROW_MIN and not expected:
+            return said
+        rows = np.array(self._margins)
+        freedom, squares = count - 1, count * rows.var(axis=0)
+        if expected:
+            freedom, squares = freedom + EXPECTED, squares + EXPECTED * np.square(self._scatter)
+        mean, sd, rate = rows.mean(axis=0), np.sqrt(squares / freedom), rate_shown(enough)
+        needed = ROW_MIN + self._failed + UNEXPLAINED * sum(self._unexplained)
+        few = max(needed - count, 0)
+        if not few and (mean > tolerance_factor(count, freedom, rate) * sd).all():
+            least = float((mean / np.maximum(sd, 1e-12)).min())
             inside = f"all well inside the limits ({least:.2g} standard deviations or more)"
             self.complete = f"{count} of {count} succeeded, {inside}: {_shown(enough)}"
             return said
-        further = next(filter(shows, range(1, enough - count)), enough - count)
-        if share**further < 0.5:
+        # It would more likely fail than not before it shows something.
+        if (mean < float(ndtri(0.5 ** (1.0 / (few or enough - count)))) * sd).any():
             self._end()
-            return f"{said}, but with margins too small to confirm them: learning goes on"
-        if further > ROW_MIN * 2 ** (1 + self._long):
+            return f"{said}, but with too small margins: learning goes on"
+        free = freedom - count
+        ends = (
+            n
+            for n in range(count + 1, enough)
+            if (mean > tolerance_factor(n, n + free, rate) * sd).all()
+        )
+        if next(ends, enough) - count > needed + SEARCH * (1 + self._long):
             self._long += 1
             self._end()
             return f"{said}, but margins that need many more: learning goes on"
