@@ -18,7 +18,14 @@ from typing import Any, NamedTuple
 
 from reproduction import jobs as job_cache
 from reproduction.jobs import Job, Results, study_of
-from reproduction.studies import ball_in_cup, equal_knowledge, grounds, new_goals, rated
+from reproduction.studies import (
+    ball_in_cup,
+    equal_knowledge,
+    grounds,
+    new_goals,
+    rated,
+    two_axes,
+)
 
 
 def runs_of(results: Results, place: str, learner: str) -> Mapping[str, Any]:
@@ -87,6 +94,14 @@ STUDIES = {
         new_goals.jobs,
         new_goals.line,
         runs=new_goals.runs,
+    ),
+    "two_axes": Table(
+        two_axes.PLACES,
+        {name: told for name, (told, _) in two_axes.LEARNERS.items()},
+        two_axes.HELD_OUT,
+        two_axes.jobs,
+        two_axes.line,
+        row=dict,
     ),
     "rated": Table(rated.PERSONS, rated.VARIANTS, rated.HELD_OUT, rated.jobs, rated.line),
 }

@@ -45,6 +45,11 @@ GOALS: Mapping[str, Sequence[Mapping[str, float]]] = {
         {"x": 0.70},
         {"z": 0.70},
         {"x": 0.84, "y": 0.30, "z": 0.52},
+        {"z": 0.51},
+        {"x": 0.87},
+        {"x": 0.72, "y": 0.32},
+        {"y": 0.19, "z": 0.53},
+        {"x": 0.73, "y": 0.31, "z": 0.66},
     ),
     "ball_in_cup": ({"string": 0.35}, {"string": 0.30}, {"string": 0.25}),  # instead of 0.40 m
     "flip": ({"apex": 0.55}, {"apex": 0.50}, {"apex": 0.45}),  # most are tossed to about 0.60 m
