@@ -133,8 +133,8 @@ def outcome(practice: Practice) -> dict[str, Any]:
     }
 
 
-def session(task: str, seed: int) -> dict[str, Any]:
-    """A session, and another with a new goal by every way; None where nothing can be begun."""
+def session(task: str, seed: int, ways: Sequence[str] = tuple(WAYS)) -> dict[str, Any]:
+    """A session, and another with a new goal by some ways; None where nothing can be begun."""
     goals, arm = GOALS[task], place(task, seed, {})
     goal, kind, shown = goals[seed % len(goals)], installed.task_type(task), taught(task, seed, arm)
     obstacle = Region("obstacle", tuple(midpoint(resampled(shown)).tolist()), RADIUS)
@@ -151,7 +151,7 @@ def session(task: str, seed: int) -> dict[str, Any]:
     result: dict[str, Any] = {"origin": outcome(known), "goal": goal}
     for way, policy in begins.items():
         begun = None
-        if policy is not None:
+        if policy is not None and way in ways:
             begun = outcome(practised(task, again, there, moved, with_id(policy, "begun")))
         result[way] = begun
     return result
@@ -176,10 +176,10 @@ def line(outcomes: Sequence[Mapping[str, Any] | None]) -> dict[str, Any]:
     }
 
 
-def jobs(seeds: Sequence[int], tasks: Sequence[str], _: Sequence[str]) -> list[Job]:
-    """Sessions of every task, which begin in every way."""
+def jobs(seeds: Sequence[int], tasks: Sequence[str], ways: Sequence[str]) -> list[Job]:
+    """Sessions of every task, which begin in these ways."""
     return [
-        Job(task, f"seed-{seed}", session, {"task": task, "seed": seed})
+        Job(task, f"seed-{seed}", session, {"task": task, "seed": seed, "ways": list(ways)})
         for task in tasks
         for seed in seeds
     ]

@@ -16,7 +16,6 @@ from wam_power_ros.practice.stopping_rule import (
     LOOK_CONFIDENCE,
     RECENT,
     ROW_MIN,
-    UNEXPLAINED,
     StoppingRule,
     rate_shown,
     tolerance_factor,
@@ -250,9 +249,9 @@ def test_a_failure_that_no_margin_explains_asks_for_two_more_successes_until_it_
         return 29
 
     assert needed([]) == needed([[-0.1, 3.0]]) == needed([None]) == ROW_MIN
-    assert needed([[4.0, 3.0]]) == ROW_MIN + UNEXPLAINED
-    assert needed([[4.0, 3.0]] * 2) == ROW_MIN + 2 * UNEXPLAINED
-    assert ROW_MIN + 2 * UNEXPLAINED < needed([[4.0, 3.0]] * 20) <= RECENT
+    assert needed([[4.0, 3.0]]) == ROW_MIN + 2
+    assert needed([[4.0, 3.0]] * 2) == ROW_MIN + 4
+    assert ROW_MIN + 4 < needed([[4.0, 3.0]] * 20) <= RECENT
 
 
 def test_margins_that_are_not_known_of_every_success_do_not_count() -> None:
