@@ -11,7 +11,7 @@ import pytest
 from hill_task import rng
 
 from wam_power_ros.learning.learner import Prediction
-from wam_power_ros.learning.model_based import ModelBased
+from wam_power_ros.learning.model_based import PROBE_STEP, ModelBased
 from wam_power_ros.learning.power import Power
 
 SIZE = 8
@@ -316,3 +316,35 @@ def test_what_slopes_leave_out_is_a_constant_and_a_quarter_that_changes_with_the
     expected = learner._expected()
     np.testing.assert_allclose(expected(far).values[:2], weight * START)
     np.testing.assert_allclose(expected(np.zeros(SIZE)).values[:2], 1.25 * weight * START)
+
+
+@pytest.mark.parametrize(("moved", "known"), [(0.65, False), (0.75, True), (1.0, True)])
+def test_a_direction_is_probed_until_most_of_a_probe_was_made_along_it(
+    moved: float, known: bool
+) -> None:
+    """Axes of the search are directions, in which coordinates are in steps of 5."""
+    learner = learner_of(LinearModel())
+    expected = learner._expected()
+    points = [expected(5.0 * z) for z in moved * PROBE_STEP * np.eye(SIZE)]
+    at = expected(np.zeros(SIZE))
+    probe = learner._probe(at, [at, *points[:3]], False)
+    assert (probe is None) == known
+    if probe is not None:
+        np.testing.assert_allclose(probe, PROBE_STEP * np.eye(SIZE)[0])
+    assert learner._probe(at, [at, *points[1:3]], False) is not None
+
+
+def test_what_is_only_assumed_explains_an_error_as_far_as_it_changes_both() -> None:
+    """A number that is off changes the first part in the one sense here, and in the other there."""
+
+    class Assuming(LinearModel):
+        def predict(self, z: np.ndarray) -> Prediction:
+            return super().predict(z)._replace(uncertain=np.array([[z[0]], [0.0]]))
+
+    learner = learner_of(Assuming())
+    here, off = 8.0 * np.eye(SIZE)[0], np.array([5.0, 5.0])
+    tell(learner, here, error(here) + off)
+    for z in (here, -here, 0.0 * here):
+        slow = 16.0 * (1.0 + 0.25 * math.exp(-0.5 * ((here - z) ** 2).sum() / 10.0**2))
+        share = (slow + np.array([8.0 * z[0], 0.0])) / (20.0 + np.array([64.0, 0.0]) + 0.25)
+        np.testing.assert_allclose(learner._expected()(z).values[:2], error(z) + share * off)

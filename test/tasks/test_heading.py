@@ -28,7 +28,14 @@ from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.ball_in_cup.task import BallInCup
 from wam_power_ros.tasks.flip.task import Flip
-from wam_power_ros.tasks.heading import STEP, forward_of_stroke, forward_of_turn, heading, turned
+from wam_power_ros.tasks.heading import (
+    STEP,
+    forward_of_stroke,
+    forward_of_turn,
+    heading,
+    turned,
+    turned_path,
+)
 from wam_power_ros.tasks.task import Task
 
 STEPS = st.integers(-35, 36)  # whole turns have one heading only
@@ -110,6 +117,14 @@ def test_a_rollout_in_any_direction_has_the_same_return_and_errors() -> None:
         assert found.ret == pytest.approx(expected.ret, abs=1e-6)
         error = other.error(found.observation)
         np.testing.assert_allclose(error, task(Flip, {}).error(expected.observation), atol=1e-3)
+
+
+def test_what_goes_along_its_heading_is_seen_along_x_and_level() -> None:
+    t, quat = np.array([0.0, 0.5, 1.0]), rotations.quat_of_vector(np.array([0.0, 0.0, 0.7]))
+    along = np.outer(t, [math.cos(0.7), math.sin(0.7), 0.2])
+    seen = turned_path(EndEffectorPath("trial", t, along, np.tile(quat, (3, 1))), 0.7)
+    np.testing.assert_allclose(seen.position, np.outer(t, [1.0, 0.0, 0.2]), atol=1e-12)
+    np.testing.assert_allclose(rotations.matrix(seen.quat_xyzw), [np.eye(3)] * 3, atol=1e-12)
 
 
 def test_what_is_turned_and_turned_back_is_the_same() -> None:
