@@ -348,3 +348,26 @@ def test_what_is_only_assumed_explains_an_error_as_far_as_it_changes_both() -> N
         slow = 16.0 * (1.0 + 0.25 * math.exp(-0.5 * ((here - z) ** 2).sum() / 10.0**2))
         share = (slow + np.array([8.0 * z[0], 0.0])) / (20.0 + np.array([64.0, 0.0]) + 0.25)
         np.testing.assert_allclose(learner._expected()(z).values[:2], error(z) + share * off)
+
+
+@pytest.mark.parametrize(
+    "bent", [lambda e: e + 0.2 * e**3, lambda e: 4.0 * np.sign(e) * np.sqrt(np.abs(e))]
+)
+def test_steps_that_overshoot_are_shortened_until_the_prediction_is_nearly_zero(
+    bent: Callable[[np.ndarray], np.ndarray],
+) -> None:
+    model = LinearModel(lambda z: bent(error(z)))
+    learner = learner_of(model)
+    practise(learner, 1, lambda z: bent(error(z)))
+    assert np.abs(bent(error(learner.mean))).max() < 0.5
+    assert model.count < ModelBased.Settings().simulations, "it has found enough"
+
+
+@pytest.mark.parametrize("share", [0.98, 1.0, 1.03, 1.2])
+def test_what_exceeds_a_limit_costs_its_square_from_half_a_unit_before_it(share: float) -> None:
+    """A unit is two percent of the limit, and weighs as much as an error of a tolerance."""
+    z = 7.0 * share * np.eye(SIZE)[-1]  # which changes no error
+    point = learner_of(LinearModel(limit=7.0))._expected()(z)
+    cost = max(0.0, (share - 1.0) / 0.02 + 0.5) ** 2
+    assert point.loss == pytest.approx(float((START**2).sum()) + cost)
+    assert point.feasible == (share < 1.0)

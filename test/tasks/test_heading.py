@@ -158,6 +158,17 @@ def test_a_tool_that_does_not_turn_has_the_heading_of_the_base() -> None:
     assert Flip.context_of([still], None) == {"heading": 0.0}
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_swing_is_towards_where_its_last_stroke_comes_from_however_far_it_drew_back(
+    sign: float,
+) -> None:
+    t = np.linspace(0.0, 1.0, 251)[:, np.newaxis]
+    drawn, stroke = 0.5 - 0.5 * np.cos(np.pi * np.minimum(t / 0.6, 1.0)), np.maximum(t - 0.6, 0.0)
+    x = drawn - 0.6 * (0.5 - 0.5 * np.cos(np.pi * stroke / 0.4))  # 1 m one way, 0.6 m the other
+    shown = from_positions(sign * x * [1.0, 0.0, 0.0], 0.004)
+    np.testing.assert_allclose(forward_of_stroke(shown), [sign, 0.0, 0.0], atol=1e-9)
+
+
 def test_a_swing_in_no_plane_is_refused() -> None:
     shown = SHOWN[BallInCup]
     round_about = shown.velocity + np.roll(shown.velocity[:, [1, 0, 2]], 200, axis=0)
