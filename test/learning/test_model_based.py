@@ -323,10 +323,10 @@ def test_a_direction_is_probed_until_most_of_a_probe_was_made_along_it(
     moved: float, known: bool
 ) -> None:
     """Axes of the search are directions, in which coordinates are in steps of 5."""
-    learner = learner_of(LinearModel())
+    learner, best = learner_of(LinearModel()), np.full(SIZE, 0.4)
     expected = learner._expected()
-    points = [expected(5.0 * z) for z in moved * PROBE_STEP * np.eye(SIZE)]
-    at = expected(np.zeros(SIZE))
+    points = [expected(5.0 * (best + z)) for z in moved * PROBE_STEP * np.eye(SIZE)]
+    at = expected(5.0 * best)
     probe = learner._probe(at, [at, *points[:3]], False)
     assert (probe is None) == known
     if probe is not None:

@@ -291,6 +291,23 @@ def test_sessions_of_a_policy_below_the_rate_are_rarely_confirmed_in_any_of_thei
     assert wrong / runs < (0.06 if expected == 1.0 else 0.16)
 
 
+@pytest.mark.parametrize("unit", [0.01, 100.0])
+@pytest.mark.parametrize("scatter", [(), (1.0, 1.0)])
+def test_the_unit_of_the_margins_does_not_matter(unit: float, scatter: Sequence[float]) -> None:
+    rng, said = np.random.default_rng(4), set()
+    for mean in np.linspace(0.0, 5.0, 30):
+        rows = np.abs(mean + rng.standard_normal((12, 2)))
+        rules = [rule(29, scatter=scatter), rule(29, scatter=[unit * each for each in scatter])]
+        for row in rows:
+            plain, other = (
+                each.add(rollout(True, margins=(factor * row).tolist()))
+                for each, factor in zip(rules, (1.0, unit), strict=True)
+            )
+            assert plain == other and rules[0].complete == rules[1].complete
+            said.add(plain.partition(", ")[2])
+    assert len(said) > 1, "some rows have ended"
+
+
 @pytest.mark.usefixtures("patient")
 def test_a_row_of_the_whole_count_confirms_whatever_its_margins() -> None:
     wide = np.array([[3.2], [1.2]] * 15)
