@@ -12,69 +12,55 @@ from typing import Any
 import numpy as np
 
 from reproduction.jobs import Job, study_of
-from reproduction.rivals.slopes import ALONE, FIXED, SHARPENED, LessInformed, Newton
+from reproduction.rivals import slopes
 from reproduction.studies import ball_in_cup, flip_sessions, grounds
 
-FLIPS = {"flip": "novice", "flip, 30 % slower": "30 % slower"}  # place -> ground
-PLACES = (*FLIPS, "ball_in_cup")  # which predicts nothing
+PLACES = ("flip", "ball_in_cup")  # of which the latter predicts nothing
 HELD_OUT = range(10100, 10120)  # seeds not used for tuning
 RETESTS, SOLVED = 10, 9  # of the final policy; or more that succeed in a solved session
-_NAME = f"{LessInformed.__module__}:"
-KNOWN: Mapping[str, tuple[str, Mapping[str, Any]]] = {  # what it is told -> how it is set up
-    f"{slopes}{behind}": (told, {"name": f"{_NAME}LessInformed", **known, **power})
-    for slopes, told, known in (
-        ("fixed", "errors, fixed slopes", FIXED),
-        ("sharpened", "errors, slopes that rollouts sharpen", SHARPENED),
+LEARNERS: Mapping[str, tuple[str, Mapping[str, Any]]] = {  # name -> what it is told, and learner
+    "newton": ("errors, fixed slopes", {"name": f"{slopes.__name__}:Newton"})
+} | {
+    f"{name}{behind}": (told, {"name": f"{slopes.__name__}:LessInformed", **known, **power})
+    for name, told, known in (
+        ("fixed", "errors, fixed slopes", slopes.FIXED),
+        ("sharpened", "errors, slopes that rollouts sharpen", slopes.SHARPENED),
         ("predict", "errors, slopes, predictions", {}),
     )
-    for behind, power in (("", ALONE), ("+power", {}))
+    for behind, power in (("", slopes.ALONE), ("+power", {}))
 }
-LEARNERS = {"newton": ("errors, fixed slopes", {"name": f"{_NAME}{Newton.__name__}"}), **KNOWN}
 
 
 def session(place: str, seed: int, learner: Mapping[str, Any]) -> dict[str, Any]:
-    """Run a session of the preset `model_based`, but with a learner; return its figures.
-
-    Returns:
-        "first": its first true success; "rollouts": their number, confirmation included;
-        "confirmed"; "true": re-tests that are true, and "retests".
-    """
-    changes = {"learner": learner, "retests": RETESTS}
-    if place in FLIPS:
+    """Run a session of `model_based` with another learner; its figures, "first" true success."""
+    changes: dict[str, Any] = {"learner": learner, "retests": RETESTS}
+    if place == "flip":
         changes["budget"] = grounds.BUDGET
-        own = grounds.arguments(FLIPS[place])
+        own = grounds.arguments("novice")
         found = flip_sessions.session(seed, "model_based", changes=changes, **own)
-        tried, tested = ([bool(r["true_flip"]) for r in found[k]] for k in ("trials", "retests"))
-        confirmed = found["ended_by"] == "confirmation"
+        runs = [(r["kind"], bool(r["true_flip"])) for r in found["trials"] + found["retests"]]
     else:
         found = ball_in_cup.session(seed, "model_based", changes)
-        kinds = [r["kind"] == "retest" for r in found["trials"]]
-        caught = [bool(r["caught"]) for r in found["trials"]]
-        tried = [c for c, again in zip(caught, kinds, strict=True) if not again]
-        tested = [c for c, again in zip(caught, kinds, strict=True) if again]
-        confirmed = found["confirmed"]
+        runs = [(r["kind"], bool(r["caught"])) for r in found["trials"]]
+    tried = [true for kind, true in runs if kind != "retest"]
     return {
         "first": tried.index(True) + 1 if True in tried else None,
         "rollouts": found["used"],
-        "confirmed": confirmed,
-        "true": sum(tested),
-        "retests": len(tested),
+        "confirmed": found["confirmed"] > 0,
+        "true": sum(true for kind, true in runs if kind == "retest"),
+        "retests": len(runs) - len(tried),
     }
 
 
 def jobs(seeds: Sequence[int], places: Sequence[str], learners: Sequence[str]) -> list[Job]:
     """Sessions of every learner at every place, ordered by seed."""
-    return [
-        Job(
-            study_of(place, learner),
-            f"seed-{seed}",
-            session,
-            {"place": place, "seed": seed, "learner": dict(LEARNERS[learner][1])},
-        )
-        for seed in seeds
-        for place in places
-        for learner in learners
-    ]
+    wanted = []
+    for seed in seeds:
+        for place in places:
+            for name in learners:
+                own = {"place": place, "seed": seed, "learner": dict(LEARNERS[name][1])}
+                wanted.append(Job(study_of(place, name), f"seed-{seed}", session, own))
+    return wanted
 
 
 def line(sessions: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

@@ -371,3 +371,14 @@ def test_what_exceeds_a_limit_costs_its_square_from_half_a_unit_before_it(share:
     cost = max(0.0, (share - 1.0) / 0.02 + 0.5) ** 2
     assert point.loss == pytest.approx(float((START**2).sum()) + cost)
     assert point.feasible == (share < 1.0)
+
+
+def test_progress_is_measured_from_the_best_rollout_before_and_not_from_the_worst() -> None:
+    learner = learner_of(LinearModel(), patience=4)
+    for k, size in enumerate((9.0, 3.0, 5.0, 5.0, 5.0, 5.0)):
+        tell(learner, k * np.eye(SIZE)[-1], np.array([size, size]))
+    assert learner.falls_back
+
+
+def test_a_prediction_assumes_nothing_unless_it_says_so() -> None:
+    assert Prediction(np.zeros(2), np.zeros(1)).uncertain.shape == (1, 0)
