@@ -25,6 +25,7 @@ from reproduction.studies import (
     new_goals,
     rated,
     stopping,
+    two_axes,
 )
 
 
@@ -97,6 +98,14 @@ STUDIES = {
     ),
     "stopping": Table(
         stopping.PLACES, stopping.RULES, stopping.HELD_OUT, stopping.jobs, stopping.line
+    ),
+    "two_axes": Table(
+        two_axes.PLACES,
+        {name: told for name, (told, _) in two_axes.LEARNERS.items()},
+        two_axes.HELD_OUT,
+        two_axes.jobs,
+        two_axes.line,
+        row=dict,
     ),
     "rated": Table(rated.PERSONS, rated.VARIANTS, rated.HELD_OUT, rated.jobs, rated.line),
 }

@@ -45,6 +45,11 @@ GOALS: Mapping[str, Sequence[Mapping[str, float]]] = {
         {"x": 0.70},
         {"z": 0.70},
         {"x": 0.84, "y": 0.30, "z": 0.52},
+        {"z": 0.51},
+        {"x": 0.87},
+        {"x": 0.72, "y": 0.32},
+        {"y": 0.19, "z": 0.53},
+        {"x": 0.73, "y": 0.31, "z": 0.66},
     ),
     "ball_in_cup": ({"string": 0.35}, {"string": 0.30}, {"string": 0.25}),  # instead of 0.40 m
     "flip": ({"apex": 0.55}, {"apex": 0.50}, {"apex": 0.45}),  # most are tossed to about 0.60 m
@@ -128,8 +133,8 @@ def outcome(practice: Practice) -> dict[str, Any]:
     }
 
 
-def session(task: str, seed: int) -> dict[str, Any]:
-    """A session, and another with a new goal by every way; None where nothing can be begun."""
+def session(task: str, seed: int, ways: Sequence[str] = tuple(WAYS)) -> dict[str, Any]:
+    """A session, and another with a new goal by some ways; None where nothing can be begun."""
     goals, arm = GOALS[task], place(task, seed, {})
     goal, kind, shown = goals[seed % len(goals)], installed.task_type(task), taught(task, seed, arm)
     obstacle = Region("obstacle", tuple(midpoint(resampled(shown)).tolist()), RADIUS)
@@ -146,7 +151,7 @@ def session(task: str, seed: int) -> dict[str, Any]:
     result: dict[str, Any] = {"origin": outcome(known), "goal": goal}
     for way, policy in begins.items():
         begun = None
-        if policy is not None:
+        if policy is not None and way in ways:
             begun = outcome(practised(task, again, there, moved, with_id(policy, "begun")))
         result[way] = begun
     return result
@@ -171,10 +176,10 @@ def line(outcomes: Sequence[Mapping[str, Any] | None]) -> dict[str, Any]:
     }
 
 
-def jobs(seeds: Sequence[int], tasks: Sequence[str], _: Sequence[str]) -> list[Job]:
-    """Sessions of every task, which begin in every way."""
+def jobs(seeds: Sequence[int], tasks: Sequence[str], ways: Sequence[str]) -> list[Job]:
+    """Sessions of every task, which begin in these ways."""
     return [
-        Job(task, f"seed-{seed}", session, {"task": task, "seed": seed})
+        Job(task, f"seed-{seed}", session, {"task": task, "seed": seed, "ways": list(ways)})
         for task in tasks
         for seed in seeds
     ]

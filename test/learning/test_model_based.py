@@ -11,7 +11,7 @@ import pytest
 from hill_task import rng
 
 from wam_power_ros.learning.learner import Prediction
-from wam_power_ros.learning.model_based import ModelBased
+from wam_power_ros.learning.model_based import PROBE_STEP, ModelBased
 from wam_power_ros.learning.power import Power
 
 SIZE = 8
@@ -316,3 +316,69 @@ def test_what_slopes_leave_out_is_a_constant_and_a_quarter_that_changes_with_the
     expected = learner._expected()
     np.testing.assert_allclose(expected(far).values[:2], weight * START)
     np.testing.assert_allclose(expected(np.zeros(SIZE)).values[:2], 1.25 * weight * START)
+
+
+@pytest.mark.parametrize(("moved", "known"), [(0.65, False), (0.75, True), (1.0, True)])
+def test_a_direction_is_probed_until_most_of_a_probe_was_made_along_it(
+    moved: float, known: bool
+) -> None:
+    """Axes of the search are directions, in which coordinates are in steps of 5."""
+    learner, best = learner_of(LinearModel()), np.full(SIZE, 0.4)
+    expected = learner._expected()
+    points = [expected(5.0 * (best + z)) for z in moved * PROBE_STEP * np.eye(SIZE)]
+    at = expected(5.0 * best)
+    probe = learner._probe(at, [at, *points[:3]], False)
+    assert (probe is None) == known
+    if probe is not None:
+        np.testing.assert_allclose(probe, PROBE_STEP * np.eye(SIZE)[0])
+    assert learner._probe(at, [at, *points[1:3]], False) is not None
+
+
+def test_what_is_only_assumed_explains_an_error_as_far_as_it_changes_both() -> None:
+    """A number that is off changes the first part in the one sense here, and in the other there."""
+
+    class Assuming(LinearModel):
+        def predict(self, z: np.ndarray) -> Prediction:
+            return super().predict(z)._replace(uncertain=np.array([[z[0]], [0.0]]))
+
+    learner = learner_of(Assuming())
+    here, off = 8.0 * np.eye(SIZE)[0], np.array([5.0, 5.0])
+    tell(learner, here, error(here) + off)
+    for z in (here, -here, 0.0 * here):
+        slow = 16.0 * (1.0 + 0.25 * math.exp(-0.5 * ((here - z) ** 2).sum() / 10.0**2))
+        share = (slow + np.array([8.0 * z[0], 0.0])) / (20.0 + np.array([64.0, 0.0]) + 0.25)
+        np.testing.assert_allclose(learner._expected()(z).values[:2], error(z) + share * off)
+
+
+@pytest.mark.parametrize(
+    "bent", [lambda e: e + 0.2 * e**3, lambda e: 4.0 * np.sign(e) * np.sqrt(np.abs(e))]
+)
+def test_steps_that_overshoot_are_shortened_until_the_prediction_is_nearly_zero(
+    bent: Callable[[np.ndarray], np.ndarray],
+) -> None:
+    model = LinearModel(lambda z: bent(error(z)))
+    learner = learner_of(model)
+    practise(learner, 1, lambda z: bent(error(z)))
+    assert np.abs(bent(error(learner.mean))).max() < 0.5
+    assert model.count < ModelBased.Settings().simulations, "it has found enough"
+
+
+@pytest.mark.parametrize("share", [0.98, 1.0, 1.03, 1.2])
+def test_what_exceeds_a_limit_costs_its_square_from_half_a_unit_before_it(share: float) -> None:
+    """A unit is two percent of the limit, and weighs as much as an error of a tolerance."""
+    z = 7.0 * share * np.eye(SIZE)[-1]  # which changes no error
+    point = learner_of(LinearModel(limit=7.0))._expected()(z)
+    cost = max(0.0, (share - 1.0) / 0.02 + 0.5) ** 2
+    assert point.loss == pytest.approx(float((START**2).sum()) + cost)
+    assert point.feasible == (share < 1.0)
+
+
+def test_progress_is_measured_from_the_best_rollout_before_and_not_from_the_worst() -> None:
+    learner = learner_of(LinearModel(), patience=4)
+    for k, size in enumerate((9.0, 3.0, 5.0, 5.0, 5.0, 5.0)):
+        tell(learner, k * np.eye(SIZE)[-1], np.array([size, size]))
+    assert learner.falls_back
+
+
+def test_a_prediction_assumes_nothing_unless_it_says_so() -> None:
+    assert Prediction(np.zeros(2), np.zeros(1)).uncertain.shape == (1, 0)

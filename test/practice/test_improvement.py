@@ -52,6 +52,8 @@ def test_what_is_infeasible_is_shrunk_no_further_than_needed(share: float, far: 
     given_back, halved = shrink(z, RAN, is_feasible)
     assert place(PARAMETERS.policy(given_back, "allowed")[0]) <= limit
     assert np.array_equal(given_back, z) == (halved == 0) == (share >= 1.0)
+    if halved < HALVINGS_MAX:
+        np.testing.assert_allclose(given_back, RAN + 0.5**halved * (z - RAN))
     if halved not in (0, HALVINGS_MAX):
         assert place(PARAMETERS.policy(2.0 * given_back, "one-less")[0]) > limit
     again, _ = shrink(z, RAN, never, halved)

@@ -165,6 +165,7 @@ def test_what_never_says_anything_is_dropped_after_some_attempts() -> None:
     records = run(practice, lambda trial: Assessment(None, why="lost"), rollouts=3)
     assert [record.attempt for record in records] == [1, 2, 3]
     assert [record.z for record in records] == [hopeless.z.tolist()] * 3
+    assert ["dropped" in record.note for record in records] == [False, False, True]
     assert len({record.id for record in records}) == 3
     assert practice.unusable_in_a_row == 3
     assert practice.next_trial().z.tolist() != hopeless.z.tolist()

@@ -16,7 +16,6 @@ from wam_power_ros.practice.stopping_rule import (
     LOOK_CONFIDENCE,
     RECENT,
     ROW_MIN,
-    UNEXPLAINED,
     StoppingRule,
     rate_shown,
     tolerance_factor,
@@ -250,9 +249,9 @@ def test_a_failure_that_no_margin_explains_asks_for_two_more_successes_until_it_
         return 29
 
     assert needed([]) == needed([[-0.1, 3.0]]) == needed([None]) == ROW_MIN
-    assert needed([[4.0, 3.0]]) == ROW_MIN + UNEXPLAINED
-    assert needed([[4.0, 3.0]] * 2) == ROW_MIN + 2 * UNEXPLAINED
-    assert ROW_MIN + 2 * UNEXPLAINED < needed([[4.0, 3.0]] * 20) <= RECENT
+    assert needed([[4.0, 3.0]]) == ROW_MIN + 2
+    assert needed([[4.0, 3.0]] * 2) == ROW_MIN + 4
+    assert ROW_MIN + 4 < needed([[4.0, 3.0]] * 20) <= RECENT
 
 
 def test_margins_that_are_not_known_of_every_success_do_not_count() -> None:
@@ -290,6 +289,23 @@ def test_sessions_of_a_policy_below_the_rate_are_rarely_confirmed_in_any_of_thei
             stopping.add(rollout(bool(margins.min() > 0.0), margins=margins.tolist()))
         wrong += bool(stopping.complete)
     assert wrong / runs < (0.06 if expected == 1.0 else 0.16)
+
+
+@pytest.mark.parametrize("unit", [0.01, 100.0])
+@pytest.mark.parametrize("scatter", [(), (1.0, 1.0)])
+def test_the_unit_of_the_margins_does_not_matter(unit: float, scatter: Sequence[float]) -> None:
+    rng, said = np.random.default_rng(4), set()
+    for mean in np.linspace(0.0, 5.0, 30):
+        rows = np.abs(mean + rng.standard_normal((12, 2)))
+        rules = [rule(29, scatter=scatter), rule(29, scatter=[unit * each for each in scatter])]
+        for row in rows:
+            plain, other = (
+                each.add(rollout(True, margins=(factor * row).tolist()))
+                for each, factor in zip(rules, (1.0, unit), strict=True)
+            )
+            assert plain == other and rules[0].complete == rules[1].complete
+            said.add(plain.partition(", ")[2])
+    assert len(said) > 1, "some rows have ended"
 
 
 @pytest.mark.usefixtures("patient")

@@ -193,6 +193,12 @@ def test_what_a_task_predicts_sharpens_its_slopes() -> None:
     assert np.isnan(found.error[1]) and found.uncertain.shape == (1, 0)
 
 
+def test_a_prediction_of_errors_that_its_effects_do_not_move_is_refused() -> None:
+    other = (Error("depth", "m", 0.01, limit=0.04),)
+    with pytest.raises(TypeError, match="predict is never asked"):
+        type("Off", (Push,), {"errors": other, "predict": lambda self, foreseen: []})
+
+
 def test_errors_are_planned_on_only_where_what_moves_them_is_learnt() -> None:
     plain = Parametrization(POLICY, (Attractors(0.01),))
     assert TASK.error_model(plain, lambda policy: None) is None

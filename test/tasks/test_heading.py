@@ -28,7 +28,14 @@ from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.ball_in_cup.task import BallInCup
 from wam_power_ros.tasks.flip.task import Flip
-from wam_power_ros.tasks.heading import STEP, forward_of_stroke, forward_of_turn, heading, turned
+from wam_power_ros.tasks.heading import (
+    STEP,
+    forward_of_stroke,
+    forward_of_turn,
+    heading,
+    turned,
+    turned_path,
+)
 from wam_power_ros.tasks.task import Task
 
 STEPS = st.integers(-35, 36)  # whole turns have one heading only
@@ -112,6 +119,14 @@ def test_a_rollout_in_any_direction_has_the_same_return_and_errors() -> None:
         np.testing.assert_allclose(error, task(Flip, {}).error(expected.observation), atol=1e-3)
 
 
+def test_what_goes_along_its_heading_is_seen_along_x_and_level() -> None:
+    t, quat = np.array([0.0, 0.5, 1.0]), rotations.quat_of_vector(np.array([0.0, 0.0, 0.7]))
+    along = np.outer(t, [math.cos(0.7), math.sin(0.7), 0.2])
+    seen = turned_path(EndEffectorPath("trial", t, along, np.tile(quat, (3, 1))), 0.7)
+    np.testing.assert_allclose(seen.position, np.outer(t, [1.0, 0.0, 0.2]), atol=1e-12)
+    np.testing.assert_allclose(rotations.matrix(seen.quat_xyzw), [np.eye(3)] * 3, atol=1e-12)
+
+
 def test_what_is_turned_and_turned_back_is_the_same() -> None:
     policy = demonstrated_policy()
     assert_same(seen_from(seen_from(policy, 0.7), -0.7), policy)
@@ -141,6 +156,17 @@ def test_a_tool_that_turns_about_an_axis_far_from_level_is_refused() -> None:
 def test_a_tool_that_does_not_turn_has_the_heading_of_the_base() -> None:
     still = from_positions(SHOWN[Flip].position, SHOWN[Flip].period)
     assert Flip.context_of([still], None) == {"heading": 0.0}
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_swing_is_towards_where_its_last_stroke_comes_from_however_far_it_drew_back(
+    sign: float,
+) -> None:
+    t = np.linspace(0.0, 1.0, 251)[:, np.newaxis]
+    drawn, stroke = 0.5 - 0.5 * np.cos(np.pi * np.minimum(t / 0.6, 1.0)), np.maximum(t - 0.6, 0.0)
+    x = drawn - 0.6 * (0.5 - 0.5 * np.cos(np.pi * stroke / 0.4))  # 1 m one way, 0.6 m the other
+    shown = from_positions(sign * x * [1.0, 0.0, 0.0], 0.004)
+    np.testing.assert_allclose(forward_of_stroke(shown), [sign, 0.0, 0.0], atol=1e-9)
 
 
 def test_a_swing_in_no_plane_is_refused() -> None:
