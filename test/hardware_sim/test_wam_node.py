@@ -121,7 +121,7 @@ def test_waypoints_of_a_follow_joint_trajectory_are_passed_and_a_cancel_stops_th
     assert status == GoalStatus.STATUS_CANCELED
     hardware.holds()
     hardware.messages.clear()
-    probe.until(lambda: len(hardware.messages) > 100, "states")
+    probe.until(lambda: len(hardware.messages) > 400, "states")
     assert max(np.abs(hardware.state(i).qd).max() for i in range(-50, 0)) < 0.02
     assert hardware.state().q[3] - start[3] < 0.29
 

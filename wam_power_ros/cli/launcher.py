@@ -40,6 +40,7 @@ from wam_power_ros.ros.domain import exported, hold, private_domain, shared
 if TYPE_CHECKING:
     from wam_power_ros.client.robot import Robot
 
+MEGABYTE = 1e6
 ENCLAVE = "ROS_SECURITY_ENCLAVE_OVERRIDE"  # environment variable
 
 
@@ -155,12 +156,13 @@ def launch(plan: Plan, text: str = "") -> Iterator[Launcher]:
         text: What is shown once nothing stands against it; empty for nothing.
 
     Raises:
-        UsageError: Another session or learner uses the folder.
+        UsageError: Another session or learner uses the folder, or its disk is nearly full.
         DomainError: Another session holds the robot's DDS domain, or ROS_DOMAIN_ID is invalid.
     """
     # First, because an import of rclpy may execute the program anew.
     from wam_power_ros.console.activation import activate
 
+    check_space(plan.folder, plan.parameters[RECORDER]["free_to_start"])
     files = plan.written
     with ExitStack() as stack:
         if plan.stand_ins:
@@ -218,6 +220,16 @@ def _lock(file: IO[str]) -> bool:
     except BlockingIOError:
         return False
     return True
+
+
+def check_space(folder: Path, needed: float) -> None:
+    """Raise a UsageError if a disk has less than `needed` [MB], before a person teaches."""
+    existing = next(path for path in (folder, *folder.resolve().parents) if path.exists())
+    free = shutil.disk_usage(existing).free / MEGABYTE
+    if free < needed:
+        raise UsageError(
+            f"{free:.0f} MB free on the disk of {folder}, {needed:.0f} MB needed: free some space"
+        )
 
 
 def session_domain(folder: Path) -> int | None:

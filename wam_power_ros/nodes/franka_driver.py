@@ -2,8 +2,8 @@
 """Driver of a Franka robot: torques in, joint states out, by its maker's library at 1 kHz.
 
 The robot adds gravity. One thread does all, because the library keeps the interpreter's lock while
-it waits for the robot. A reflex shows as a gap in the states, so that the controller is in a fault;
-when a person resets the controller, the robot's errors are cleared.
+it waits for the robot. A reflex shows as a gap in the states, so that the controller is in a fault.
+The robot's errors are cleared, which moves nothing; torques wait until the controller is reset.
 """
 
 from __future__ import annotations
