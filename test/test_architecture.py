@@ -113,7 +113,7 @@ BUDGET = {
     "params": 1399,  # what may be set at rest; -p body:=NAME is derived from; NatNet, FR3
     "ros": 2675,  # variables of ROS and DDS are named with their remedy
     "client": 1457,
-    "nodes": 3896,  # actions; +217: an FR3 by its maker's library; +122: NatNet
+    "nodes": 3900,  # actions; +217: an FR3 by its maker's library; +122: NatNet
     "console": 549,  # a person supports the arm, however a movement ended
     "view": 1190,
     "reporting": 870,

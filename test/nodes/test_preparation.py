@@ -7,6 +7,7 @@ import json
 import math
 import os
 import signal
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -37,7 +38,7 @@ from wam_power_ros.nodes.preparation import (
     settings_values,
 )
 from wam_power_ros.regions import Region
-from wam_power_ros.ros import interface, joint_messages
+from wam_power_ros.ros import interface, joint_messages, process_channel
 from wam_power_ros.ros.outcomes import Answer, Code
 
 
@@ -239,6 +240,35 @@ def test_a_request_that_a_process_died_of_is_refused_and_another_process_is_star
     assert [id for id, _ in lost] == ["7", "7"] and "has ended" in lost[0][1]
     assert beside.starts >= 2
     beside.close()
+
+
+HANGS = """
+import time
+from wam_power_ros.nodes import preparation_worker as worker
+worker.END_TIMEOUT = 0.5
+worker.main()
+time.sleep(600.0)  # as a middleware whose end waits for ever
+"""
+
+
+@pytest.mark.requirement("S-54")
+def test_a_process_whose_end_hangs_does_not_stay_beside_the_next_controller(
+    processes: Processes,
+) -> None:
+    ours, theirs = process_channel.pair()
+    actions = [(os.POSIX_SPAWN_DUP2, theirs.fileno(), preparation.CHANNEL)]
+    command = [sys.executable, "-c", HANGS]
+    pid = os.posix_spawn(sys.executable, command, processes.environment, file_actions=actions)
+    theirs.close()
+    ours.close()  # the controller has ended
+    end, ended = time.monotonic() + 60.0, 0
+    while not ended and time.monotonic() < end:
+        ended, _ = os.waitpid(pid, os.WNOHANG)
+        time.sleep(0.05)
+    if not ended:
+        os.kill(pid, signal.SIGKILL)
+        os.waitpid(pid, 0)
+    assert ended == pid
 
 
 def test_settings_arrive_as_they_were() -> None:

@@ -46,7 +46,7 @@ def replay(
         speed: Speed relative to the recording, for messages.
         person: Whether to ask the person beside a real arm before it moves.
         running: Whether the nodes go on afterwards: nothing is recorded, and the arm is held.
-        warning: What the person is told before.
+        warning: Sentences before the question, each with a space after it; empty for none.
 
     Raises:
         ServiceError: A service does not appear, does not answer in time, or refuses.

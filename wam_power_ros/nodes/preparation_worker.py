@@ -8,6 +8,7 @@ movements sampled on the control grid.
 
 from __future__ import annotations
 
+import faulthandler
 import sys
 import threading
 from collections import deque
@@ -58,6 +59,8 @@ SIZE_MAX = 20_000_000
 POINTS_MAX = 200_000
 TEXT_MAX = 2000  # characters of a refusal
 STAGE = "moving"  # of a request, once the arm moves
+# [s] Fast DDS may wait in its own end for ever, on one core, while another participant leaves.
+END_TIMEOUT = 10.0
 
 
 class PreparationWorker(Node):
@@ -290,13 +293,14 @@ def followed(answer: Answer, **_: object) -> FollowJointTrajectory.Result:
 
 
 def main() -> int:
-    """Run until the torque controller has ended; SIGINT and SIGTERM are blocked in this process."""
+    """Run until the torque controller has ended, and END_TIMEOUT at most; signals are blocked."""
     channel = channel_of_process()
     with node_runner.participant(lambda: PreparationWorker(channel)) as node:
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         while not node.ended:
             executor.spin_once(timeout_sec=1.0)
+        faulthandler.dump_traceback_later(END_TIMEOUT, exit=True)
     return 0
 
 

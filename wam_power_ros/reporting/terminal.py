@@ -36,7 +36,7 @@ FAILED = {  # count, total, detail and size are those of `Failure`
     Cause.FAULTS: "faults that no policy causes, most often {detail}, ended {of}: "
     "docs/troubleshooting.md has their causes",
     Cause.UNMEASURED: "{detail} had no value in {of}, so nothing told what to change: demonstrate "
-    "a movement that gets as far, such as a stronger throw",
+    "a movement that gets as far",
     Cause.DRIFT: "{detail} changed by {size:+.1f} tolerances over the session, whatever was tried: "
     "something drifts, such as a tool that comes loose or a body that wears",
     Cause.IGNORED: "{detail} followed the learnt parameters by {share} of what the task's model "
