@@ -109,7 +109,7 @@ BUDGET = {
     "tasks": 3526,  # what follows from errors and heading of any task, once
     "practice": 2357,  # +46: candidates are fitted here, for the nodes and for one process
     "conformance": 1151,  # +25: effort without gravity
-    "bags": 2633,  # +246: sets of LeRobot, written and read
+    "bags": 2632,  # +246: sets of LeRobot, written and read
     "params": 1399,  # what may be set at rest; -p body:=NAME is derived from; NatNet, FR3
     "ros": 2675,  # variables of ROS and DDS are named with their remedy
     "client": 1457,

@@ -164,9 +164,8 @@ def require_pyarrow() -> None:
     try:
         import pyarrow.parquet  # noqa: F401
     except ImportError:
-        raise ValueError(
-            'Parquet needs pyarrow: pip install "wam_power_ros[export]"; or name a .csv file'
-        ) from None
+        text = 'Parquet needs pyarrow: pip install "wam_power_ros[export]"; a .csv table does not'
+        raise ValueError(text) from None
 
 
 def is_table(path: Path) -> bool:
