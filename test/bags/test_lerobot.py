@@ -32,6 +32,7 @@ def bags(*arguments: object) -> int:
 
 
 def export(to: Path, *recorded: Path) -> Path:
+    pytest.importorskip("pyarrow")
     assert bags("export", *recorded, "--format", "lerobot", "--output", to) == 0
     return to
 
