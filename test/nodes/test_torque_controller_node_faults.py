@@ -154,10 +154,18 @@ def test_a_second_commander_is_a_fault_and_keeps_us_from_starting(
 
     second = PlayedArm(probe, processes)
 
-    def refused() -> dict[str, str]:
-        second.send()
+    def commands() -> dict[str, str]:
         other.publish(Float64MultiArray(data=[0.0] * 7))
         probe.spin(0.05)
+        return diagnosis(second.diagnostics, "torque_controller")
+
+    probe.until(commands, "the second controller")
+    for _ in range(40):  # it hears them before a state lets it start
+        commands()
+
+    def refused() -> dict[str, str]:
+        second.send()
+        commands()
         report = diagnosis(second.diagnostics, "torque_controller")
         return report if "refused: activation" in report else {}
 
