@@ -8,8 +8,10 @@ grid; a step then takes microseconds. The canonical system s = exp(-alpha t) dep
 time itself, clamped to the movement, serves as the phase.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,6 +30,7 @@ HOLD_TIME = 1.0  # time after the movement over which the fit holds its end posi
 # Smallest spread of a movement along an axis, as a fraction of that along its longest axis [1]
 SPREAD_MIN = 0.02
 STANDSTILL = 1e-3  # spread of a position that does not move: noise, or a slip of the hand [m]
+REFINED_MAX = 32  # of the spring-dampers that `FitSettings.error` asks for
 
 
 def activations(basis: Basis, t: np.ndarray) -> np.ndarray:
@@ -190,7 +193,7 @@ class FitSettings:
         ValueError: If a value is out of range.
     """
 
-    count: int  # of spring-dampers
+    count: int  # of spring-dampers, if `error` does not need more
     width: float  # standard deviation of each Gaussian, in units of duration / count [1]
     # Smallest and largest eigenvalue of the K_i along the axes of the movement [1/s^2]; along the
     # other axes the stiffness is the geometric mean of both
@@ -203,6 +206,9 @@ class FitSettings:
     # Whether the rotation attractors hold the orientation of the end; with few spring-dampers they
     # otherwise trade it for the way there
     turn_to_end: bool = False
+    # Root mean square of the distance between the demonstrations and Eq. 1 from rest, above which
+    # the spring-dampers are doubled [m]. So is their stiffness: each has half the time
+    error: float = np.inf
     movement: Movement = MOVEMENT  # how it is cut out of a recording
 
     def __post_init__(self) -> None:
@@ -211,6 +217,12 @@ class FitSettings:
         for name in ("count", "width", "damping"):
             if not 0.0 < getattr(self, name) < np.inf:
                 raise ValueError(f"{name} = {getattr(self, name)} must be positive")
+        if not self.error > 0.0:
+            raise ValueError(f"error = {self.error} must be positive")
+
+    def doubled(self) -> FitSettings:
+        """The same with twice as many spring-dampers, twice as stiff."""
+        return replace(self, count=2 * self.count, k_min=2 * self.k_min, k_max=2 * self.k_max)
 
 
 def fit(demonstrations: Sequence[Demonstration], settings: FitSettings, policy_id: str) -> Policy:
@@ -224,6 +236,8 @@ def fit(demonstrations: Sequence[Demonstration], settings: FitSettings, policy_i
        would take the whole range.
     4. With `refit`: all attractors are solved jointly for these K_i, so that Eq. 1, started at rest
        at the start of the demonstrations, follows them and stays at their end.
+    5. With an `error`: the same again with twice as many spring-dampers, to at most `REFINED_MAX`,
+       until Eq. 1 is that near the demonstrations.
 
     The rotation attractors come from the same least squares on the rotation vectors.
     Demonstrations of different length are stretched in time to their mean duration. The K_i are
@@ -235,6 +249,27 @@ def fit(demonstrations: Sequence[Demonstration], settings: FitSettings, policy_i
     """
     if not demonstrations:
         raise ValueError("no demonstration to fit; at least one is needed")
+    policy, finer = _fit(demonstrations, settings, policy_id), settings.doubled()
+    shortest = min(len(demonstration.t) for demonstration in demonstrations)
+    if finer.count > REFINED_MAX or 3 * finer.count > shortest:
+        return policy
+    near = settings.error == np.inf or path_error(policy, demonstrations) <= settings.error
+    return policy if near else fit(demonstrations, finer, policy_id)
+
+
+def path_error(policy: Policy, demonstrations: Sequence[Demonstration]) -> float:
+    """Root mean square of the distance between demonstrations and Eq. 1 from rest [m]."""
+    squares = []
+    for each in demonstrations:
+        steps, dt = len(each.t), policy.basis.duration / (len(each.t) - 1)
+        given = policy.basis, policy.stiffness[None], policy.attractors[None], policy.damping
+        x, _ = reproduce_many(*given, each.position[0], np.zeros(3), steps, dt)
+        squares.append(np.sum((x[0] - each.position) ** 2, axis=1))
+    return float(np.sqrt(np.mean(np.concatenate(squares))))
+
+
+def _fit(demonstrations: Sequence[Demonstration], settings: FitSettings, policy_id: str) -> Policy:
+    """Steps 1 to 4 of `fit`."""
     n = settings.count
     duration = float(np.mean([demonstration.duration for demonstration in demonstrations]))
     basis = Basis(n, duration, (settings.width * duration / n) ** 2)

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from wam_power_ros.learning.dmp import FitSettings
 from wam_power_ros.learning.parametrization import NoiseScales
 
-FIT = FitSettings(count=8, width=0.5, k_min=150.0, k_max=500.0, damping=32.0)
+FIT = FitSettings(count=8, width=0.5, k_min=150.0, k_max=500.0, damping=32.0, error=1e-3)
 
 
 class TaskSettings(BaseModel):

@@ -20,7 +20,9 @@ from wam_power_ros.learning.parametrization import (
 from wam_power_ros.learning.policy import Policy
 
 PLANE = (0, 2)  # axes of the movement
-CATCH_PROFILE = (0.5, 1.0, 1.0)  # of the last three attractors, per unit of shift or pitch [1]
+# Share of a shift or pitch that an attractor gets, by its place in the movement [1]. With the 8 of
+# the paper the last three get 0.5, 1 and 1.
+CATCH = ((4.0 / 7.0, 6.0 / 7.0), (0.0, 1.0))
 TURN_OF_FLICK = 2.0  # additional rotation per unit of flick, measured on wrist flicks [rad]
 TURN_OF_VIGOUR = 3.0  # additional rotation per unit of vigour [rad]
 # Additional rotation per unit of log tempo [rad]: both spin and time of flight, whose product is a
@@ -49,30 +51,25 @@ def flip_parametrization(
             1 + vigour [1]. Eq. 1 is linear in its attractors, so all speeds and accelerations grow
             by the same factor, in the same time.
         flick: Scales the demonstrated rotation of the pan about y, r_i - r_1, by 1 + flick [1].
-        catch_shift: Moves mu_x of the last three attractors by 0.5, 1 and 1 times this [m].
-        catch_pitch: Turns the last three r_i about y by 0.5, 1 and 1 times this [rad]: the pan that
-            catches is lower in front.
-        side_shift: Moves mu_y of the last three attractors in the same way [m]: a pan that is not
-            level, or a tilted base, tosses to the side.
+        catch_shift: Moves mu_x of the attractors of the catch by this [m], see `CATCH`.
+        catch_pitch: Turns their r_i about y in the same way [rad]: the pan that catches is lower in
+            front.
+        side_shift: Moves their mu_y in the same way [m]: a pan that is not level, or a tilted base,
+            tosses to the side.
 
     Raises:
-        ValueError: If the variant is unknown, or "planar" with fewer than three attractors.
+        ValueError: If the variant is unknown.
     """
     if variant != "planar":
         return parametrization_of(policy, variant, noise)
     n = policy.basis.count
-    if n < len(CATCH_PROFILE):
-        raise ValueError(
-            f"variant {variant!r} shifts the last {len(CATCH_PROFILE)} attractors, "
-            f"policy {policy.id!r} has {n}"
-        )
     swing, turn, shift, side, level, zeros = np.zeros((6, n, 3))
     seen = seen_from(policy, heading)
     swing[:, [0, 2]] = (seen.attractors - seen.attractors[0])[:, [0, 2]]
     pitch = seen.rotation_attractors[:, 1]
     turn[:, 1] = pitch - pitch[0]
-    shift[-len(CATCH_PROFILE) :, 0] = side[-len(CATCH_PROFILE) :, 1] = CATCH_PROFILE
-    level[-len(CATCH_PROFILE) :, 1] = CATCH_PROFILE
+    caught = np.interp(np.linspace(0.0, 1.0, n), *CATCH)
+    shift[:, 0] = side[:, 1] = level[:, 1] = caught
     groups = (
         Stiffness(noise.stiffness, "symmetric", PLANE),
         Attractors(noise.attractor, PLANE),

@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from wam_power_ros.learning.demonstration import Demonstration
+from wam_power_ros.learning.dmp import fit
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Foreseen, Rollout
@@ -23,7 +24,13 @@ from wam_power_ros.tasks.flip.frames import REST_HEIGHT_MAX
 from wam_power_ros.tasks.flip.pan_toss import PANCAKE, predict_toss
 from wam_power_ros.tasks.flip.parametrization import flip_parametrization
 from wam_power_ros.tasks.flip.returns import pancake_return
-from wam_power_ros.tasks.flip.settings import FLIP_FIT, PRESETS, TRUE_TURN, FlipSettings
+from wam_power_ros.tasks.flip.settings import (
+    FLIP_FIT,
+    PAPER_FIT,
+    PRESETS,
+    TRUE_TURN,
+    FlipSettings,
+)
 from wam_power_ros.tasks.flip.toss_errors import (
     EFFECTS,
     ERRORS,
@@ -88,6 +95,17 @@ class Flip(Task):
         self.gain = settings.gain
         if (apex := self.targets["apex"]) <= DELTA_H:
             raise ValueError(f"apex = {apex} m must be above delta_h = {DELTA_H} m")
+
+    @classmethod
+    def policy_of(
+        cls,
+        demonstrations: Sequence[Demonstration],
+        policy_id: str,
+        settings: FlipSettings | None = None,
+    ) -> Policy:
+        """See `Task`."""
+        own = PAPER_FIT if settings and not settings.refined else cls.fit_settings
+        return fit(demonstrations, own, policy_id)
 
     @classmethod
     def context_of(
