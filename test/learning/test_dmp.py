@@ -14,9 +14,11 @@ from wam_power_ros import rotations
 from wam_power_ros.learning import dmp
 from wam_power_ros.learning.demonstration import Demonstration, from_positions, rotation_from
 from wam_power_ros.learning.dmp import (
+    REFINED_MAX,
     FitSettings,
     activations,
     fit,
+    path_error,
     positive_definite,
     reproduce_many,
     tabulate,
@@ -346,6 +348,33 @@ def test_angular_velocity_is_that_of_the_turning_matrix() -> None:
     turn = rotations.exp(r + step * rd) @ np.swapaxes(rotations.exp(r - step * rd), 1, 2)
     omega = rotations.log(turn) / (2.0 * step)
     assert dmp._angular_velocity(r, rd) == pytest.approx(omega, abs=1e-6)
+
+
+def test_a_movement_gets_as_many_springs_as_it_needs_and_no_more() -> None:
+    demonstration = toss()
+    each = FLIP_FIT, FLIP_FIT.doubled(), FLIP_FIT.doubled().doubled()
+    fitted = [fit([demonstration], settings, "p") for settings in each]
+    loss = {policy.basis.count: path_error(policy, [demonstration]) for policy in fitted}
+    for error, count in ((1.01 * loss[8], 8), (1.01 * loss[16], 16), (1.01 * loss[32], 32)):
+        policy = fit([demonstration], replace(FLIP_FIT, error=error), "p")
+        assert policy.basis.count == count
+        assert path_error(policy, [demonstration]) <= error
+    finest = fit([demonstration], replace(FLIP_FIT, error=1e-9), "p")
+    assert finest.basis.count == REFINED_MAX
+    plain = fit([demonstration], FLIP_FIT, "p")
+    assert plain.basis.count == 8  # without a wanted error
+
+
+def test_twice_as_many_springs_are_twice_as_stiff() -> None:
+    policy = fit([toss()], replace(FLIP_FIT, error=1e-9), "p")
+    values = np.linalg.eigvalsh(policy.stiffness)
+    assert values.min() == pytest.approx(4.0 * FLIP_FIT.k_min)
+    assert values.max() == pytest.approx(4.0 * FLIP_FIT.k_max)
+
+
+def test_a_short_recording_is_not_fitted_with_more_springs_than_it_has_samples_for() -> None:
+    short = from_positions(toss().position[:40], DT)
+    assert fit([short], replace(FLIP_FIT, error=1e-9), "p").basis.count == 8
 
 
 def test_the_plain_attractors_are_those_of_the_mean_stiffness() -> None:

@@ -68,7 +68,7 @@ def flip_parametrization(
     swing[:, [0, 2]] = (seen.attractors - seen.attractors[0])[:, [0, 2]]
     pitch = seen.rotation_attractors[:, 1]
     turn[:, 1] = pitch - pitch[0]
-    caught = np.interp(np.linspace(0.0, 1.0, n), *CATCH)
+    caught = np.interp(np.linspace(0.0, 1.0, n), *CATCH).round(9)
     shift[:, 0] = side[:, 1] = level[:, 1] = caught
     groups = (
         Stiffness(noise.stiffness, "symmetric", PLANE),

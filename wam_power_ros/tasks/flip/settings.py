@@ -15,7 +15,7 @@ from wam_power_ros.learning.dmp import FitSettings
 from wam_power_ros.tasks.flip.parametrization import FlipNoise
 
 # 8 spring-dampers as in the paper; the other values are tuned for a movement of about 0.85 s.
-PAPER_FIT = FitSettings(
+FLIP_FIT = FitSettings(
     count=8,
     width=0.5,
     k_min=150.0,
@@ -24,7 +24,7 @@ PAPER_FIT = FitSettings(
     movement=Movement(end=0.05),  # the slow end of a catch is kept
 )
 # 8 reproduce a toss to 2 to 7 mm, 16 to less than 1 mm.
-FLIP_FIT = replace(PAPER_FIT, error=1e-3)
+REFINED_FIT = replace(FLIP_FIT, error=1e-3)
 # Rotation of a true flip in the air [degrees]: of a success, and in the ground truth of the
 # simulator. Turned further, a pancake may still fall flat, other side up.
 TRUE_TURN = (150.0, 240.0)
@@ -35,7 +35,9 @@ class FlipSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    refined: bool = False  # fitted with as many spring-dampers as it needs, or with the paper's 8
+    # Whether a toss is fitted with as many spring-dampers as it needs instead of the paper's 8:
+    # these smooth its fastest part, which a larger pancake needs, and which meets the arm's limits
+    refined: bool = False
     # Learnt parameters, see `flip_parametrization`
     variant: Literal["full", "diagonal", "symmetric", "attractors", "planar"]
     noise: FlipNoise  # of the exploration
@@ -82,7 +84,9 @@ _HINDSIGHT: Mapping[str, Any] = {
 }
 PRESETS: Mapping[str, Mapping[str, Any]] = {
     # Plans on a model of the toss, and falls back on the learner of `hindsight`.
-    "model_based": {**_HINDSIGHT, "learner": {"name": "model_based"}, "refined": True},
+    "model_based": {**_HINDSIGHT, "learner": {"name": "model_based"}},
+    # The same with more spring-dampers, for a pancake of 11 cm or more.
+    "refined": {**_HINDSIGHT, "learner": {"name": "model_based"}, "refined": True},
     "hindsight": _HINDSIGHT,
     # For comparison: what the returns, or the corrections, reach alone.
     "return_only": {**_HINDSIGHT, "gain": 0.0},

@@ -10,6 +10,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar
 
 import numpy as np
+from pydantic import BaseModel
 
 from wam_power_ros.learning.demonstration import Demonstration
 from wam_power_ros.learning.dmp import fit
@@ -26,8 +27,8 @@ from wam_power_ros.tasks.flip.parametrization import flip_parametrization
 from wam_power_ros.tasks.flip.returns import pancake_return
 from wam_power_ros.tasks.flip.settings import (
     FLIP_FIT,
-    PAPER_FIT,
     PRESETS,
+    REFINED_FIT,
     TRUE_TURN,
     FlipSettings,
 )
@@ -101,11 +102,11 @@ class Flip(Task):
         cls,
         demonstrations: Sequence[Demonstration],
         policy_id: str,
-        settings: FlipSettings | None = None,
+        settings: BaseModel | None = None,
     ) -> Policy:
         """See `Task`."""
-        own = PAPER_FIT if settings and not settings.refined else cls.fit_settings
-        return fit(demonstrations, own, policy_id)
+        refined = isinstance(settings, FlipSettings) and settings.refined
+        return fit(demonstrations, REFINED_FIT if refined else cls.fit_settings, policy_id)
 
     @classmethod
     def context_of(
