@@ -106,14 +106,14 @@ BUDGET = {
     "control": 5324,  # with waypoints of other programs; +324: positions in place of torques
     "commissioning": 1502,  # +165: a set-up proposed from a URDF; +116: its report, from cli/
     "tracking": 764,
-    "tasks": 3558,  # what follows from errors and heading of any task, once
-    "practice": 2359,  # +46: candidates are fitted here, for the nodes and for one process
+    "tasks": 3523,  # what follows from errors and heading of any task, once
+    "practice": 2357,  # +46: candidates are fitted here, for the nodes and for one process
     "conformance": 1151,  # +25: effort without gravity
     "bags": 2632,  # +246: sets of LeRobot, written and read
     "params": 1399,  # what may be set at rest; -p body:=NAME is derived from; NatNet, FR3
     "ros": 2675,  # variables of ROS and DDS are named with their remedy
     "client": 1457,
-    "nodes": 3903,  # actions; +217: an FR3 by its maker's library; +122: NatNet
+    "nodes": 3900,  # actions; +217: an FR3 by its maker's library; +122: NatNet
     "console": 549,  # a person supports the arm, however a movement ended
     "view": 1190,
     "reporting": 870,
@@ -123,7 +123,7 @@ BUDGET = {
     "launch": 161,
     "wam_power_interfaces": 159,  # its build without ROS
     "examples": 483,  # +106: five tasks of other libraries
-    "reproduction": 4150,  # rivals told less, two axes, stopping rules on drawn margins
+    "reproduction": 4147,  # rivals told less, two axes, stopping rules on drawn margins
     "benchmark": 2737,  # the matrix of the reaction has a plant of its own
 }
 PURE = (

@@ -84,7 +84,6 @@ class Learner(NamedTuple):
 
 LEARNERS = {
     "model_based": Learner("return, landing error, rotation, a model of the toss", "model_based"),
-    "refined": Learner("the same; more spring-dampers", "refined"),
     "hindsight": Learner("return, landing error, rotation", "hindsight"),
     "corrections": Learner("landing error, rotation", "corrections_only"),
     "power": Learner("return", "return_only"),

@@ -501,7 +501,9 @@ def test_records_of_another_session_are_refused() -> None:
 
 
 def test_settings_and_candidates_that_cannot_be_are_refused() -> None:
-    with pytest.raises(ValueError, match="'quick' of 'flip' is not one of model_based, refined, "):
+    with pytest.raises(
+        ValueError, match="'quick' of 'flip' is not one of model_based, hindsight, "
+    ):
         preset("flip", "quick")
     with pytest.raises(
         ValueError, match="task 'fly' is not one of ball_in_cup, flip, rated, reach"

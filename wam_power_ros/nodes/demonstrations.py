@@ -87,12 +87,10 @@ class Demonstrations:
         except (ValueError, OSError) as error:
             raise ValueError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from error
 
-    def fit(
-        self, demonstration: Demonstration, bag: str, policy_id: str, settings: SessionSettings
-    ) -> Policy:
+    def fit(self, demonstration: Demonstration, bag: str, policy_id: str) -> Policy:
         """Fit a policy to a demonstration; on failure, a ValueError names the bag and reason."""
         try:
-            policy = self._kind.policy_of([demonstration], policy_id, settings.task_settings)
+            policy = self._kind.policy_of([demonstration], policy_id)
             return replace(policy, arm=self._arm.identity)
         except ValueError as error:
             raise ValueError(f"{bag}: {error}") from error

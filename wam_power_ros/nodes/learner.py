@@ -235,8 +235,7 @@ class Learner(Node):
             while f"demonstration-{number}" in taken:
                 number += 1
             read = self._demonstrations.read(bag)
-            name, settings = f"demonstration-{number}", practice.settings
-            policy = self._demonstrations.fit(read, bag, name, settings)
+            policy = self._demonstrations.fit(read, bag, f"demonstration-{number}")
             return practice.add_demonstration(policy, bag, clock={"at": time.time()})
 
         return self._append(response, make)

@@ -35,7 +35,7 @@ def fitted(
     for group in [tuple(read)] if kind.single_policy and read else [(each,) for each in read]:
         movements = [read[number] for number in group]
         try:
-            policy = kind.policy_of(movements, f"demonstration-{group[0]}", settings.task_settings)
+            policy = kind.policy_of(movements, f"demonstration-{group[0]}")
             policy = replace(policy, arm=identity)
             task = settings.make_task(kind.context_of(movements, region))
             if fault := arm.infeasible(reproduction_of(policy, task)):

@@ -101,9 +101,7 @@ class SessionSettings(BaseModel):
         made_up = _made_up_movement()
         try:
             task = self.make_task(kind.context_of([made_up], None))
-            parametrization = task.parametrization(
-                kind.policy_of([made_up], "made-up", self.task_settings)
-            )
+            parametrization = task.parametrization(kind.policy_of([made_up], "made-up"))
             errors = task.error_model(parametrization, lambda policy: None)
         except Exception:  # of any task, at what is none of its movements: demonstrations will tell
             return

@@ -251,16 +251,8 @@ class Task:
         return from_joint_samples(arm, stamps_ns, q, cls.fit_settings.movement)
 
     @classmethod
-    def policy_of(
-        cls,
-        demonstrations: Sequence[Demonstration],
-        policy_id: str,
-        settings: BaseModel | None = None,
-    ) -> Policy:
-        """Fit a policy to demonstrations; a ValueError says why none can be.
-
-        `settings` are those of the task, None for those of its first preset.
-        """
+    def policy_of(cls, demonstrations: Sequence[Demonstration], policy_id: str) -> Policy:
+        """Fit a policy to demonstrations; a ValueError says why none can be."""
         return fit(demonstrations, cls.fit_settings, policy_id)
 
     @classmethod

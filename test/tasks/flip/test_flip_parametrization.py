@@ -8,16 +8,10 @@ import numpy as np
 import pytest
 from toss_task import demonstrated_policy
 
-from hardware_sim.wam import JOINTS
-from wam_power_ros.bags import reader
-from wam_power_ros.control.arm import Arm
-from wam_power_ros.learning.dmp import path_error, reproduce_many
+from wam_power_ros.learning.dmp import reproduce_many
 from wam_power_ros.learning.parametrization import parametrization_of
 from wam_power_ros.learning.policy import Policy, to_json
-from wam_power_ros.params.resources import share
-from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.flip.parametrization import FlipNoise, flip_parametrization
-from wam_power_ros.tasks.flip.task import Flip
 
 NOISE = FlipNoise(
     stiffness=0.1, attractor=0.01, rotation=0.05, vigour=0.04, flick=0.03, catch_shift=0.02
@@ -142,16 +136,3 @@ def test_the_catch_is_moved_in_the_same_way_however_many_springs_there_are(count
     assert np.interp([5.0 / 7.0, 6.0 / 7.0, 1.0], places, moved) == pytest.approx(
         [0.01, 0.02, 0.02], abs=2e-3
     )
-
-
-def test_the_preset_refined_fits_a_toss_nearer_than_the_default_with_more_springs() -> None:
-    arm = Arm(share("urdf/wam7.urdf").read_text(), JOINTS)
-    bag = min(share("bags").glob("demo_*"))
-    taught = Flip.demonstration_of(arm, *reader.read_demonstration(bag, JOINTS))
-    fitted = [
-        Flip.policy_of([taught], "p", preset("flip", name).task_settings)
-        for name in ("refined", "model_based", "paper")
-    ]
-    assert [policy.basis.count for policy in fitted] == [16, 8, 8]
-    near, plain, paper = (path_error(policy, [taught]) for policy in fitted)
-    assert near <= 1e-3 < plain == paper

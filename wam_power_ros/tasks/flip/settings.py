@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -23,8 +22,6 @@ FLIP_FIT = FitSettings(
     damping=32.0,
     movement=Movement(end=0.05),  # the slow end of a catch is kept
 )
-# 8 reproduce a toss to 2 to 7 mm, 16 to less than 1 mm.
-REFINED_FIT = replace(FLIP_FIT, error=1e-3)
 # Rotation of a true flip in the air [degrees]: of a success, and in the ground truth of the
 # simulator. Turned further, a pancake may still fall flat, other side up.
 TRUE_TURN = (150.0, 240.0)
@@ -35,9 +32,6 @@ class FlipSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    # Whether a toss is fitted with as many spring-dampers as it needs instead of the paper's 8:
-    # these smooth its fastest part, which a larger pancake needs, and which meets the arm's limits
-    refined: bool = False
     # Learnt parameters, see `flip_parametrization`
     variant: Literal["full", "diagonal", "symmetric", "attractors", "planar"]
     noise: FlipNoise  # of the exploration
@@ -85,8 +79,6 @@ _HINDSIGHT: Mapping[str, Any] = {
 PRESETS: Mapping[str, Mapping[str, Any]] = {
     # Plans on a model of the toss, and falls back on the learner of `hindsight`.
     "model_based": {**_HINDSIGHT, "learner": {"name": "model_based"}},
-    # The same with more spring-dampers, for a pancake of 11 cm or more.
-    "refined": {**_HINDSIGHT, "learner": {"name": "model_based"}, "refined": True},
     "hindsight": _HINDSIGHT,
     # For comparison: what the returns, or the corrections, reach alone.
     "return_only": {**_HINDSIGHT, "gain": 0.0},

@@ -10,10 +10,8 @@ from types import MappingProxyType
 from typing import Any, ClassVar
 
 import numpy as np
-from pydantic import BaseModel
 
 from wam_power_ros.learning.demonstration import Demonstration
-from wam_power_ros.learning.dmp import fit
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Foreseen, Rollout
@@ -25,13 +23,7 @@ from wam_power_ros.tasks.flip.frames import REST_HEIGHT_MAX
 from wam_power_ros.tasks.flip.pan_toss import PANCAKE, predict_toss
 from wam_power_ros.tasks.flip.parametrization import flip_parametrization
 from wam_power_ros.tasks.flip.returns import pancake_return
-from wam_power_ros.tasks.flip.settings import (
-    FLIP_FIT,
-    PRESETS,
-    REFINED_FIT,
-    TRUE_TURN,
-    FlipSettings,
-)
+from wam_power_ros.tasks.flip.settings import FLIP_FIT, PRESETS, TRUE_TURN, FlipSettings
 from wam_power_ros.tasks.flip.toss_errors import (
     EFFECTS,
     ERRORS,
@@ -96,17 +88,6 @@ class Flip(Task):
         self.gain = settings.gain
         if (apex := self.targets["apex"]) <= DELTA_H:
             raise ValueError(f"apex = {apex} m must be above delta_h = {DELTA_H} m")
-
-    @classmethod
-    def policy_of(
-        cls,
-        demonstrations: Sequence[Demonstration],
-        policy_id: str,
-        settings: BaseModel | None = None,
-    ) -> Policy:
-        """See `Task`."""
-        refined = isinstance(settings, FlipSettings) and settings.refined
-        return fit(demonstrations, REFINED_FIT if refined else cls.fit_settings, policy_id)
 
     @classmethod
     def context_of(
