@@ -21,7 +21,7 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.learning.policy import to_json, with_id
+from wam_power_ros.learning.policy import to_json
 from wam_power_ros.nodes.preparation_worker import POINTS_MAX
 from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface, joint_messages
