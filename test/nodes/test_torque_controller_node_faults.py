@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 import os
 import signal
-import sys
 import time
 from dataclasses import replace
 
@@ -247,7 +246,7 @@ def test_an_ended_controller_leaves_the_torque_that_carries_the_arm(
 def test_an_ended_controller_waits_until_a_busy_driver_has_the_last_torque(
     probe: Probe, processes: Processes
 ) -> None:
-    driver = processes.start([sys.executable, "-c", DRIVER])
+    driver = processes.script(DRIVER)
     arm = PlayedArm(probe, processes)
     arm.activate()
 
@@ -431,7 +430,7 @@ def test_a_callback_that_fails_is_a_fault_and_not_the_end_of_the_node(
     for file in SIMULATED:
         config += ["--params-file", str(ROOT / "config" / file)]
     quick = ["-p", "realtime_priority:=0", "-p", "state_timeout:=0.0"]
-    arm = PlayedArm(probe, processes, [sys.executable, "-c", BROKEN, *config, *quick])
+    arm = PlayedArm(probe, processes, processes.script(BROKEN, *config, *quick))
     arm.activate()
     gravity = Arm((ROOT / "urdf/wam7.urdf").read_text(), NAMES).gravity(HOME)
 

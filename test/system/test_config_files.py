@@ -116,7 +116,7 @@ class Lab:
             DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
         )
         self._places = [f"/place{number}" for number in range(AT_ONCE)]
-        self._driver = processes.start([sys.executable, "-c", DRIVER, *self._places])
+        self._driver = processes.script(DRIVER, *self._places)
         probe.until(lambda: "driver" in processes.output(self._driver), "the driver")
 
     @property
@@ -184,7 +184,7 @@ def test_plain_files_and_printed_ones_send_no_torque_to_a_strangers_driver(
 def test_on_an_arm_the_controller_is_activated_once_a_person_has_agreed_and_not_before(
     probe: Probe, processes: Processes, tmp_path: Path
 ) -> None:
-    driver = processes.start([sys.executable, "-c", DRIVER, ""])
+    driver = processes.script(DRIVER, "")
     probe.until(lambda: "driver" in processes.output(driver), "the driver")
     rights = {"allow_no_realtime": True, "realtime_priority": 0}  # of a machine for tests
     file = tmp_path / "machine.yaml"
