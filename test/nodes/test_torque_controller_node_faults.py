@@ -455,7 +455,7 @@ def test_a_callback_that_fails_is_a_fault_and_not_the_end_of_the_node(
 
 @pytest.mark.requirement("S-101")
 def test_a_controller_in_simulation_falls_silent_when_a_driver_appears(arm: PlayedArm) -> None:
-    probe, begun = arm.probe, len(arm.read())
+    probe, begun = arm.probe, len(arm.read()) - 1
     states = probe.publisher(
         JointState, interface.JOINT_STATES, interface.STATE_OUT, node="joint_state_broadcaster"
     )
