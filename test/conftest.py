@@ -318,13 +318,20 @@ class Processes:
             command += ["-p", f"{name}:={text}"]
         return self.start(command)
 
+    def script(self, code: str, *arguments: str) -> Process:
+        """Start a script that minds no import that was made before it."""
+        return self._start([sys.executable, "-c", code, *arguments], self.environment, bool(FORKED))
+
     def start(self, command: list[str], **environment: str) -> Process:
         """Start a command in the repository's folder."""
+        node = command[:2] == [sys.executable, "-m"] and command[2] in FORKED
+        return self._start(command, self.environment | environment, node)
+
+    def _start(self, command: list[str], environment: dict[str, str], fork: bool) -> Process:
         log = self._folder / f"process_{len(self.started)}.log"
         log.touch()
-        environment = self.environment | environment
         process: Process
-        if command[:2] == [sys.executable, "-m"] and command[2] in FORKED:
+        if fork:
             process = _server().fork(command, ROOT, environment, log)
         else:
             with log.open("wb") as output:

@@ -82,7 +82,7 @@ class Server:
     def fork(
         self, command: list[str], folder: Path, environment: dict[str, str], log: Path
     ) -> Forked:
-        """Start what `python -m MODULE ARGUMENT...` starts.
+        """Start what `python -m MODULE ARGUMENT...` or `python -c SCRIPT ARGUMENT...` starts.
 
         Args:
             command: These words.
@@ -90,7 +90,8 @@ class Server:
             environment: Environment variables.
             log: File for its output.
         """
-        request = [command[2:], str(folder), environment, str(log)]
+        words = command[1:] if command[1] == "-c" else command[2:]
+        request = [words, str(folder), environment, str(log)]
         self._socket.send(json.dumps(request).encode())
         while (message := self.receive(None)) is None or message[1] is not None:
             pass
@@ -148,7 +149,7 @@ def serve(requests: socket.socket) -> int:
 
 
 def become(words: list[str], folder: str, environment: dict[str, str], log: str) -> int:
-    """Run the `main` of a module with arguments; returns its exit status."""
+    """Run the `main` of a module, or a script, with arguments; returns its exit status."""
     output = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     nothing = os.open(os.devnull, os.O_RDONLY)
     for source, target in ((nothing, 0), (output, 1), (output, 2)):
@@ -159,6 +160,10 @@ def become(words: list[str], folder: str, environment: dict[str, str], log: str)
     os.environ.clear()
     os.environ.update(environment)
     os.chdir(folder)
+    if words[0] == "-c":
+        sys.argv = [words[0], *words[2:]]
+        exec(words[1], {"__name__": "__main__"})
+        return 0
     sys.argv = words
     status: int = importlib.import_module(words[0]).main()
     return status

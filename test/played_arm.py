@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-from conftest import Probe, Processes, diagnosis
+from conftest import Probe, Process, Processes, diagnosis
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -31,16 +31,12 @@ class PlayedArm:
         self,
         probe: Probe,
         processes: Processes,
-        command: list[str] | None = None,
+        process: Process | None = None,
         **parameters: object,
     ) -> None:
         self.probe = probe
         quick = {"realtime_priority": 0, "state_timeout": 0.0}
-        self.process = (
-            processes.start(command)
-            if command
-            else processes.node(MODULE, *SIMULATED, **(quick | parameters))
-        )
+        self.process = process or processes.node(MODULE, *SIMULATED, **(quick | parameters))
         self.torques: list[joint_messages.TorqueReading] = []
         self.messages = probe.listen(
             Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND

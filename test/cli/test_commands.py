@@ -171,17 +171,22 @@ def test_the_obstacle_of_reaching_is_half_way_along_the_nominal_demonstration() 
     assert setup["wam_sim"]["guarded_region"] == setup["torque_controller"]["guarded_region"]
 
 
+LEARN = "learn --session"
+WRONG = "base_frame: typo"
+
+
 @pytest.mark.parametrize(
-    "wrong",
+    ("command", "wrong"),
     [
-        "model_joint_names: [j1, j2, j3, j4, j5, j6, j7]",
-        "base_frame: typo",
-        "tool_frame: typo",
-        "guarded_links: [typo, wam_link4]",
-        "urdf: urdf/cobot7.urdf",
+        (LEARN, WRONG),
+        (LEARN, "model_joint_names: [j1, j2, j3, j4, j5, j6, j7]"),
+        (LEARN, "tool_frame: typo"),
+        (LEARN, "guarded_links: [typo, wam_link4]"),
+        (LEARN, "urdf: urdf/cobot7.urdf"),
+        ("teach --folder", WRONG),
+        ("replay bag --folder", WRONG),
     ],
 )
-@pytest.mark.parametrize("command", ["learn --session", "teach --folder", "replay bag --folder"])
 def test_a_set_up_that_does_not_fit_its_urdf_is_refused_before_anything_starts(
     command: str, wrong: str, tmp_path: Path, refusal: Callable[..., str]
 ) -> None:

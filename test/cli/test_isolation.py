@@ -195,14 +195,11 @@ def test_a_full_disk_is_an_error_before_anybody_teaches(
     assert "200 MB free on the disk of" in refusal(command)
 
 
-@pytest.mark.parametrize(
-    ("domain", "node"), [("300", "torque_controller"), ("robot", "learner"), ("-1", "check_driver")]
-)
-def test_a_node_refuses_an_invalid_domain(domain: str, node: str, tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "wam_power_ros.cli", "run", node]
-    assert terminal(command, tmp_path, ROS_DOMAIN_ID=domain).wait(60.0) == 2
+def test_a_node_refuses_an_invalid_domain(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "wam_power_ros.cli", "run", "torque_controller"]
+    assert terminal(command, tmp_path, ROS_DOMAIN_ID="300").wait(60.0) == 2
     text = " ".join(said(tmp_path).split())
-    assert f"ROS_DOMAIN_ID='{domain}' is not a whole number from 0 to 232" in text
+    assert "ROS_DOMAIN_ID='300' is not a whole number from 0 to 232" in text
     assert "Traceback" not in text
 
 

@@ -23,7 +23,16 @@ from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import interface
 
 if TYPE_CHECKING:
-    from conftest import Probe
+    from conftest import Probe, Processes
+
+
+GIVE = """
+from wam_power_ros.client.feedback import answered, connected
+with connected() as learner:
+    for kind in ("pause", "continue", "reward"):
+        answer = answered(lambda: learner.give(kind))
+        print((answer.success, answer.text))
+"""
 
 
 def test_every_kind_of_feedback_can_be_given_on_the_command_line() -> None:
@@ -35,7 +44,7 @@ def test_every_kind_of_feedback_can_be_given_on_the_command_line() -> None:
 
 
 def test_the_answer_of_the_learner_is_returned_and_a_pause_is_not_a_continuation(
-    probe: Probe, domain_id: int, monkeypatch: pytest.MonkeyPatch
+    probe: Probe, processes: Processes
 ) -> None:
     asked: list[bool] = []
 
@@ -50,20 +59,14 @@ def test_the_answer_of_the_learner_is_returned_and_a_pause_is_not_a_continuation
 
     probe.node.create_service(Pause, interface.LEARNER_PAUSE, pause)
     probe.node.create_service(Trigger, interface.LEARNER_REWARD, reward)
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain_id))
-    for kind, expected in (
-        ("pause", "(True, 'paused')"),
-        ("continue", "(True, 'paused')"),
-        ("reward", "(False, 'no rollout has finished')"),
-    ):
-        code = "from wam_power_ros.client.feedback import *\nwith connected() as learner: "
-        code += f"a = answered(lambda: learner.give({kind!r})); print((a.success, a.text))"
-        given = subprocess.Popen(
-            [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-        )
-        probe.until(lambda given=given: given.poll() is not None, f"an answer to {kind}", 60.0)
-        output, errors = given.communicate()
-        assert output.strip() == expected, errors
+    given = processes.script(GIVE)
+    probe.until(lambda: given.poll() is not None, "the answers", 60.0)
+    said = [line for line in processes.output(given).splitlines() if line.startswith("(")]
+    assert said == [
+        "(True, 'paused')",
+        "(True, 'paused')",
+        "(False, 'no rollout has finished')",
+    ], processes.output(given)
     assert asked == [True, False]
 
 

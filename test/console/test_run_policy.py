@@ -38,17 +38,26 @@ def running(*arguments: object) -> subprocess.Popen[str]:
     return subprocess.Popen(command, cwd=ROOT, stdout=pipe, stderr=subprocess.STDOUT, text=True)
 
 
-def test_a_policy_is_executed_as_often_as_asked_and_each_return_is_that_of_its_bag(
+def test_each_return_is_that_of_its_bag_and_ctrl_c_leaves_an_arm_that_holds_and_bags_closed(
     saved: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    process = running(saved, "--rollouts", 2, "--folder", tmp_path / "run")
-    said = process.communicate(timeout=900.0)[0]
-    assert process.returncode == 0, said
-    lines = re.findall(r"^(\d) of 2: return ([\d.]+), .*recorded: (\w+)$", said, re.M)
-    assert [line[0] for line in lines] == ["1", "2"], said
+    process = running(saved, "--rollouts", 100, "--folder", tmp_path / "run")
+    said = ""
+    for line in process.stdout:
+        said += line
+        if line.startswith("2 of 100"):
+            break
+    time.sleep(0.5)
+    process.send_signal(signal.SIGINT)
+    said += process.stdout.read()
+    assert process.wait(600.0) == 130, said
+    assert "Stopped: the arm holds." in said
+    lines = re.findall(r"^(\d) of 100: return ([\d.]+), .*recorded: (\w+)$", said, re.M)
+    assert [line[0] for line in lines][:2] == ["1", "2"], said
     for _, ret, bag in lines:
         assert main.main(["score", str(tmp_path / "run/bags" / bag)]) == 0
         assert f"return {ret}, " in capsys.readouterr().out
+    assert not [*(tmp_path / "run/bags").glob(f"*{layout.UNFINISHED}")]
 
 
 def test_two_policies_are_executed_by_turns_and_a_pair_is_judged(
@@ -73,22 +82,6 @@ def test_two_policies_are_executed_by_turns_and_a_pair_is_judged(
 def test_a_comparison_without_returns_is_refused(refusal: Callable[..., str], saved: Path) -> None:
     said = refusal("compare", "policy.json", "policy.json", "--task", "reach")
     assert "without returns nothing can be compared: task reach measures" in said
-
-
-def test_a_policy_that_is_stopped_leaves_the_arm_holding_and_its_bag_closed(
-    saved: Path, tmp_path: Path
-) -> None:
-    process = running(saved, "--rollouts", 100, "--folder", tmp_path / "run")
-    for line in process.stdout:
-        if line.startswith("1 of 100"):
-            break
-    time.sleep(0.5)
-    process.send_signal(signal.SIGINT)
-    said = process.stdout.read()
-    assert process.wait(600.0) == 130, said
-    assert "Stopped: the arm holds." in said
-    bags = [bag.name for bag in (tmp_path / "run/bags").iterdir()]
-    assert bags and not [name for name in bags if name.endswith(layout.UNFINISHED)]
 
 
 def test_what_is_no_policy_of_this_arm_is_refused_before_any_node_starts(

@@ -80,8 +80,19 @@ class Bench:
 
 
 @pytest.mark.requirement("S-112")
-@pytest.mark.parametrize("mode", ["rollout", "move", "teaching", "hold"])
-@pytest.mark.parametrize("broken", [(name,) for name in ALL] + [DYNAMICS, ALL], ids=str)
+@pytest.mark.parametrize(
+    ("mode", "broken"),
+    [
+        *(("rollout", (name,)) for name in ALL),
+        *((mode, ("gravity",)) for mode in ("move", "teaching", "hold")),
+        *(
+            (mode, all)
+            for mode in ("rollout", "move", "teaching", "hold")
+            for all in (DYNAMICS, ALL)
+        ),
+    ],
+    ids=str,
+)
 def test_whatever_raises_the_arm_is_braked_and_stays_where_it_stopped(
     mode: str, broken: tuple[str, ...]
 ) -> None:

@@ -135,7 +135,9 @@ def nominal() -> float:
 @pytest.mark.requirement("S-91")
 @pytest.mark.parametrize("moment", MOMENTS)
 @pytest.mark.parametrize("name", FALSIFICATIONS)
-def test_a_false_state_in_a_rollout_ends_in_a_stop(name: str, moment: str, nominal: float) -> None:
+def test_a_false_state_in_a_rollout_ends_in_a_stop_that_true_ones_do_not_disturb(
+    name: str, moment: str, nominal: float
+) -> None:
     controller, plant = begin(friction=1.0, delay=2, sensing=True)
     controller.execute()
     run(controller, plant, MOMENTS[moment])
@@ -147,6 +149,16 @@ def test_a_false_state_in_a_rollout_ends_in_a_stop(name: str, moment: str, nomin
     assert faulted <= LONGEST or size < DETECTABLE, (faulted, size)
     assert not controller.latched.kind.of_policy
     assert max(speeds[faulted + 250 :], default=0.0) < safety.REST_SPEED
+    if size < DETECTABLE:
+        return
+    tau, speeds = controller.step(*plant.state(), PERIOD), []
+    for _ in range(250):
+        plant.step(tau)
+        speeds.append(tool_speed(plant))
+        tau = controller.step(*plant.state(), PERIOD)
+    assert max(speeds) < 0.3
+    assert max(speeds[150:]) < safety.REST_SPEED
+    controller.reset()
 
 
 @pytest.mark.requirement("S-91")
@@ -157,28 +169,6 @@ def test_an_arm_frozen_with_velocity_zero_is_detected_after_standing_still(momen
     run(controller, plant, moment)
     faulted, _, _ = falsify(controller, plant, FALSIFICATIONS["all frozen, velocities zero"]())
     assert faulted is not None and faulted <= FROZEN
-
-
-@pytest.mark.requirement("S-91")
-@pytest.mark.parametrize("moment", [0.27, 0.48])
-@pytest.mark.parametrize("name", FALSIFICATIONS)
-def test_true_states_after_false_ones_move_nothing_and_allow_a_reset(
-    name: str, moment: float
-) -> None:
-    controller, plant = begin(friction=1.0, delay=2, sensing=True)
-    controller.execute()
-    run(controller, plant, moment)
-    faulted, _, size = falsify(controller, plant, FALSIFICATIONS[name]())
-    if faulted is None or size < DETECTABLE:
-        return
-    tau, speeds = controller.step(*plant.state(), PERIOD), []
-    for _ in range(250):
-        plant.step(tau)
-        speeds.append(tool_speed(plant))
-        tau = controller.step(*plant.state(), PERIOD)
-    assert max(speeds) < 0.3
-    assert max(speeds[150:]) < safety.REST_SPEED
-    controller.reset()
 
 
 @pytest.mark.requirement("S-91")

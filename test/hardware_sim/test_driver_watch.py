@@ -41,7 +41,7 @@ rclpy.spin(node)
 
 def driver(processes: Processes, *kinds: str) -> None:
     """Start a process like that of ros2_control; without states it only subscribes."""
-    process = processes.start([sys.executable, "-c", DRIVER, *kinds])
+    process = processes.script(DRIVER, *kinds)
     while "driver" not in processes.output(process):
         time.sleep(0.02)
 
@@ -107,7 +107,7 @@ def test_a_domain_that_another_session_holds_is_refused_at_once(
     hold = "import signal, sys; from wam_power_ros.ros.domain import hold; "
     free = next(number for number in range(102, 232) if number != domain_id)
     hold += "lock = hold(int(sys.argv[1])); print('held', flush=True); signal.pause()"
-    session = processes.start([sys.executable, "-c", hold, str(free)])
+    session = processes.script(hold, str(free))
     while "held" not in processes.output(session):
         time.sleep(0.02)
     command = [sys.executable, "-m", SIM, "--ros-args"]

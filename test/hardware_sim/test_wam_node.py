@@ -59,9 +59,16 @@ def test_a_killed_controller_lets_the_arm_come_to_rest_under_its_own_gravity(
         assert max(speeds) < 0.3
 
 
-def test_a_recorded_movement_is_replayed_by_the_arm(probe: Probe, processes: Processes) -> None:
-    hardware = Hardware(probe, processes, "lockstep")
+@pytest.fixture(scope="module")
+def hardware(shared_nodes: tuple[Probe, Processes]) -> Hardware:
+    """Stand-ins and a controller that two tests share; each leaves it holding."""
+    hardware = Hardware(*shared_nodes, "lockstep")
     hardware.control()
+    return hardware
+
+
+def test_a_recorded_movement_is_replayed_by_the_arm(hardware: Hardware) -> None:
+    probe = hardware.probe
     t = np.linspace(0.0, 2.0, 41)
     swing = 0.2 * np.sin(np.pi * t / 2.0) ** 2  # out and back, at rest at both ends
     q = hardware.state().q + swing[:, None] * np.eye(7)[3]
@@ -81,10 +88,9 @@ def test_a_recorded_movement_is_replayed_by_the_arm(probe: Probe, processes: Pro
 
 
 def test_waypoints_of_a_follow_joint_trajectory_are_passed_and_a_cancel_stops_the_arm(
-    probe: Probe, processes: Processes
+    hardware: Hardware,
 ) -> None:
-    hardware = Hardware(probe, processes, "lockstep")
-    hardware.control()
+    probe = hardware.probe
     start = hardware.state().q
     there = start + 0.3 * np.eye(7)[3]
 

@@ -123,8 +123,9 @@ def policies(toss: Policy) -> dict[str, Policy]:
 @pytest.mark.parametrize(
     ("task", "tool_mass"),
     [
-        *((task, mass) for task in ("toss", "slow toss") for mass in (0.0, 0.03, 0.1, 0.3, 0.6, 1)),
-        *(("reach", mass) for mass in (0.03, 0.1, 0.3, 0.6, 1.0)),
+        *(("toss", mass) for mass in (0.0, 0.03, 0.3, 1.0)),
+        *(("slow toss", mass) for mass in (0.0, 1.0)),
+        *(("reach", mass) for mass in (0.03, 0.3, 1.0)),
     ],
 )
 def test_simulation_and_stand_in_agree_for_tools_of_any_mass(

@@ -297,8 +297,6 @@ def test_in_lockstep_a_tracker_that_stood_still_loses_no_frame(
     ("parameters", "why"),
     [
         ({"pose_topic": '""'}, "pose_topic or markers_topic"),
-        ({"up_axis": "x"}, "up_axis"),
-        ({"rate": -1.0}, "rate"),
         ({"colour": "red"}, "colour"),
     ],
 )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""False states, shutdown in motion and a second commander, over DDS with the node in a process."""
+"""False states and shutdown in motion, over DDS with the node in a process."""
 
 from __future__ import annotations
 
@@ -13,11 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import Probe, Processes
-from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
 from played_arm import HOME, NAMES, PlayedArm
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
 from benchmark.false_states import FALSE_STATES
@@ -77,24 +74,6 @@ def test_a_controller_that_is_ended_in_a_rollout_stops_the_arm_first(lab: Lab, n
     pytest.fail(f"never at rest: speed [m/s] and torque off g(q) [N m] {seen}")
 
 
-@pytest.mark.requirement("S-45")
-def test_a_commander_that_was_silent_at_activation_is_a_fault_when_it_sends(
-    probe: Probe, processes: Processes
-) -> None:
-    other = probe.publisher(
-        Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND, readers=0
-    )
-    arm = PlayedArm(probe, processes)
-    arm.activate()
-    for _ in range(50):
-        arm.send()
-        arm.answer()
-    assert arm.read()[-1].label == "hold"
-    other.publish(Float64MultiArray(data=[0.0] * 7))
-    report = arm.diagnosis(lambda d: arm.send() or d["mode"] == "fault", "the fault")
-    assert report["fault kind"] == FaultKind.SECOND_COMMANDER.value
-
-
 @pytest.mark.requirement("S-53")
 def test_a_cut_network_is_a_fault_that_stays_when_it_is_back(tmp_path: Path) -> None:
     if subprocess.run(
@@ -117,33 +96,6 @@ def test_a_cut_network_is_a_fault_that_stays_when_it_is_back(tmp_path: Path) -> 
         timeout=300,
     )
     assert done.stdout.splitlines()[-1:] == ["['fault'] hold"], (done.stdout, done.stderr)
-
-
-@pytest.mark.requirement("S-26")
-def test_a_fault_outlives_the_life_cycle(probe: Probe, processes: Processes) -> None:
-    arm = PlayedArm(probe, processes)
-    arm.activate()
-
-    def change(transition: int) -> bool:
-        arm.send()
-        request = ChangeState.Request(transition=Transition(id=transition))
-        return probe.call(ChangeState, "/torque_controller/change_state", request).success
-
-    other = probe.publisher(Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND)
-    arm.diagnosis(lambda d: arm.send() or d["mode"] == "fault", "a fault")
-    probe.node.destroy_publisher(other)
-    for transition in (
-        Transition.TRANSITION_DEACTIVATE,
-        Transition.TRANSITION_CLEANUP,
-        Transition.TRANSITION_CONFIGURE,
-        Transition.TRANSITION_ACTIVATE,
-    ):
-        probe.until(lambda: change(transition), f"transition {transition}")  # noqa: B023
-    arm.send()
-    assert arm.answer().label == "fault"
-    arm.reset()
-    arm.send()
-    assert arm.answer().label == "hold"
 
 
 @pytest.mark.requirement("S-94")

@@ -3,9 +3,6 @@
 
 from __future__ import annotations
 
-import signal
-import subprocess
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -25,6 +22,7 @@ from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.reach.task import Reach
 from wam_power_ros.tasks.task import Assessment
 
+LEARNER = "wam_power_ros.nodes.learner"
 COBOT = Arm(
     share("urdf/cobot7.urdf").read_text(),
     [f"cobot_joint{i}" for i in range(1, 8)],
@@ -34,18 +32,17 @@ COBOT = Arm(
 
 
 @pytest.mark.requirement("S-59")
-def test_a_learner_goes_on_with_no_session_of_another_arm(tmp_path: Path, domain_id: int) -> None:
+def test_a_learner_goes_on_with_no_session_of_another_arm(
+    tmp_path: Path, processes: Processes
+) -> None:
     folder = tmp_path / "session"
     policy = replace(demonstrated_policy(), arm=COBOT)
     Session.begin(folder, preset("flip"), 0, [policy]).close()
-    command = [sys.executable, "-m", "wam_power_ros.cli", "run", "learner", "--ros-args"]
-    command += ["--params-file", str(ROOT / "config/learner.yaml"), "-p", f"session:={folder}"]
-    ended = subprocess.run(
-        command, cwd=ROOT, capture_output=True, text=True, timeout=120, check=False
-    )
-    assert ended.returncode == 2
-    assert f"policy {policy.id} belongs to another arm: cobot7" in ended.stderr
-    assert "this arm is wam7" in ended.stderr
+    ended = processes.node(LEARNER, "learner.yaml", session=folder)
+    assert ended.wait(120.0) == 2
+    said = processes.output(ended)
+    assert f"policy {policy.id} belongs to another arm: cobot7" in said
+    assert "this arm is wam7" in said
     Session.open(folder).close()  # nothing was written, no lock is held
 
 
@@ -58,15 +55,12 @@ def test_a_learner_goes_on_with_no_session_of_another_arm(tmp_path: Path, domain
     ],
 )
 def test_a_learner_refuses_what_cannot_work_before_it_reads_a_bag_or_begins_a_session(
-    given: dict[str, object], says: str, tmp_path: Path, domain_id: int
+    given: dict[str, object], says: str, tmp_path: Path, processes: Processes
 ) -> None:
     given |= {"session": tmp_path / "s", "demonstrations": "['no_bag', 'no_other']"}
-    command = [sys.executable, "-m", "wam_power_ros.cli", "run", "learner", "--ros-args"]
-    command += ["--params-file", str(ROOT / "config/learner.yaml")]
-    command += [word for name, value in given.items() for word in ("-p", f"{name}:={value}")]
-    ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120)
-    assert ended.returncode == 2
-    assert says in ended.stderr and "no_bag" not in ended.stderr
+    ended = processes.node(LEARNER, "learner.yaml", **given)
+    assert ended.wait(120.0) == 2
+    assert says in processes.output(ended) and "no_bag" not in processes.output(ended)
     assert not (tmp_path / "s").exists()
 
 
@@ -76,35 +70,33 @@ def test_nodes_that_were_started_with_different_set_ups_notice_it_before_anythin
     controller = "wam_power_ros.nodes.torque_controller"
     processes.node(controller, "simulation.yaml", tool_speed_max=3.5)
     given = {"session": tmp_path / "s", "demonstrations": f"[{next(ROOT.glob('bags/demo_*'))}]"}
-    learner = processes.node("wam_power_ros.nodes.learner", "simulation.yaml", **given)
+    learner = processes.node(LEARNER, "simulation.yaml", **given)
     assert learner.wait(60.0) == 2
     said = processes.output(learner)
     assert "started with another set-up than this node: tool_speed_max 3.5, here 4.0. Give" in said
     assert read(tmp_path / "s").records == ()
 
 
-def begun_session(folder: Path, **params: object) -> Session:
+def begun_session(processes: Processes, folder: Path, **params: object) -> Session:
     """Session that a learner began, which waits for an arm and is stopped there."""
-    command = [sys.executable, "-m", "wam_power_ros.cli", "run", "learner", "--ros-args"]
-    command += ["--params-file", str(ROOT / "config/learner.yaml"), "-p", f"session:={folder}"]
-    command += [word for name, value in params.items() for word in ("-p", f"{name}:={value}")]
-    learner = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+    learner = processes.node(LEARNER, "learner.yaml", session=folder, **params)
     end = time.monotonic() + 120.0
     while not Session.exists(folder) and learner.poll() is None and time.monotonic() < end:
         time.sleep(0.1)
-    learner.send_signal(signal.SIGINT)
-    said = learner.communicate(timeout=60)[0].decode()
-    assert Session.exists(folder), said
+    processes.end(learner)
+    assert Session.exists(folder), processes.output(learner)
     return read(folder)
 
 
 def test_a_session_begins_with_a_policy_that_was_learnt_elsewhere(
-    tmp_path: Path, domain_id: int
+    tmp_path: Path, processes: Processes
 ) -> None:
     policy = demonstrated_policy()
     (tmp_path / "policy.json").write_text(to_json(policy))
     bag, folder = min((ROOT / "bags").glob("demo_*")), tmp_path / "session"
-    begun = begun_session(folder, policy=tmp_path / "policy.json", demonstrations=f"['{bag}']")
+    begun = begun_session(
+        processes, folder, policy=tmp_path / "policy.json", demonstrations=f"['{bag}']"
+    )
     assert begun.header.candidates == ["carried-over"]
     assert begun.header.demonstrations == [str(bag)]
     (carried,) = begun.policies
@@ -112,7 +104,7 @@ def test_a_session_begins_with_a_policy_that_was_learnt_elsewhere(
 
 
 def test_a_session_begins_with_the_policy_predicted_for_another_goal(
-    tmp_path: Path, domain_id: int
+    tmp_path: Path, processes: Processes
 ) -> None:
     bags = sorted((ROOT / "bags").glob("reach_*"))
     arm = Arm(share("urdf/wam7.urdf").read_text(), JOINTS)
@@ -126,6 +118,7 @@ def test_a_session_begins_with_the_policy_predicted_for_another_goal(
         known.append(practice.learn_assessed(practice.next_trial(), reproduced))
         known.save_policy(policy)
     begun = begun_session(
+        processes,
         tmp_path / "session",
         task="reach",
         policy=tmp_path / "origin" / "policy.json",

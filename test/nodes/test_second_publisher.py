@@ -75,11 +75,23 @@ class Lab:
         return str(self.probe.until(said, str(parts)))
 
 
+@pytest.fixture(scope="module")
+def configured(shared_nodes: tuple[Probe, Processes]) -> Lab:
+    """A controller that several tests share."""
+    return Lab(*shared_nodes)
+
+
+@pytest.fixture
+def lab(configured: Lab) -> Lab:
+    """The shared controller, which is not active."""
+    if configured.arm.read() and configured.arm.read()[-1].label != "inactive":
+        assert configured.change(Transition.TRANSITION_DEACTIVATE)
+    configured.arm.diagnostics.clear()
+    return configured
+
+
 @pytest.mark.requirement("S-130")
-def test_a_second_publisher_of_our_joints_keeps_us_from_starting_and_is_named(
-    probe: Probe, processes: Processes
-) -> None:
-    lab = Lab(probe, processes)
+def test_a_second_publisher_of_our_joints_keeps_us_from_starting_and_is_named(lab: Lab) -> None:
     zeros = lab.other("zeros")
     for _ in range(5):
         assert not lab.activated(lambda: lab.say(zeros, NAMES, ZEROS))
@@ -89,12 +101,9 @@ def test_a_second_publisher_of_our_joints_keeps_us_from_starting_and_is_named(
 
 
 @pytest.mark.requirement("S-130")
-def test_a_second_publisher_that_appears_is_a_fault_and_its_states_are_not_used(
-    probe: Probe, processes: Processes
-) -> None:
-    lab = Lab(probe, processes)
+def test_a_second_publisher_that_appears_is_a_fault_and_its_states_are_not_used(lab: Lab) -> None:
     lab.activate()
-    arm, zeros = lab.arm, lab.other("zeros")
+    arm, zeros = lab.arm, lab.other("appears")
     count = len(arm.read())
     for _ in range(100):
         arm.send()
@@ -107,23 +116,20 @@ def test_a_second_publisher_that_appears_is_a_fault_and_its_states_are_not_used(
         np.testing.assert_allclose(torque.tau, gravity, rtol=0.0, atol=0.1)
     report = arm.diagnosis(lambda d: d["mode"] == "fault", "the fault")
     assert report["fault kind"] == FaultKind.SECOND_PUBLISHER.value
-    assert f"/zeros/{STAND_IN}" in report["message"]
+    assert f"/appears/{STAND_IN}" in report["message"]
 
     lab.say(zeros, NAMES, ZEROS)
     arm.send()
     arm.answer()
-    refused = probe.call(Trigger, interface.RESET)
-    assert not refused.success and f"/zeros/{STAND_IN}" in refused.message
+    refused = lab.probe.call(Trigger, interface.RESET)
+    assert not refused.success and f"/appears/{STAND_IN}" in refused.message
     arm.reset()  # once it sends nothing any more
 
 
 @pytest.mark.requirement("S-130")
-def test_publishers_of_other_joints_and_a_driver_that_was_restarted_are_legal(
-    probe: Probe, processes: Processes
-) -> None:
-    lab = Lab(probe, processes)
+def test_publishers_of_other_joints_and_a_driver_that_was_restarted_are_legal(lab: Lab) -> None:
     hand = lab.other("hand")
-    probe.until(lambda: lab.activated(lambda: lab.say(hand, ["finger"], ZEROS[:1])), "it")
+    lab.probe.until(lambda: lab.activated(lambda: lab.say(hand, ["finger"], ZEROS[:1])), "it")
     for _ in range(100):
         lab.say(hand, ["finger"], ZEROS[:1])
         lab.arm.send()
@@ -154,24 +160,22 @@ def test_a_second_publisher_of_velocities_is_a_fault(probe: Probe, processes: Pr
 
 
 @pytest.mark.requirement("S-11")
-@pytest.mark.parametrize(
-    ("names", "q", "reason"),
-    [
-        (NAMES, np.rad2deg(HOME), "position of joint 4 is 115, allowed is 20 rad: degrees?"),
-        (NAMES[:6], HOME[:6], "joints ['wam_j7'] missing in names"),
-    ],
-)
 def test_states_that_arrive_but_are_refused_are_not_said_to_be_missing(
-    probe: Probe, processes: Processes, names: list[str], q: np.ndarray, reason: str
+    probe: Probe, processes: Processes
 ) -> None:
     lab = Lab(probe, processes)
-    lab.arm.diagnostics.clear()
+    for names, q, reason in (
+        (NAMES, np.rad2deg(HOME), "position of joint 4 is 115, allowed is 20 rad: degrees?"),
+        (NAMES[:6], HOME[:6], "joints ['wam_j7'] missing in names"),
+    ):
+        lab.arm.diagnostics.clear()
 
-    def refused() -> bool:
-        lab.arm.send(names, q)
-        assert not lab.change(Transition.TRANSITION_ACTIVATE)
-        return reason in diagnosis(lab.arm.diagnostics, "torque_controller").get("message", "")
+        def refused() -> bool:
+            lab.arm.send(names, q)  # noqa: B023
+            assert not lab.change(Transition.TRANSITION_ACTIVATE)
+            said = diagnosis(lab.arm.diagnostics, "torque_controller").get("message", "")
+            return reason in said  # noqa: B023
 
-    probe.until(refused, reason)
-    said = "activation refused: joint states arrive, but are refused: "
-    assert lab.refusal("activation").startswith(f"{said}{reason}")
+        probe.until(refused, reason)
+        said = "activation refused: joint states arrive, but are refused: "
+        assert lab.refusal("activation", reason).startswith(f"{said}{reason}")

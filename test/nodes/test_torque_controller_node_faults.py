@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 import os
 import signal
-import sys
 import time
 from dataclasses import replace
 
@@ -16,6 +15,7 @@ from conftest import ROOT, Probe, Processes, diagnosis, lift
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from played_arm import HOME, NAMES, SIMULATED, PlayedArm
+from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
@@ -40,37 +40,74 @@ raise SystemExit(node_runner.run(make))
 """
 
 
-@pytest.mark.requirement("S-11")
-@pytest.mark.parametrize(
-    ("names", "q", "qd", "named"),
-    [
-        (NAMES[:6], HOME[:6], np.zeros(6), "wam_j7"),
-        (NAMES, np.append(HOME[:6], math.nan), np.zeros(7), "position"),
-        (NAMES, HOME, np.full(7, math.inf), "velocity"),
-    ],
-)
-def test_a_bad_state_is_refused_counted_named_and_never_becomes_a_torque(
-    probe: Probe, processes: Processes, names: list[str], q: np.ndarray, qd: np.ndarray, named: str
-) -> None:
-    arm = PlayedArm(probe, processes)
+def settle(arm: PlayedArm, states: int = 100) -> None:
+    """Let the arm rest for more states than a refused one counts."""
+    for _ in range(states):
+        arm.send()
+        arm.answer()
+
+
+@pytest.fixture(scope="module")
+def activated(shared_nodes: tuple[Probe, Processes]) -> PlayedArm:
+    """A controller that several tests share, active."""
+    arm = PlayedArm(*shared_nodes)
     arm.activate()
-    count = len(arm.read())
-    arm.send(names, q, qd)
-    report = arm.diagnosis(
-        lambda d: d.get("refused: joint state") == "1", "the refusal is reported"
-    )
-    assert named in report["last refusal"]
-    assert len(arm.read()) == count
+    return arm
+
+
+@pytest.fixture
+def arm(activated: PlayedArm) -> PlayedArm:
+    """The shared controller, which holds an arm at rest."""
+    settle(activated)
+    if activated.read()[-1].label == "fault":  # of the test before
+        activated.reset()
+        settle(activated)
+    assert activated.read()[-1].label == "hold"
+    activated.diagnostics.clear()
+    return activated
+
+
+def change(arm: PlayedArm, transition: int) -> bool:
+    """Whether a transition of the life cycle succeeds, after a state."""
     arm.send()
-    assert np.isfinite(arm.answer().tau).all()
+    request = ChangeState.Request(transition=Transition(id=transition))
+    return arm.probe.call(ChangeState, "torque_controller/change_state", request).success
+
+
+def commander(probe: Probe) -> Publisher:
+    return probe.publisher(Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND)
+
+
+def faulted(arm: PlayedArm) -> dict[str, str]:
+    """The diagnostics of the fault that comes."""
+    return arm.diagnosis(lambda d: arm.send() or d["mode"] == "fault", "a fault")
+
+
+@pytest.mark.requirement("S-11")
+def test_a_bad_state_is_refused_counted_named_and_never_becomes_a_torque(arm: PlayedArm) -> None:
+    refused = lambda d: int(d.get("refused: joint state", "0"))  # noqa: E731
+    before = refused(arm.diagnosis(lambda d: True, "a report"))
+    for number, (names, q, qd, named) in enumerate(
+        [
+            (NAMES[:6], HOME[:6], np.zeros(6), "wam_j7"),
+            (NAMES, np.append(HOME[:6], math.nan), np.zeros(7), "position"),
+            (NAMES, HOME, np.full(7, math.inf), "velocity"),
+        ],
+        start=before + 1,
+    ):
+        count = len(arm.read())
+        arm.send(names, q, qd)
+        report = arm.diagnosis(lambda d: refused(d) == number, "the refusal")  # noqa: B023
+        assert named in report["last refusal"]
+        assert len(arm.read()) == count
+        settle(arm)
+        assert np.isfinite(arm.read()[-1].tau).all()
 
 
 @pytest.mark.requirement("S-11")
 def test_five_states_refused_within_fifty_are_a_fault_whatever_is_wrong_with_each(
-    probe: Probe, processes: Processes
+    arm: PlayedArm,
 ) -> None:
-    arm = PlayedArm(probe, processes)
-    arm.activate()
     for names, q in (
         (NAMES[:6], HOME[:6]),
         ([*NAMES[:6], "wam_j1"], HOME),
@@ -83,8 +120,7 @@ def test_five_states_refused_within_fifty_are_a_fault_whatever_is_wrong_with_eac
     arm.send([*NAMES, "wam_j1"], np.append(HOME, 0.0))
     arm.send()
     assert arm.answer().label == "fault"
-    report = arm.diagnosis(lambda d: d["mode"] == "fault", "the fault is reported")
-    assert report["fault kind"] == FaultKind.STATES_REFUSED.value
+    assert faulted(arm)["fault kind"] == FaultKind.STATES_REFUSED.value
 
 
 def idle_service(probe: Probe) -> list[float]:
@@ -141,45 +177,65 @@ def test_lost_states_bring_gravity_alone_then_a_fault_and_the_driver_to_idle(
 
 
 @pytest.mark.requirement("S-45")
-def test_a_second_commander_is_a_fault_and_keeps_us_from_starting(
+def test_a_second_commander_is_a_fault_and_keeps_us_from_starting(arm: PlayedArm) -> None:
+    probe = arm.probe
+    other = commander(probe)
+    report = faulted(arm)
+    assert "publisher" in report["message"]
+    assert report["fault kind"] == FaultKind.SECOND_COMMANDER.value
+    assert change(arm, Transition.TRANSITION_DEACTIVATE)
+    for _ in range(40):  # it hears them before a person lets it start
+        other.publish(Float64MultiArray(data=[0.0] * 7))
+        probe.spin(0.05)
+    assert not change(arm, Transition.TRANSITION_ACTIVATE)
+    sends = "another publisher sends commands"
+    arm.diagnosis(lambda d: sends in d.get("last refusal", ""), "the refusal")
+    probe.node.destroy_publisher(other)
+    probe.until(lambda: change(arm, Transition.TRANSITION_ACTIVATE), "activation without it")
+
+
+@pytest.mark.requirement("S-45")
+def test_a_commander_that_was_silent_at_activation_is_a_fault_when_it_sends(
+    arm: PlayedArm,
+) -> None:
+    assert change(arm, Transition.TRANSITION_DEACTIVATE)
+    other = commander(arm.probe)
+    arm.probe.until(lambda: change(arm, Transition.TRANSITION_ACTIVATE), "the activation")
+    settle(arm)
+    assert arm.read()[-1].label == "hold"
+    other.publish(Float64MultiArray(data=[0.0] * 7))
+    assert faulted(arm)["fault kind"] == FaultKind.SECOND_COMMANDER.value
+    arm.probe.node.destroy_publisher(other)
+    assert change(arm, Transition.TRANSITION_DEACTIVATE)  # it is remembered until then
+    arm.probe.until(lambda: change(arm, Transition.TRANSITION_ACTIVATE), "activation without it")
+
+
+@pytest.mark.requirement("S-26")
+def test_a_fault_outlives_the_life_cycle(arm: PlayedArm) -> None:
+    other = commander(arm.probe)
+    faulted(arm)
+    arm.probe.node.destroy_publisher(other)
+    for transition in (
+        Transition.TRANSITION_DEACTIVATE,
+        Transition.TRANSITION_CLEANUP,
+        Transition.TRANSITION_CONFIGURE,
+        Transition.TRANSITION_ACTIVATE,
+    ):
+        arm.probe.until(lambda: change(arm, transition), f"transition {transition}")  # noqa: B023
+    arm.send()
+    assert arm.answer().label == "fault"
+    arm.reset()
+    arm.send()
+    assert arm.answer().label == "hold"
+
+
+@pytest.mark.requirement("S-05")
+def test_an_ended_controller_leaves_the_torque_that_carries_the_arm(
     probe: Probe, processes: Processes
 ) -> None:
     arm = PlayedArm(probe, processes)
     arm.activate()
-    other = probe.publisher(Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND)
-    report = arm.diagnosis(lambda d: d["mode"] == "fault", "a fault")
-    assert "publisher" in report["message"]
-    assert report["fault kind"] == FaultKind.SECOND_COMMANDER.value
-    processes.end(arm.process)
-
-    second = PlayedArm(probe, processes)
-
-    def commands() -> dict[str, str]:
-        other.publish(Float64MultiArray(data=[0.0] * 7))
-        probe.spin(0.05)
-        return diagnosis(second.diagnostics, "torque_controller")
-
-    probe.until(commands, "the second controller")
-    for _ in range(40):  # it hears them before a state lets it start
-        commands()
-
-    def refused() -> dict[str, str]:
-        second.send()
-        commands()
-        report = diagnosis(second.diagnostics, "torque_controller")
-        return report if "refused: activation" in report else {}
-
-    assert probe.until(refused, "the refusal is reported")["mode"] == "inactive"
-
-
-@pytest.mark.requirement("S-05")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_ended_controller_leaves_the_torque_that_carries_the_arm(
-    probe: Probe, processes: Processes, number: int
-) -> None:
-    arm = PlayedArm(probe, processes)
-    arm.activate()
-    assert processes.end(arm.process, number) == 0
+    assert processes.end(arm.process, signal.SIGTERM) == 0
     probe.spin(0.3)
     last = arm.read()[-1]
     assert last.label == "inactive"
@@ -192,7 +248,7 @@ def test_an_ended_controller_leaves_the_torque_that_carries_the_arm(
 def test_an_ended_controller_waits_until_a_busy_driver_has_the_last_torque(
     probe: Probe, processes: Processes
 ) -> None:
-    driver = processes.start([sys.executable, "-c", DRIVER])
+    driver = processes.script(DRIVER)
     arm = PlayedArm(probe, processes)
     arm.activate()
 
@@ -211,10 +267,7 @@ def test_an_ended_controller_waits_until_a_busy_driver_has_the_last_torque(
 
 
 @pytest.mark.requirement("S-30")
-@pytest.mark.parametrize("silent", [False, True])
-def test_a_released_or_silent_switch_ends_teaching(
-    probe: Probe, processes: Processes, silent: bool
-) -> None:
+def test_a_released_or_silent_switch_ends_teaching(probe: Probe, processes: Processes) -> None:
     arm = PlayedArm(probe, processes, hold_to_run=True)
     arm.activate()
     switch = probe.publisher(Bool, interface.ENABLE, interface.ENABLE_OUT)
@@ -229,18 +282,20 @@ def test_a_released_or_silent_switch_ends_teaching(
         arm.answer()
         return probe.call(SetBool, interface.GRAVITY_COMPENSATION, on).success
 
-    probe.until(teaching, "teaching begins")
-    switch.publish(Bool(data=True))
-    probe.spin(0.2 if silent else 0.005)
-    if not silent:
-        switch.publish(Bool(data=False))
-
     def ended() -> bool:
         arm.send()
         return arm.answer().label == "fault"
 
-    probe.until(ended, "the fault")
-    arm.diagnosis(lambda d: "enabling switch" in d["message"], "the report")
+    for silent in (False, True):
+        probe.until(teaching, "teaching begins")
+        arm.diagnostics.clear()
+        switch.publish(Bool(data=True))
+        probe.spin(0.2 if silent else 0.005)
+        if not silent:
+            switch.publish(Bool(data=False))
+        probe.until(ended, "the fault")
+        arm.diagnosis(lambda d: "enabling switch" in d["message"], "the report")
+        arm.reset()
 
 
 @pytest.mark.requirement("S-52")
@@ -352,43 +407,34 @@ def test_an_overload_is_a_warning_and_a_larger_one_a_fault(
 
 
 @pytest.mark.requirement("S-51")
-@pytest.mark.parametrize("hours", [-1, 1])
-def test_a_clock_that_jumps_is_a_fault_in_which_torques_go_on(
-    probe: Probe, processes: Processes, hours: int
-) -> None:
-    arm = PlayedArm(probe, processes)
-    arm.stamp_ns = 10**13
-    arm.activate()
-    arm.send()
-    before = arm.answer()
-    arm.stamp_ns += hours * 3_600_000_000_000
-    for _ in range(8):  # five are refused first when they are older
+def test_a_clock_that_jumps_is_a_fault_in_which_torques_go_on(arm: PlayedArm) -> None:
+    for hours in (1, -1):
         arm.send()
-        probe.spin(0.02)
-    arm.send()
-    after = arm.answer()
-    assert after.label == "fault"
-    np.testing.assert_allclose(after.tau, before.tau, atol=1e-9)
-    arm.reset()
-    arm.send()
-    assert arm.answer().label == "hold"
+        before = arm.answer()
+        arm.stamp_ns += hours * 3_600_000_000_000
+        for _ in range(8):  # five are refused first when they are older
+            arm.send()
+            arm.probe.spin(0.02)
+        arm.send()
+        after = arm.answer()
+        assert after.label == "fault"
+        np.testing.assert_allclose(after.tau, before.tau, atol=1e-3)
+        arm.reset()
+        settle(arm)
+        assert arm.read()[-1].label == "hold"
 
 
 @pytest.mark.requirement("S-02")
-@pytest.mark.parametrize("during", ["request", "state"])
 def test_a_callback_that_fails_is_a_fault_and_not_the_end_of_the_node(
-    probe: Probe, processes: Processes, during: str
+    probe: Probe, processes: Processes
 ) -> None:
     config = ["--ros-args"]
     for file in SIMULATED:
         config += ["--params-file", str(ROOT / "config" / file)]
     quick = ["-p", "realtime_priority:=0", "-p", "state_timeout:=0.0"]
-    arm = PlayedArm(probe, processes, [sys.executable, "-c", BROKEN, *config, *quick])
+    arm = PlayedArm(probe, processes, processes.script(BROKEN, *config, *quick))
     arm.activate()
-    if during == "request":
-        probe.ask("execute", lift("good"))
-    else:
-        probe.begin(Trigger, interface.STOP)
+    gravity = Arm((ROOT / "urdf/wam7.urdf").read_text(), NAMES).gravity(HOME)
 
     def failure() -> dict[str, str]:
         arm.send()
@@ -396,50 +442,44 @@ def test_a_callback_that_fails_is_a_fault_and_not_the_end_of_the_node(
         report = diagnosis(arm.diagnostics, "torque_controller")
         return report if report.get("mode") == "fault" else {}
 
-    assert "a callback failed" in probe.until(failure, "the fault is reported")["message"]
-    probe.until(lambda: arm.read()[-1].label == "fault", "the arm is carried")
-    gravity = Arm((ROOT / "urdf/wam7.urdf").read_text(), NAMES).gravity(HOME)
-    np.testing.assert_allclose(arm.read()[-1].tau, gravity, atol=1e-9)
-    assert arm.process.poll() is None
+    for act in (
+        lambda: probe.ask("execute", lift("good")),
+        lambda: arm.reset() or arm.diagnostics.clear() or probe.begin(Trigger, interface.STOP),
+    ):
+        act()
+        assert "a callback failed" in probe.until(failure, "the fault is reported")["message"]
+        probe.until(lambda: arm.read()[-1].label == "fault", "the arm is carried")
+        np.testing.assert_allclose(arm.read()[-1].tau, gravity, atol=1e-9)
+        assert arm.process.poll() is None
 
 
 @pytest.mark.requirement("S-101")
-def test_a_controller_in_simulation_falls_silent_when_a_driver_appears(
-    probe: Probe, processes: Processes
-) -> None:
-    arm = PlayedArm(probe, processes)
-    arm.activate()
-    assert arm.read()[-1].label == "hold"
+def test_a_controller_in_simulation_falls_silent_when_a_driver_appears(arm: PlayedArm) -> None:
+    probe, begun = arm.probe, len(arm.read()) - 1
     states = probe.publisher(
         JointState, interface.JOINT_STATES, interface.STATE_OUT, node="joint_state_broadcaster"
     )
     report = arm.diagnosis(lambda d: arm.send() or d["mode"] == "inactive", "its end")
     assert "node 'joint_state_broadcaster' publishes /joint_states" in report["last refusal"]
     probe.spin(0.2)
-    labels, count = {torque.label for torque in arm.read()}, len(arm.read())
+    labels, count = {torque.label for torque in arm.read()[begun:]}, len(arm.read())
     assert labels == {"hold"}  # not even a last torque
     for _ in range(100):
         arm.send()
         probe.spin(0.005)
     assert len(arm.read()) == count
-    request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_ACTIVATE))
-    change = lambda: probe.call(ChangeState, "torque_controller/change_state", request).success  # noqa: E731
-    arm.send()
-    assert not change()
+    assert not change(arm, Transition.TRANSITION_ACTIVATE)
     states.destroy()
-    probe.until(lambda: arm.send() or change(), "activation without the driver")
+    probe.until(lambda: change(arm, Transition.TRANSITION_ACTIVATE), "activation without it")
     arm.send()
     assert arm.answer().label == "hold"
 
 
 @pytest.mark.requirement("S-104")
-def test_no_service_says_done_in_a_fault_but_a_stop_that_names_it(
-    probe: Probe, processes: Processes
-) -> None:
-    arm = PlayedArm(probe, processes)
-    arm.activate()
-    other = probe.publisher(Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND)
-    arm.diagnosis(lambda d: arm.send() or d["mode"] == "fault", "a fault")
+def test_no_service_says_done_in_a_fault_but_a_stop_that_names_it(arm: PlayedArm) -> None:
+    probe = arm.probe
+    other = commander(probe)
+    faulted(arm)
     probe.node.destroy_publisher(other)
 
     def ask(kind: type, name: str, request: object = None) -> tuple[bool, str]:
@@ -458,11 +498,8 @@ def test_no_service_says_done_in_a_fault_but_a_stop_that_names_it(
 
 
 @pytest.mark.requirement("S-103")
-def test_each_request_executes_the_policy_that_it_brings_whatever_its_id(
-    probe: Probe, processes: Processes
-) -> None:
-    arm = PlayedArm(probe, processes)
-    arm.activate()
+def test_each_request_executes_the_policy_that_it_brings_whatever_its_id(arm: PlayedArm) -> None:
+    probe = arm.probe
     ours, theirs = lift("trial-0001"), replace(lift("trial-0001"), damping=31.0)
     accepted = probe.listen(PolicyMessage, interface.POLICY, interface.LATCHED)
     for policy in (ours, theirs):
@@ -489,11 +526,8 @@ def test_each_request_executes_the_policy_that_it_brings_whatever_its_id(
 
 
 @pytest.mark.requirement("S-125")
-def test_an_unexplained_torque_is_said_in_the_diagnostics(
-    probe: Probe, processes: Processes
-) -> None:
-    arm = PlayedArm(probe, processes)
-    arm.activate()
+def test_an_unexplained_torque_is_said_in_the_diagnostics(arm: PlayedArm) -> None:
+    probe = arm.probe
     sagged = HOME - 0.004 * np.eye(7)[1]  # the hold pushes against it
 
     def said() -> bool:

@@ -16,30 +16,25 @@ from wam_power_ros.cli.processes import LOG_FORM
 from wam_power_ros.ros import network
 
 RUNS = ""  # nothing is said about the variable
+ASCII = {"PYTHONIOENCODING": "ascii", "LANG": "C", "LC_ALL": "C"}
+NARROW = {"TERM": "dumb", "COLUMNS": "20"}
 PROFILE = network.FAST_DDS_2.variable
 # Variables; what a line says beside their names. `DIR` is a folder of the test.
 TABLE: tuple[tuple[dict[str, str], str], ...] = (
     ({"ROS_LOCALHOST_ONLY": "1"}, RUNS),
-    ({"ROS_LOCALHOST_ONLY": "0"}, RUNS),
-    ({"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}, RUNS),
+    ({"ROS_LOCALHOST_ONLY": "0", "ROS_STATIC_PEERS": "127.0.0.1"}, RUNS),
+    ({"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp", "CYCLONEDDS_URI": "file://DIR/none.xml"}, RUNS),
     ({"RMW_IMPLEMENTATION": "rmw_none_cpp"}, "not installed; apt install ros-jazzy-rmw-none-cpp"),
     ({"ROS_DOMAIN_ID": "233"}, "is not a whole number from 0 to 232"),
     ({"ROS_DISCOVERY_SERVER": "127.0.0.1:11811"}, RUNS),
-    ({"ROS_STATIC_PEERS": "127.0.0.1"}, RUNS),
     ({"ROS_STATIC_PEERS": "no.such.host.invalid"}, "is no address or known host"),
     ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "LAB"}, "is not one of LOCALHOST, SUBNET, OFF"),
     ({PROFILE: "DIR/none.xml"}, "there is no such file: correct it, or unset"),
-    ({"CYCLONEDDS_URI": "file://DIR/none.xml"}, RUNS),
-    ({"PYTHONOPTIMIZE": "2"}, RUNS),
-    ({"PYTHONWARNINGS": "error"}, RUNS),
-    ({"PYTHONIOENCODING": "ascii", "LANG": "C", "LC_ALL": "C"}, RUNS),
-    ({"NO_COLOR": "1", "TERM": "dumb"}, RUNS),
-    ({"COLUMNS": "20"}, RUNS),
-    ({"PYTHONHASHSEED": "7"}, RUNS),
+    ({"PYTHONOPTIMIZE": "2", "PYTHONWARNINGS": "error", "PYTHONHASHSEED": "7"} | ASCII, RUNS),
     ({"ROS_LOG_DIR": "DIR/file/logs"}, "no log can be written there (Not a directory)"),
     ({"RCUTILS_LOGGING_USE_STDOUT": "yes"}, "is not 0 or 1: correct it, or unset"),
     ({"RCUTILS_LOGGING_BUFFERED_STREAM": "1", "RCUTILS_COLORIZED_OUTPUT": "1"}, RUNS),
-    ({"RCUTILS_CONSOLE_OUTPUT_FORMAT": "{message}"}, RUNS),
+    ({"RCUTILS_CONSOLE_OUTPUT_FORMAT": "{message}", "NO_COLOR": "1"} | NARROW, RUNS),
 )
 # Not from the process that forks: Python reads some of them at its start.
 TRACKER = "from wam_power_ros.entry import pancake_tracker; raise SystemExit(pancake_tracker())"

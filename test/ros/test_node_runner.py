@@ -58,7 +58,7 @@ sys.exit(status)
 def test_a_script_ends_with_the_status_of_what_ended_it(
     what: str, status: int, says: str, processes: Processes
 ) -> None:
-    process = processes.start([sys.executable, "-c", SCRIPT, what])
+    process = processes.script(SCRIPT, what)
     assert process.wait(60.0) == status
     assert says in processes.output(process)
     assert ("Traceback" in processes.output(process)) == (what == "break")  # only for a defect
@@ -94,7 +94,7 @@ gc.collect()
 def test_a_script_ends_without_a_traceback_of_its_executor_however_that_is_collected(
     processes: Processes,
 ) -> None:
-    process = processes.start([sys.executable, "-c", COLLECTED])
+    process = processes.script(COLLECTED)
     assert process.wait(60.0) == 0
     assert processes.output(process).splitlines()[-1] == "spun True"
 
@@ -128,7 +128,7 @@ def test_a_node_can_still_send_when_a_signal_ends_it(
     probe: Probe, processes: Processes, number: int
 ) -> None:
     words = probe.listen(String, "/words", interface.LATCHED)
-    process = processes.start([sys.executable, "-c", NODE])
+    process = processes.script(NODE)
     probe.until(lambda: words, "the first message")
     process.send_signal(number)
     probe.until(lambda: words[-1].data == "last", "the last message", deadline=3.0)
@@ -150,13 +150,13 @@ def test_a_second_signal_while_the_interpreter_ends_does_not_change_the_exit_sta
     probe: Probe, processes: Processes, number: int
 ) -> None:
     words = probe.listen(String, "/words", interface.LATCHED)
-    process = processes.start([sys.executable, "-c", f"{LAST}{NODE}", str(int(number))])
+    process = processes.script(f"{LAST}{NODE}", str(int(number)))
     probe.until(lambda: words, "the first message")
     assert processes.end(process) == 0
 
 
 def test_a_refused_configuration_ends_the_process_with_its_reason(processes: Processes) -> None:
-    process = processes.start([sys.executable, "-c", NODE, "bad"])
+    process = processes.script(NODE, "bad")
     assert process.wait(60.0) == 2
     assert "heat -1 must be positive" in processes.output(process)
     assert "Traceback" not in processes.output(process)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""No plain parameter files move a robot: each combination is started beside a stranger's driver.
+"""No plain parameter files move a robot; some are started beside a stranger's driver.
 
 Plain: given by `--params-file`, as `ros2 run` does, without the set-ups' overlay.
 """
@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from itertools import product
+from itertools import islice, product
 from pathlib import Path
 
 import pytest
@@ -20,15 +20,14 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import GetParameters
 
 from wam_power_ros.params import overlay
+from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.ros import interface
 
-MODULES = {
+MODULES = {  # other nodes have no topic for a torque (test_security)
     "torque_controller": "wam_power_ros.nodes.torque_controller",
-    "demonstration_recorder": "wam_power_ros.nodes.demonstration_recorder",
-    "pancake_tracker": "wam_power_ros.nodes.body_tracker",
-    "learner": "wam_power_ros.nodes.learner",
     "wam_sim": "hardware_sim.main",
 }
+RECORDER = "wam_power_ros.nodes.demonstration_recorder"
 FILES = sorted(path.stem for path in (ROOT / "config").glob("*.yaml"))
 SETUPS = [name for name in FILES if name not in overlay.NODES]
 DRIVERS = ("geodude", "libbarrett", "ur")  # of arms; franka and openarm have the shape of ur
@@ -41,8 +40,6 @@ ARMS = (
     "simulation",
     "trajectory",
 )  # other files with parameters of an arm
-COMMANDING = ("torque_controller", "wam_sim")  # others have no topic for a torque (test_security)
-SIMULATIONS = ("simulation", "lockstep")
 AT_ONCE = 8  # nodes, each in a namespace beside a driver of its own
 OBSERVED = 1.5  # [s] after a node has reported: an active controller sends 100 torques in it
 JOINTS = [
@@ -94,40 +91,32 @@ rclpy.spin(node)
 
 
 def combinations(node: str) -> Iterator[tuple[str, ...]]:
-    """Lists of parameter files that a person may give to a node: all, if it commands an arm."""
+    """Lists of parameter files that a person may give to a node, the most telling ones first."""
     own = ("wam_sim", "optitrack_sim") if node == "wam_sim" else (node,)
     yield own
-    for name in SETUPS if node in COMMANDING else (*DRIVERS, *SIMULATIONS):
+    yield (*own, "simulation")
+    for driver in DRIVERS:  # the simulation's file before the driver's
+        yield (*own, "simulation", driver)
+    for name in SETUPS:
         yield (*own, name)
-    if node == "torque_controller":
-        for driver, other in product(DRIVERS, [name for name in ARMS if name in SETUPS]):
-            yield (*own, driver, other)
-        for driver in DRIVERS:  # the simulation's file before the driver's
-            yield (*own, "simulation", driver)
+    for driver, other in product(DRIVERS, [name for name in ARMS if name in SETUPS]):
+        yield (*own, driver, other)
 
 
-def batches(node: str, folder: Path) -> list[list[list[Path]]]:
-    """Files of combinations, and outputs of `wam-power config`, for some nodes at once."""
-    found = [[ROOT / f"config/{name}.yaml" for name in names] for names in combinations(node)]
-    for names in ([], *([driver] for driver in DRIVERS)):
-        for simulated in (False, True):
-            file = folder / f"{'_'.join(names)}_{simulated}.yaml"
-            file.write_text(overlay.text(overlay.setup(names, simulated)))
-            found.append([file])
-    found = found if node in COMMANDING else found[:AT_ONCE]
-    return [found[k : k + AT_ONCE] for k in range(0, len(found), AT_ONCE)]
+def files(names: tuple[str, ...]) -> list[Path]:
+    return [ROOT / f"config/{name}.yaml" for name in names]
 
 
 class Lab:
     """A stranger's driver, whose torques are counted, and nodes beside it."""
 
-    def __init__(self, probe: Probe, processes: Processes, folder: Path) -> None:
-        self._probe, self._processes, self._folder = probe, processes, folder
+    def __init__(self, probe: Probe, processes: Processes) -> None:
+        self._probe, self._processes = probe, processes
         self._reports = probe.listen(
             DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
         )
         self._places = [f"/place{number}" for number in range(AT_ONCE)]
-        self._driver = processes.start([sys.executable, "-c", DRIVER, *self._places])
+        self._driver = processes.script(DRIVER, *self._places)
         probe.until(lambda: "driver" in processes.output(self._driver), "the driver")
 
     @property
@@ -152,11 +141,6 @@ class Lab:
         command = [sys.executable, "-m", MODULES[node], "--ros-args", "-r", f"__ns:={place}"]
         for file in files:
             command += ["--params-file", str(file)]
-        if node == "learner":  # with something to do
-            (bag,) = sorted((ROOT / "bags").glob("demo_*"))[:1]
-            command += ["-p", f"session:={self._folder}{place}", "-p", f"demonstrations:=[{bag}]"]
-        if node == "demonstration_recorder":
-            command += ["-p", f"directory:={self._folder}"]
         return self._processes.start(command)
 
     def _up(self, node: str, place: str, process: Process) -> bool:
@@ -164,33 +148,43 @@ class Lab:
         if process.poll() is not None:
             assert process.returncode == 2, self._processes.output(process)
             return True
-        if node == "learner":
-            return "simulated" in self._processes.output(process)
         return bool(diagnosis(self._reports, f"{place[1:]}/{node}"))
 
 
 @pytest.mark.requirement("S-101")
+def test_whatever_files_are_combined_a_controller_starts_itself_in_simulation_alone() -> None:
+    found = {True: 0, False: 0}
+    for names in combinations("torque_controller"):
+        try:
+            params = TorqueControllerParams.of_setup(overlay.of_files(files(names)))
+        except ValueError:  # refused: it sends nothing
+            continue
+        assert not params.autostart or params.simulation, names
+        found[params.simulation] += 1
+    assert min(found.values()) > len(DRIVERS)
+
+
+@pytest.mark.requirement("S-101")
 @pytest.mark.parametrize("node", MODULES)
-def test_no_combination_of_plain_files_sends_a_torque_to_a_strangers_driver(
+def test_plain_files_and_printed_ones_send_no_torque_to_a_strangers_driver(
     node: str, probe: Probe, processes: Processes, tmp_path: Path
 ) -> None:
-    lab, count, sending = Lab(probe, processes, tmp_path), 0, []
-    for batch in batches(node, tmp_path):
-        before = lab.torques
-        lab.observe(node, batch)
-        count += len(batch)
-        if lab.torques > before:
-            sending.append((batch, lab.torques - before))
-    sys.stdout.write(f"{node}: {count} combinations, {lab.torques} torques\n")
-    assert count > len(SETUPS if node in COMMANDING else DRIVERS)
-    assert sending == []
+    batch = [files(names) for names in islice(combinations(node), 2 + len(DRIVERS))]
+    for names, simulated in (([], True), (["geodude"], False), (["ur"], True)):
+        printed = tmp_path / f"{len(batch)}.yaml"  # as `wam-power config` prints them
+        printed.write_text(overlay.text(overlay.setup(names, simulated)))
+        batch.append([printed])
+    assert len(batch) == AT_ONCE
+    lab = Lab(probe, processes)
+    lab.observe(node, batch)
+    assert lab.torques == 0
 
 
 @pytest.mark.requirement("S-101")
 def test_on_an_arm_the_controller_is_activated_once_a_person_has_agreed_and_not_before(
     probe: Probe, processes: Processes, tmp_path: Path
 ) -> None:
-    driver = processes.start([sys.executable, "-c", DRIVER, ""])
+    driver = processes.script(DRIVER, "")
     probe.until(lambda: "driver" in processes.output(driver), "the driver")
     rights = {"allow_no_realtime": True, "realtime_priority": 0}  # of a machine for tests
     file = tmp_path / "machine.yaml"
@@ -223,9 +217,9 @@ def test_on_an_arm_the_controller_is_activated_once_a_person_has_agreed_and_not_
 def test_a_recorder_with_the_plain_set_up_of_a_driver_records_that_drivers_arm(
     probe: Probe, processes: Processes, tmp_path: Path
 ) -> None:
-    module, own = MODULES["demonstration_recorder"], "demonstration_recorder.yaml"
+    own = "demonstration_recorder.yaml"
     given = {"directory": tmp_path, "source": "sim"}  # a value of the command line stays
-    processes.node(module, own, "libbarrett.yaml", "cobot.yaml", "reach.yaml", **given)
+    processes.node(RECORDER, own, "libbarrett.yaml", "cobot.yaml", "reach.yaml", **given)
     request = GetParameters.Request(
         names=["joint_names", "driver_topics", "urdf", "body", "stem", "source"]
     )
