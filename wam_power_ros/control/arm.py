@@ -21,6 +21,7 @@ from wam_power_ros import compiled
 from wam_power_ros.arm_identity import ArmIdentity
 from wam_power_ros.control.corrections import Corrections
 from wam_power_ros.control.urdf_checks import (
+    limited,
     number,
     parsed,
     require_physical,
@@ -154,6 +155,7 @@ class Arm:
             a URDF that has its links.
         corrections: What was measured on this arm, None for an arm as its URDF describes it.
         base_frame: Link whose frame is the base frame of all numbers; the root link if empty.
+        position_limits: Limits in place of the URDF's, see `urdf_checks.limited` [rad].
 
     Raises:
         ValueError: The text is not a URDF, a joint or frame is missing (the message lists the known
@@ -169,8 +171,10 @@ class Arm:
         guarded: Sequence[GuardedPoint] | None = None,
         corrections: Corrections | None = None,
         base_frame: str = "",
+        position_limits: Sequence[float] = (),
     ) -> None:
         self.joint_names = tuple(joint_names)
+        urdf = limited(urdf, self.joint_names, position_limits)
         tree = parsed(urdf)
         require_usable(tree, self.joint_names)
         self._base_frame = base_frame

@@ -55,6 +55,46 @@ def parsed(urdf: str) -> ElementTree.Element:
     return tree
 
 
+def limited(urdf: str, joint_names: Sequence[str], limits: Sequence[float]) -> str:
+    """Replace position limits of a URDF; a continuous joint becomes a revolute one.
+
+    Args:
+        urdf: Text of the URDF.
+        joint_names: Names of the arm's joints.
+        limits: Lower and upper limit of each joint [rad]; 0 and 0 keep those of the URDF. One 0 or
+            none keeps all.
+
+    Raises:
+        ValueError: Their number is not twice that of the joints, or limits of a joint are not
+            within those of the URDF, or of a continuous joint not within a turn.
+    """
+    if not any(limits):
+        return urdf
+    n = len(joint_names)
+    if len(limits) != 2 * n:
+        text = f"position_limits {list(limits)} must be {2 * n} numbers, lower and upper for each"
+        raise ValueError(f"{text} of {list(joint_names)}; 0, 0 keeps those of the URDF")
+    tree = parsed(urdf)
+    for name, low, high in zip(joint_names, limits[::2], limits[1::2], strict=True):
+        joint = tree.find(f"./joint[@name='{name}']")
+        if low == high == 0.0 or joint is None:
+            continue
+        if (given := joint.find("limit")) is None:
+            given = ElementTree.SubElement(joint, "limit")
+        if joint.get("type") == "continuous":
+            allowed, within = "a turn", high - low < 2.0 * math.pi
+            joint.set("type", "revolute")
+        else:
+            least, most = number(given.get("lower", "nan")), number(given.get("upper", "nan"))
+            allowed = f"those of the URDF, {least:g} to {most:g}"
+            within = least <= low and high <= most
+        if not (within and low < high):
+            text = f"position_limits of joint {name!r}, {low:g} to {high:g}, must rise and be within"
+            raise ValueError(f"{text} {allowed}")
+        given.attrib.update(lower=repr(float(low)), upper=repr(float(high)))
+    return ElementTree.tostring(tree, encoding="unicode")
+
+
 def soft_limits(tree: ElementTree.Element, joint_name: str) -> tuple[float, float]:
     """Bounds of a position by the maker's own controller [rad]; infinite if there are none."""
     safety = tree.find(f"./joint[@name='{joint_name}']/safety_controller")
@@ -99,8 +139,8 @@ def _unusable(joint: ElementTree.Element, known: list[str]) -> str:
         return f"is fixed in the robot description; movable are {known}"
     if kind == "continuous":
         return (
-            'is continuous: a driver may wrap its positions, which then jump; give it type="'
-            'revolute" with limits between which they do not jump, such as lower="-3.1" upper="3.1"'
+            "is continuous: a driver may wrap its positions, which then jump; give it limits "
+            "between which they do not, such as -3.1, 3.1, in position_limits of the set-up"
         )
     if kind not in _LIMITED:
         return f"is of type {kind!r}; allowed are {list(_LIMITED)}"
