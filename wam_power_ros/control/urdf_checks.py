@@ -89,7 +89,7 @@ def limited(urdf: str, joint_names: Sequence[str], limits: Sequence[float]) -> s
             allowed = f"those of the URDF, {least:g} to {most:g}"
             within = least <= low and high <= most
         if not (within and low < high):
-            text = f"position_limits of joint {name!r}, {low:g} to {high:g}, must rise and be within"
+            text = f"position_limits of joint {name!r}, {low:g} to {high:g}, must rise, within"
             raise ValueError(f"{text} {allowed}")
         given.attrib.update(lower=repr(float(low)), upper=repr(float(high)))
     return ElementTree.tostring(tree, encoding="unicode")
