@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The same sessions by torques and by positions, which the arm follows late.
 
-    python -m reproduction.studies by_positions [--only PLACE ...] [--learners OUTPUT ...]
+python -m reproduction.studies by_positions [--only PLACE ...] [--learners OUTPUT ...]
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ PLACES = {  # task and set-ups; a flip is faster than the joints of a UR5e
 }
 OUTPUTS = {
     "torques": None,
-    "10 ms": Servo(0.01, 0.01),
-    "40 ms": Servo(0.04, 0.02, 0.008),
-    "80 ms": Servo(0.08, 0.04),
+    "10ms": Servo(0.01, 0.01),
+    "40ms": Servo(0.04, 0.02, 0.008),
+    "80ms": Servo(0.08, 0.04),
 }
 
 
