@@ -21,6 +21,7 @@ from wam_power_ros import compiled
 from wam_power_ros.arm_identity import ArmIdentity
 from wam_power_ros.control.corrections import Corrections
 from wam_power_ros.control.urdf_checks import (
+    approach,
     limited,
     number,
     parsed,
@@ -135,6 +136,7 @@ class Arm:
         q_min: Lower position limits [rad]. Shape (n,).
         q_max: Upper position limits [rad]. Shape (n,).
         qd_max: Speed limits [rad/s]. Shape (n,).
+        approach: Speeds near the position limits, n of them; empty if the URDF has none.
         tau_max: Torque limits [N m]. Shape (n,).
         armature: Reflected rotor inertia [kg m^2]. Shape (n,).
         friction: Coulomb friction of the joints [N m]. Shape (n,).
@@ -196,6 +198,7 @@ class Arm:
         self.n = self.model.nv
         if self.n > JOINTS_MAX:
             raise ValueError(f"{self.n} joints are too many, at most {JOINTS_MAX} are possible")
+        self.approach = approach(tree, self.joint_names)
         self.armature = np.array([_armature(tree, name) for name in self.joint_names])
         self.model.armature = self.armature
         self.root = rebased(self.model, base_frame) if base_frame else pin.SE3.Identity()

@@ -27,6 +27,7 @@ from wam_power_ros.control.safety import Limits, LimitSprings, MotionCheck, limi
 from wam_power_ros.control.servo_response import followed
 from wam_power_ros.control.state_checks import JointState
 from wam_power_ros.control.torque_output import TorqueOutput
+from wam_power_ros.control.urdf_checks import Approach
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import EndEffectorPath, Foreseen
@@ -86,7 +87,9 @@ def simulate_policy(
     """
     limits = settings.limits or limits_of(arm)
     limited = ("qd_max", "elbow_speed", "tool_speed")
-    tight = replace(limits, **{name: margin * getattr(limits, name) for name in limited})
+    slower = {name: margin * getattr(limits, name) for name in limited}
+    near = tuple(Approach(margin * o, margin**2 * d) for o, d in limits.approach)
+    tight = replace(limits, **slower, approach=near)
     # The whole movement must be feasible.
     settings = settings.model_copy(update={"limits": tight, "region": None})
     try:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 from xml.etree import ElementTree
 from xml.parsers import expat
 
@@ -27,6 +28,18 @@ EIGENVALUE_MIN = 1e-9
 _POSTURES = 8  # at which the mass matrix is checked
 _MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 _LIMITED = ("revolute", "prismatic")
+
+
+class Approach(NamedTuple):
+    """Speed sqrt(2 d r) - o that a joint may have at a distance r from the limit ahead.
+
+    Attributes:
+        offset: o [rad/s].
+        deceleration: d [rad/s^2].
+    """
+
+    offset: float
+    deceleration: float
 
 
 def parsed(urdf: str) -> ElementTree.Element:
@@ -101,6 +114,20 @@ def soft_limits(tree: ElementTree.Element, joint_name: str) -> tuple[float, floa
     found = {} if safety is None else safety.attrib
     low, high = (number(found.get(f"soft_{end}_limit", "0")) for end in ("lower", "upper"))
     return (low, high) if low < high else (-math.inf, math.inf)
+
+
+def approach(tree: ElementTree.Element, joint_names: Sequence[str]) -> tuple[Approach, ...]:
+    """Speeds near the position limits of each joint; empty if a joint has none.
+
+    They are in the element `<position_based_velocity_limits>` of Franka's descriptions.
+    """
+    found = (
+        tree.find(f"./joint[@name='{name}']/position_based_velocity_limits") for name in joint_names
+    )
+    given = [{} if each is None else dict(each.items()) for each in found]
+    names = "velocity_offset", "deceleration_limit"
+    values = [Approach(*(number(each.get(name, "")) for name in names)) for each in given]
+    return tuple(values) if np.isfinite(values).all() else ()
 
 
 def require_usable(tree: ElementTree.Element, joint_names: Sequence[str]) -> None:
