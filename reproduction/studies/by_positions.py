@@ -25,11 +25,15 @@ PERIOD = 0.002  # [s] of states
 
 
 class Servo(NamedTuple):
-    """A position servo: its delay, the lag of its low-pass, and the period of set points [s]."""
+    """A position servo: its delay, the lag of its low-pass, and the period of set points [s].
+
+    `told`: whether delay and lag were measured, as by `wam-power commission`.
+    """
 
     delay: float
     lag: float
     set_points: float = 0.0  # one for each state
+    told: bool = False
 
 
 PLACES = {  # task and set-ups; a flip is faster than the joints of a UR5e
@@ -42,6 +46,7 @@ OUTPUTS = {
     "10ms": Servo(0.01, 0.01),
     "40ms": Servo(0.04, 0.02, 0.008),
     "80ms": Servo(0.08, 0.04),
+    "80ms-told": Servo(0.08, 0.04, told=True),
 }
 
 
@@ -55,6 +60,8 @@ def session(seed: int, place: str, output: str) -> dict[str, Any]:
         ticks = round(servo.delay / PERIOD)
         driver = {"command_delay_ticks": ticks, "servo_lag": servo.lag}
         controller = {"set_point_period": servo.set_points}
+        if servo.told:
+            controller |= {"servo_delay": servo.delay, "servo_lag": servo.lag}
         setup = setup.changed({"wam_sim": driver, "torque_controller": controller})
     with tempfile.TemporaryDirectory() as folder:
         settings, count = preset(task), DEMONSTRATIONS[task]
