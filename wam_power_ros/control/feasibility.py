@@ -146,10 +146,10 @@ def foresee(arm: Arm, settings: ControllerSettings, policy: Policy) -> Foreseen 
     limits = settings.limits or limits_of(arm)
     points = simulated.elbow_peak / limits.elbow_speed, simulated.tool_peak / limits.tool_speed
     shares = np.array([*(simulated.qd_peak / limits.qd_max), *points])
-    path = simulated.q
+    q = simulated.q
     if settings.set_point_period:
-        path = followed(path, settings.period, settings.servo_delay, settings.servo_lag)
-    poses = [arm.tool_pose(q) for q in path]
+        q = followed(q, settings.period, settings.servo_delay, settings.servo_lag)
+    poses = [arm.tool_pose(posture) for posture in q]
     t = settings.period * np.arange(len(poses))
     position = np.stack([place for place, _ in poses])
     quat_xyzw = np.stack([rotations.quat_xyzw(matrix) for _, matrix in poses])
