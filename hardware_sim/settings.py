@@ -13,7 +13,12 @@ from hardware_sim.wam import JOINTS, PERIOD
 from wam_power_ros.control.arm import GuardedPoint, guarded_points
 from wam_power_ros.params.body_tracker_params import MocapTopics
 from wam_power_ros.params.node_params import Names, Params
-from wam_power_ros.params.torque_controller_params import JOINTS_MAX, Joints, require_same_joints
+from wam_power_ros.params.torque_controller_params import (
+    JOINTS_MAX,
+    Joints,
+    PositionLimits,
+    require_same_joints,
+)
 from wam_power_ros.regions import Region, region_of
 from wam_power_ros.tracking.tracker import WorldToBase
 
@@ -49,6 +54,7 @@ class WorldSettings(BaseModel):
     model_joint_names: Joints = JOINTS
     base_frame: str = ""
     tool_frame: str = "pan"
+    position_limits: PositionLimits = (0.0,)
     guarded_names: Names = ("elbow", "forearm")
     guarded_links: Names = ("wam_link4", "wam_link4")
     guarded_points: tuple[Length, ...] = Field((0.0, 0.0, 0.0, -0.045, -0.35, 0.0), max_length=24)

@@ -79,7 +79,8 @@ class World:
         self.seed = seed
         self.urdf = robot_description(settings.urdf)
         names, tool, guarded = settings.model_joint_names, settings.tool_frame, settings.guarded
-        self.arm = Arm(self.urdf, names, tool, guarded, base_frame=settings.base_frame)
+        base, limits = settings.base_frame, settings.position_limits
+        self.arm = Arm(self.urdf, names, tool, guarded, None, base, limits)
         self.n = self.arm.n
         self._period_ns = settings.period_ns
         self._substeps = round(settings.period / scene.TIMESTEP)
@@ -152,7 +153,7 @@ class World:
         """
         q_start = np.array(q_start, dtype=float)
         n = self.n
-        low, high = self.model.jnt_range[:n].T
+        low, high = self.arm.q_min, self.arm.q_max
         if q_start.shape != (n,) or not np.all((low <= q_start) & (q_start <= high)):
             raise ValueError(f"q_start {q_start.tolist()} must be {n} angles within their limits")
         self.frozen = True

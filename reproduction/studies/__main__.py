@@ -20,6 +20,7 @@ from reproduction import jobs as job_cache
 from reproduction.jobs import Job, Results, study_of
 from reproduction.studies import (
     ball_in_cup,
+    by_positions,
     equal_knowledge,
     grounds,
     new_goals,
@@ -106,6 +107,13 @@ STUDIES = {
         two_axes.jobs,
         two_axes.line,
         row=dict,
+    ),
+    "by_positions": Table(
+        by_positions.PLACES,
+        {name: "rollouts" for name in by_positions.OUTPUTS},
+        by_positions.HELD_OUT,
+        by_positions.jobs,
+        by_positions.line,
     ),
     "rated": Table(rated.PERSONS, rated.VARIANTS, rated.HELD_OUT, rated.jobs, rated.line),
 }

@@ -18,11 +18,12 @@ from rclpy.serialization import serialize_message
 from wam_power_ros import rotations
 from wam_power_ros.bags import layout
 from wam_power_ros.bags.bag import Bag
-from wam_power_ros.bags.commands import read_commands
+from wam_power_ros.bags.commands import ARRAY, TRAJECTORY, read_commands
 from wam_power_ros.bags.writer import BagWriter
 from wam_power_ros.cli import main
 from wam_power_ros.commissioning.measurement import Recording
 from wam_power_ros.control.corrections import Corrections
+from wam_power_ros.control.servo_response import followed
 from wam_power_ros.params import overlay
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.ros.joint_messages import JointStateWriter, TorqueWriter
@@ -37,7 +38,7 @@ QOS = [layout.qos(reliable=True, latched=False)]
 def bag_of(path: Path, recorded: Recording, kind: str = "multiarray") -> Path:
     """Bag of a recording, as our recorder writes it."""
     write_state, write = JointStateWriter(true_arm.JOINTS), TorqueWriter(true_arm.JOINTS, kind)
-    command = "std_msgs/msg/Float64MultiArray" if kind == "multiarray" else layout.JOINT_STATE
+    command = {"multiarray": ARRAY, "trajectory": TRAJECTORY}.get(kind, layout.JOINT_STATE)
     writer = BagWriter(path)
     writer.add("/joint_states", layout.JOINT_STATE, QOS)
     writer.add(COMMANDS, command, QOS)
@@ -169,7 +170,7 @@ def test_torques_are_read_by_the_states_that_they_answer(tmp_path: Path, kind: s
     [
         (lambda bag, s: read_commands(bag, "/other", s, true_arm.JOINTS), "no topic /other"),
         (lambda bag, s: read_commands(bag, "/pancake/state", s, true_arm.JOINTS), "of type"),
-        (lambda bag, s: read_commands(bag, COMMANDS, s, true_arm.JOINTS[:6]), "7 torques"),
+        (lambda bag, s: read_commands(bag, COMMANDS, s, true_arm.JOINTS[:6]), "7 values"),
         (lambda bag, s: read_commands(bag, COMMANDS, s + 1, true_arm.JOINTS), "were answered"),
     ],
 )
@@ -182,3 +183,41 @@ def test_torques_that_cannot_be_read_are_named(
     bag = Bag(bag_of(tmp_path / "bag", given))
     with pytest.raises(ValueError, match=reason):
         ask(bag, START + np.round(1e9 * t).astype(np.int64))
+
+
+def servo_recorded(folder: Path, kind: str, lag: float) -> list[str]:
+    """Words of a command that analyses a movement of an arm that takes positions."""
+    t = np.arange(0.0, 4.0, 0.002)
+    q = np.outer(np.sin(3.0 * t) ** 3, 0.1 * np.arange(7))
+    empty = np.empty((0, 3)), np.empty((0, 3, 3))
+    recorded = Recording(t, followed(q, 0.002, 0.03, lag), q, np.empty(0), *empty)
+    (folder / "bags").mkdir()
+    none = np.empty((0, 2))
+    np.savez(folder / "movement.npz", t=t, q=q, rests=none, sweeps=none)
+    bag_of(folder / "bags/commissioning_1", recorded, kind)
+    output = "trajectory" if kind == "trajectory" else "position"
+    values = {"output": output, "command_type": "multiarray" if kind == "trajectory" else kind}
+    values["command_topic"] = "effort_controller/commands"
+    text = json.dumps({"torque_controller": {"ros__parameters": values}})
+    (folder / "lab.yaml").write_text(text)
+    return ["commission", "--folder", str(folder), "--config", str(folder / "lab.yaml")]
+
+
+@pytest.mark.parametrize("kind", ["multiarray", "joint_state", "trajectory"])
+def test_an_arm_that_takes_positions_measures_how_late_it_follows(
+    tmp_path: Path, kind: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = servo_recorded(tmp_path, kind, 0.02)
+    assert main.main(words) == 0
+    assert "30 ms of delay and 20 ms of lag" in capsys.readouterr().out
+    setup = overlay.setup([str(tmp_path / "lab.yaml"), str(tmp_path / "arm.yaml")])
+    settings = TorqueControllerParams.of_setup(setup).controller(true_arm.URDF).settings
+    assert (settings.servo_delay, settings.servo_lag) == (0.03, 0.02)
+
+
+def test_a_servo_that_is_none_is_not_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main.main(servo_recorded(tmp_path, "multiarray", 1.0)) == 1
+    assert "Nothing was written" in capsys.readouterr().out
+    assert not (tmp_path / "arm.yaml").exists()

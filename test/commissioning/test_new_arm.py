@@ -13,6 +13,7 @@ from wam_power_ros.cli import main
 from wam_power_ros.cli.set_up_checks import mistakes
 from wam_power_ros.commissioning.new_arm import chain
 from wam_power_ros.control.urdf_checks import parsed
+from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import share
 
@@ -37,6 +38,25 @@ def test_what_is_proposed_for_an_arm_is_a_set_up_without_a_mistake(
     assert model is not None
     assert model.tool_pose(np.array(setup["wam_sim"]["home"]))[1][2, 2] > 0.99
     assert main.main(["new-arm", str(urdf)]) == 2  # exists
+
+
+def test_a_joint_that_turns_without_end_gets_limits_which_all_parts_of_the_set_up_keep(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = share("urdf/ur5e.urdf").read_text()
+    wrist = '<joint name="wrist_3_joint" type="revolute">'
+    assert wrist in text
+    text = text.replace(wrist, wrist.replace("revolute", "continuous"))
+    (urdf := tmp_path / "mine.urdf").write_text(text)
+    assert main.main(["new-arm", str(urdf), "--output", "position"]) == 0
+    assert "not yet right" not in capsys.readouterr().out
+    setup = overlay.setup([str(tmp_path / "mine.yaml")], task="reach")
+    limits = setup["torque_controller"]["position_limits"]
+    assert limits == [*[0.0] * 10, -2.99, 2.99]
+    for node in ("wam_sim", "demonstration_recorder"):
+        assert setup[node]["position_limits"] == limits
+    environment = Environment.of(setup)  # controller and stand-in
+    assert environment.controller.limits.q_max[-1] == environment.world.arm.q_max[-1] == 2.99
 
 
 def test_the_tool_is_moved_by_the_most_joints_and_no_finger() -> None:

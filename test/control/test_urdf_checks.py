@@ -8,6 +8,7 @@ import pytest
 from conftest import ROOT
 
 from wam_power_ros.control.arm import Arm
+from wam_power_ros.control.corrections import Corrections
 
 URDF = (ROOT / "urdf/ur5e.urdf").read_text()
 NAMES = (
@@ -40,7 +41,7 @@ def finger(name: str, kind: str = "prismatic", inside: str = "") -> str:
         (
             ELBOW,
             ELBOW.replace("revolute", "continuous"),
-            "'elbow_joint' is continuous: .*type=.revolute. with limits",
+            "'elbow_joint' is continuous: .* in position_limits",
         ),
         (ELBOW, ELBOW.replace("revolute", "fixed"), "'elbow_joint' is fixed .* movable are"),
         (ELBOW, ELBOW.replace("revolute", "floating"), "'elbow_joint' is of type 'floating'"),
@@ -86,3 +87,41 @@ def test_a_joint_that_follows_one_of_the_arm_is_not_locked_silently() -> None:
 def test_names_in_the_order_of_the_alphabet_are_refused_with_the_right_order() -> None:
     with pytest.raises(ValueError, match=r"base to tip, \('shoulder_pan_joint', 'shoulder_lift_jo"):
         ur(URDF, tuple(sorted(NAMES)))
+
+
+def test_position_limits_make_a_continuous_joint_usable_and_tighten_others() -> None:
+    limits = [0.0, 0.0, -2.0, 0.5, -3.0, 3.0, *[0.0] * 6]
+    plain, urdf = ur(URDF), URDF.replace(ELBOW, ELBOW.replace("revolute", "continuous"))
+    arm = Arm(urdf, NAMES, "pan", guarded=(), position_limits=limits)
+    for given, found in ((plain.q_min, arm.q_min), (plain.q_max, arm.q_max)):
+        np.testing.assert_array_equal(given[[0, 3, 4, 5]], found[[0, 3, 4, 5]])
+    assert arm.q_min[1:3].tolist() == [-2.0, -3.0]
+    assert arm.q_max[1:3].tolist() == [0.5, 3.0]
+    q = np.linspace(0.1, 1.1, 6)
+    np.testing.assert_array_equal(arm.gravity(q), plain.gravity(q))
+    assert arm.identity() == plain.identity()
+    corrected = arm.corrected(Corrections.of(6, zeros=[0.1, *[0.0] * 5]))
+    assert corrected.q_max[2] == 3.0
+
+
+@pytest.mark.parametrize(
+    ("joint", "limits", "words"),
+    [
+        ("revolute", (-7.0, 1.0), "'elbow_joint', -7 to 1, .* those of the URDF, -3.14159 to 3.1"),
+        ("revolute", (1.0, 1.0), "'elbow_joint', 1 to 1, must rise"),
+        ("continuous", (-3.2, 3.2), "'elbow_joint', -3.2 to 3.2, .* within a turn"),
+        ("continuous", (3.0, -3.0), "'elbow_joint', 3 to -3, must rise"),
+    ],
+)
+def test_position_limits_beyond_those_of_the_maker_are_refused(
+    joint: str, limits: tuple[float, float], words: str
+) -> None:
+    urdf = URDF.replace(ELBOW, ELBOW.replace("revolute", joint))
+    given = [0.0] * 4 + [*limits] + [0.0] * 6
+    with pytest.raises(ValueError, match=words):
+        Arm(urdf, NAMES, "pan", guarded=(), position_limits=given)
+
+
+def test_position_limits_of_another_number_of_joints_are_refused() -> None:
+    with pytest.raises(ValueError, match="must be 12 numbers"):
+        Arm(URDF, NAMES, "pan", guarded=(), position_limits=[-1.0, 1.0])

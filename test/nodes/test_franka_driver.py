@@ -10,6 +10,7 @@ import json
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -20,12 +21,14 @@ from conftest import ROOT, Probe, Processes, diagnosis
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
+from rclpy.exceptions import InvalidHandle
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
 from wam_power_ros.params import overlay
-from wam_power_ros.ros import interface, joint_messages
+from wam_power_ros.ros import interface, joint_messages, node_runner
 from wam_power_ros.ros.stamps import nanoseconds
 
 franka = pytest.importorskip("pylibfranka")
@@ -265,6 +268,38 @@ def test_the_arm_is_handed_to_the_robot_when_the_driver_ends(bench: Bench) -> No
     assert bench.processes.end(bench.driver) == 0
     bench.rests()
     assert bench.server.ask()["mode"] == IDLE
+
+
+def test_each_error_of_the_library_is_known_and_none_is_one_of_ros() -> None:
+    from wam_power_ros.nodes.franka_driver import ERRORS
+
+    raised = {each for each in vars(franka).values() if isinstance(each, type)}
+    raised = {each for each in raised if issubclass(each, Exception)}
+    assert raised == {franka.ControlException, *ERRORS}
+    assert not issubclass(rclpy_implementation.RCLError, tuple(raised))
+
+
+def test_an_error_of_ros_ends_the_driver_and_is_not_blamed_on_the_robot(
+    domain_id: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from wam_power_ros.nodes.franka_driver import FrankaDriver
+
+    class Mute(FrankaDriver):
+        def _publish(self, state: Any) -> None:  # noqa: ANN401
+            self.destroy_publisher(self._states)
+            super()._publish(state)
+
+    (file := tmp_path / "lab.yaml").write_text(LAB.replace("}}", ", realtime_priority: 0}}"))
+    monkeypatch.setattr(sys, "argv", ["", "--ros-args", "--params-file", str(file)])
+    server = Server(tmp_path / "server.log")
+    try:
+        with node_runner.participant(Mute, domain_id) as driver:
+            end = time.monotonic() + 60.0
+            with pytest.raises(InvalidHandle):
+                driver.serve(lambda: time.monotonic() > end)
+            assert "destroyable" not in driver.fault.lower()
+    finally:
+        server.end()
 
 
 def test_a_driver_without_an_address_says_what_is_missing(processes: Processes) -> None:

@@ -29,6 +29,17 @@ def test_the_tool_is_drawn_where_the_controller_has_it() -> None:
     np.testing.assert_allclose(skeleton.tool_path(Q[None]), [position], atol=1e-12)
 
 
+def test_a_joint_that_turns_without_end_is_drawn_at_its_one_angle() -> None:
+    turning = '<joint name="wam_j7" type="continuous">'
+    urdf = re.sub('<joint name="wam_j7" type="revolute">', turning, WAM)
+    assert turning in urdf
+    for text in (urdf, re.sub(f"({turning}.*?)<limit[^>]*>", r"\1", urdf, flags=re.DOTALL)):
+        for drawn, expected in zip(
+            Skeleton(text).placements(Q), Skeleton(WAM).placements(Q), strict=True
+        ):
+            np.testing.assert_allclose(drawn, expected, atol=1e-12)
+
+
 @pytest.mark.parametrize("urdf", [WAM, COBOT])
 def test_every_shape_of_the_urdf_is_drawn_and_a_mesh_is_left_out(urdf: str) -> None:
     count, mesh = urdf.count("<visual>"), '<geometry><mesh filename="no.stl"/></geometry>'

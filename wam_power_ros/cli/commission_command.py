@@ -12,7 +12,7 @@ import numpy as np
 
 from wam_power_ros import durable_files, rotations
 from wam_power_ros.bags.bag import Bag
-from wam_power_ros.bags.commands import read_commands
+from wam_power_ros.bags.commands import read_commands, read_set_points
 from wam_power_ros.bags.reader import read_states
 from wam_power_ros.bags.table import body_columns
 from wam_power_ros.cli.launcher import (
@@ -28,9 +28,10 @@ from wam_power_ros.commissioning.acceptance import notes, refusals
 from wam_power_ros.commissioning.excitation import Excitation, excitation
 from wam_power_ros.commissioning.identification import tool_centre
 from wam_power_ros.commissioning.measurement import Recording, analyse
-from wam_power_ros.commissioning.report import report, setup_text
+from wam_power_ros.commissioning.report import report, servo_line, servo_text, setup_text
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.corrections import Corrections
+from wam_power_ros.control.servo_response import servo_of
 from wam_power_ros.params import overlay
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 
@@ -52,8 +53,6 @@ def commission(
     setup = devices.parameters(folder=folder)
     setup = setup.changed({RECORDER: {"stem": "commissioning"}, SIMULATION: {"scene": SCENE}})
     controller = TorqueControllerParams.of_setup(setup)
-    if controller.output != "torque":
-        raise UsageError(f"output: {controller.output}, but this measures by torques")
     gravity_added = controller.driver_compensates_gravity
     arm = setup.arm()
     if arm is None:
@@ -66,6 +65,8 @@ def commission(
     if status or not bags:
         movement.unlink(missing_ok=True)
         return status or 1
+    if controller.output != "torque":
+        return _servo(arm, bags[-1], setup, output or folder / "arm.yaml")
     with np.load(movement) as file:
         plan = Excitation(*(file[name] for name in ("t", "q", "rests", "sweeps")))
     recorded = _recording(bags[-1], setup)
@@ -82,13 +83,35 @@ def commission(
             print(f"not usable: {reason}")
         print("Nothing was written.")
         return 1
-    file = output or folder / "arm.yaml"
+    _write(output or folder / "arm.yaml", setup_text(arm, setup[TRACKER], found))
+    return 0
+
+
+def _write(file: Path, text: str) -> None:
+    """Write a set-up, and keep the one that is there."""
     if file.exists():
         kept = file.with_name(f"{file.name}.{timestamp()}")
         file.rename(kept)
         print(f"{short_path(file)} existed: kept as {short_path(kept)}")
-    durable_files.replace(file, setup_text(arm, setup[TRACKER], found))
+    durable_files.replace(file, text)
     print(f"Written: {short_path(file)}. Give it last: --config {short_path(file)}")
+
+
+def _servo(arm: Arm, path: Path, setup: overlay.Setup, file: Path) -> int:
+    """Measure how an arm that takes positions follows them; write it; returns the exit status."""
+    bag, names = Bag(path), setup.joint_names
+    states = read_states(bag, names)
+    topic = setup["torque_controller"]["command_topic"]
+    stamps, sent = read_set_points(bag, topic if topic.startswith("/") else f"/{topic}", names)
+    origin = states.stamps[0]
+    try:
+        t, sent_t = (1e-9 * (each - origin) for each in (states.stamps, stamps))
+        found = servo_of(t, states.q, sent_t, sent)
+    except ValueError as error:
+        print(f"not usable: {error}\nNothing was written.")
+        return 1
+    print(servo_line(found))
+    _write(file, servo_text(arm, found))
     return 0
 
 
@@ -105,7 +128,11 @@ def _move(
 
     limits = controller.controller(robot_description(controller.urdf)).limits
     home = np.array(setup[SIMULATION]["home"])  # of every arm, simulated or not
-    plan = excitation(arm, limits, home, np.random.default_rng(0))
+    rng = np.random.default_rng(0)
+    if controller.output == "torque":
+        plan = excitation(arm, limits, home, rng)
+    else:
+        plan = excitation(arm, limits, home, rng, 1, (10.0, 10.0))
     movement.parent.mkdir(parents=True, exist_ok=True)
     np.savez(movement, t=plan.t, q=plan.q, rests=plan.rests, sweeps=plan.sweeps)
     signal.signal(signal.SIGTERM, interrupt)
@@ -158,7 +185,8 @@ def add_to(
         commission,
         "let the arm measure its zeros, friction, tool and cameras; writes a set-up file",
         "Move the arm for about four minutes, with markers fixed to its empty tool, and compare "
-        "what encoders, torques and cameras say. Hardware: nobody within reach.",
+        "what encoders, torques and cameras say. An arm that takes positions needs no markers, and "
+        "half a minute. Hardware: nobody within reach.",
     )
     parser.add_argument(
         "--tool-mass", type=float, help="of what the last joint carries [kg], weighed"

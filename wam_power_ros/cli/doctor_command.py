@@ -124,7 +124,13 @@ def measured(setup: overlay.Setup) -> list[Row]:
     largest = f"largest {np.rad2deg(np.abs(zeros).max()):.1f} degrees"
     frame_row = _row("frame", known, "of the cameras, in world_to_base")
     if params.output != "torque":  # the arm carries itself, and nothing is measured by torques
-        return [frame_row] if cameras["body"] else []
+        delay, lag = 1e3 * params.servo_delay, 1e3 * params.servo_lag
+        known = delay + lag > 0.0
+        text = (
+            f"{delay:.0f} ms late, {lag:.0f} ms of lag" if known else "never measured: commission"
+        )
+        servo = Row("servo", OK if known else WARN, text)
+        return [frame_row, servo] if cameras["body"] else [servo]
     return [
         *([frame_row] if cameras["body"] else []),
         _row("zeros", bool(zeros.any()), largest if zeros.any() else "of the joints"),

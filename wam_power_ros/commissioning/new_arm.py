@@ -29,6 +29,14 @@ class Proposal(NamedTuple):
     reason: str
 
 
+def limits_of_turning(tree: Element, names: list[str]) -> list[float]:
+    """Position limits for a set-up: a turn less `MARGIN` of continuous joints [rad]; else none."""
+    kinds = {joint.get("name"): joint.get("type") for joint in tree.iterfind("joint")}
+    most = round(np.pi - MARGIN, 2)
+    limits = [(-most, most) if kinds[name] == "continuous" else (0.0, 0.0) for name in names]
+    return [end for each in limits for end in each] if np.any(limits) else []
+
+
 def chain(tree: Element, tool: str = "") -> tuple[list[str], list[str], str]:
     """Joints base to tip, links base to tip and the tool of a URDF.
 
@@ -125,8 +133,9 @@ def proposals(urdf: str, file: str, tool: str, output: str) -> Iterator[Proposal
     Raises:
         ValueError: The URDF is none of an arm that can be used, as `Arm` says.
     """
-    names, links, tool = chain(parsed(urdf), tool)
-    arm = Arm(urdf, names, tool, ())
+    names, links, tool = chain(tree := parsed(urdf), tool)
+    limits = limits_of_turning(tree, names)
+    arm = Arm(urdf, names, tool, (), position_limits=limits)
     home, reach, way, goal = reach_of(arm, np.random.default_rng(0))
     start = arm.tool_pose(home)[0]
     elbow, wrist = links[(len(names) + 1) // 2], links[max(len(names) - 2, 1)]
@@ -137,6 +146,9 @@ def proposals(urdf: str, file: str, tool: str, output: str) -> Iterator[Proposal
     yield Proposal(node, "urdf", file, "as given")
     yield Proposal(node, "base_frame", links[0], "root of the URDF")
     yield Proposal(node, "tool_frame", tool, f"moved by all {len(names)} joints, farthest out")
+    if limits:
+        reason = "[rad] of continuous joints, short of a jump by 2 pi; 0, 0: those of the URDF"
+        yield Proposal(node, "position_limits", limits, reason)
     yield Proposal(node, "guarded_names", ["elbow", "wrist"], "their speed is limited, too")
     yield Proposal(node, "guarded_links", [elbow, wrist], "half-way, and before the hand")
     yield Proposal(node, "guarded_points", [0.0] * 6, "[m] at their joints")

@@ -14,6 +14,7 @@ from wam_power_ros import __version__, rotations
 from wam_power_ros.commissioning.acceptance import notes
 from wam_power_ros.commissioning.measurement import Commissioned
 from wam_power_ros.control.arm import Arm
+from wam_power_ros.control.servo_response import Servo
 
 RELIEF = 0.6  # share of the friction that is taken off: with more an arm let go in motion runs on
 
@@ -99,17 +100,34 @@ def setup_text(arm: Arm, tracker: Mapping[str, Any], found: Commissioned) -> str
             "world_to_base": [*_rounded(position, 5), *_rounded(quat, 7)],
             "latency_offset": round(max(0.0, late), 5),
         }
-    sections = {f"/**/{name}": {"ros__parameters": values} for name, values in nodes.items()}
     header = [
-        f"# Measured by {arm.name} and its cameras on {date.today().isoformat()}, with "
-        f"wam_power_ros {__version__}.",
         "# Joints in the order of model_joint_names. Measure again after a change of tool, zeros "
         "or cameras.",
         *(f"# {line}" for line in report(arm, found)),
         *(f"# note: {note}" for note in notes(arm, found)),
     ]
+    return _text(f"{arm.name} and its cameras", header, nodes)
+
+
+def servo_line(found: Servo) -> str:
+    """What was found of a servo, for a person."""
+    return (
+        f"servo      {found.delay * 1e3:.0f} ms of delay and {found.lag * 1e3:.0f} ms of lag; "
+        f"{found.error:.4f} rad rms are left of {found.error_without:.4f}"
+    )
+
+
+def servo_text(arm: Arm, found: Servo) -> str:
+    """Set-up file of an arm that takes positions, with what was found of its servo."""
+    values = {"servo_delay": round(found.delay, 4), "servo_lag": round(found.lag, 4)}
+    return _text(arm.name, [f"# {servo_line(found)}"], {"torque_controller": values})
+
+
+def _text(by: str, header: list[str], nodes: Mapping[str, Any]) -> str:
+    sections = {f"/**/{name}": {"ros__parameters": values} for name, values in nodes.items()}
+    begin = f"# Measured by {by} on {date.today().isoformat()}, with wam_power_ros {__version__}."
     body = yaml.safe_dump(sections, sort_keys=False, default_flow_style=None, width=1000)
-    return "\n".join([*header, body])
+    return "\n".join([begin, *header, body])
 
 
 def _rounded(values: np.ndarray, digits: int) -> list[float]:

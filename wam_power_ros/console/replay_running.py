@@ -32,7 +32,8 @@ from wam_power_ros.ros.outcomes import ServiceError
 
 CONTROLLER = "torque_controller"  # node
 APPEAR_TIMEOUT = 15.0  # [s of wall time] for its services to be discovered
-NAMES = ("joint_names", "model_joint_names", "urdf", "tool_frame", "base_frame", "simulation")
+OF_ARM = ("model_joint_names", "tool_frame", "base_frame", "position_limits")
+NAMES = ("joint_names", "urdf", "simulation", *OF_ARM)
 
 
 def controller_parameters(link: Link) -> dict[str, Any]:
@@ -61,8 +62,8 @@ def replay_running(link: Link, bag: Path, speed: float) -> int:
     identity = None
     if found["urdf"]:
         urdf = robot_description(found["urdf"])
-        names, base = found["model_joint_names"], found["base_frame"]
-        identity = Arm(urdf, names, found["tool_frame"], base_frame=base).identity()
+        names, tool, base, limits = (found[name] for name in OF_ARM)
+        identity = Arm(urdf, names, tool, None, None, base, limits).identity()
     robot = Robot(link, joint_names=found["joint_names"])
     recorded = reader.read_demonstration(bag, robot.joint_names, arm=identity)
     movement = replay_trajectory.movement(*recorded, speed)

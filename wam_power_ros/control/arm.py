@@ -21,6 +21,8 @@ from wam_power_ros import compiled
 from wam_power_ros.arm_identity import ArmIdentity
 from wam_power_ros.control.corrections import Corrections
 from wam_power_ros.control.urdf_checks import (
+    approach,
+    limited,
     number,
     parsed,
     require_physical,
@@ -134,6 +136,7 @@ class Arm:
         q_min: Lower position limits [rad]. Shape (n,).
         q_max: Upper position limits [rad]. Shape (n,).
         qd_max: Speed limits [rad/s]. Shape (n,).
+        approach: Speeds near the position limits, n of them; empty if the URDF has none.
         tau_max: Torque limits [N m]. Shape (n,).
         armature: Reflected rotor inertia [kg m^2]. Shape (n,).
         friction: Coulomb friction of the joints [N m]. Shape (n,).
@@ -154,6 +157,7 @@ class Arm:
             a URDF that has its links.
         corrections: What was measured on this arm, None for an arm as its URDF describes it.
         base_frame: Link whose frame is the base frame of all numbers; the root link if empty.
+        position_limits: Limits in place of the URDF's, see `urdf_checks.limited` [rad].
 
     Raises:
         ValueError: The text is not a URDF, a joint or frame is missing (the message lists the known
@@ -169,8 +173,10 @@ class Arm:
         guarded: Sequence[GuardedPoint] | None = None,
         corrections: Corrections | None = None,
         base_frame: str = "",
+        position_limits: Sequence[float] = (),
     ) -> None:
         self.joint_names = tuple(joint_names)
+        urdf = limited(urdf, self.joint_names, position_limits)
         tree = parsed(urdf)
         require_usable(tree, self.joint_names)
         self._base_frame = base_frame
@@ -192,6 +198,7 @@ class Arm:
         self.n = self.model.nv
         if self.n > JOINTS_MAX:
             raise ValueError(f"{self.n} joints are too many, at most {JOINTS_MAX} are possible")
+        self.approach = approach(tree, self.joint_names)
         self.armature = np.array([_armature(tree, name) for name in self.joint_names])
         self.model.armature = self.armature
         self.root = rebased(self.model, base_frame) if base_frame else pin.SE3.Identity()

@@ -33,6 +33,8 @@ class MotionSettings(BaseModel):
             moves; more than 0.8 of the true one lets the arm run on after it was let go.
         loop_delay: Time from a torque to the motion that the states show [s]; 0 if it was not
             measured.
+        servo_delay: Delay with which an arm follows positions [s]; 0 if it was not measured.
+        servo_lag: Time constant of the low-pass with which it does [s].
         contact_share: Bound on the torque residual in hold, move and replay, beyond twice the
             joint's friction, as a share of the joint's torque limit; above it is a contact, and a
             fault.
@@ -97,6 +99,12 @@ class MotionSettings(BaseModel):
     )
     loop_delay: float = Field(
         default=0.0, ge=0.0, le=0.03, description="in s: 0 if not measured; beyond, unstable"
+    )
+    servo_delay: float = Field(
+        default=0.0, ge=0.0, le=0.2, description="in s: 0 if not measured; beyond, a fault"
+    )
+    servo_lag: float = Field(
+        default=0.0, ge=0.0, le=0.1, description="in s: 0 if not measured; beyond, a fault"
     )
     contact_share: float = Field(
         default=0.05,

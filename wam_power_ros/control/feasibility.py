@@ -24,8 +24,10 @@ from wam_power_ros.control.model_arm import ModelArm
 from wam_power_ros.control.modes import ControllerError, Mode
 from wam_power_ros.control.policy_execution import Execution, prepare
 from wam_power_ros.control.safety import Limits, LimitSprings, MotionCheck, limits_of
+from wam_power_ros.control.servo_response import followed
 from wam_power_ros.control.state_checks import JointState
 from wam_power_ros.control.torque_output import TorqueOutput
+from wam_power_ros.control.urdf_checks import Approach
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import EndEffectorPath, Foreseen
@@ -85,7 +87,9 @@ def simulate_policy(
     """
     limits = settings.limits or limits_of(arm)
     limited = ("qd_max", "elbow_speed", "tool_speed")
-    tight = replace(limits, **{name: margin * getattr(limits, name) for name in limited})
+    slower = {name: margin * getattr(limits, name) for name in limited}
+    near = tuple(Approach(margin * o, margin**2 * d) for o, d in limits.approach)
+    tight = replace(limits, **slower, approach=near)
     # The whole movement must be feasible.
     settings = settings.model_copy(update={"limits": tight, "region": None})
     try:
@@ -133,7 +137,8 @@ def simulate_policy(
 def foresee(arm: Arm, settings: ControllerSettings, policy: Policy) -> Foreseen | None:
     """Path of the tool in a simulated execution of a policy, and its excesses of speed.
 
-    None if it ends in a fault though the speed limits are `FORESEEN_SHARE` of the real ones.
+    An arm that takes positions follows with the delay and lag of its servo. None if it ends in a
+    fault though the speed limits are `FORESEEN_SHARE` of the real ones.
     """
     simulated = simulate_policy(arm, settings, policy, FORESEEN_SHARE)
     if simulated.fault is not None:
@@ -141,7 +146,10 @@ def foresee(arm: Arm, settings: ControllerSettings, policy: Policy) -> Foreseen 
     limits = settings.limits or limits_of(arm)
     points = simulated.elbow_peak / limits.elbow_speed, simulated.tool_peak / limits.tool_speed
     shares = np.array([*(simulated.qd_peak / limits.qd_max), *points])
-    poses = [arm.tool_pose(q) for q in simulated.q]
+    q = simulated.q
+    if settings.set_point_period:
+        q = followed(q, settings.period, settings.servo_delay, settings.servo_lag)
+    poses = [arm.tool_pose(posture) for posture in q]
     t = settings.period * np.arange(len(poses))
     position = np.stack([place for place, _ in poses])
     quat_xyzw = np.stack([rotations.quat_xyzw(matrix) for _, matrix in poses])

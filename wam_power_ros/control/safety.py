@@ -8,6 +8,7 @@ The fallback `damped_gravity`, g(q) - d M(q) qd, brings the arm to rest and carr
 states are missing it uses the state that the model predicts: an old velocity would feed energy in.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
@@ -18,6 +19,7 @@ from wam_power_ros import compiled
 from wam_power_ros.control.arm import Arm, Motion, Speeds
 from wam_power_ros.control.modes import MOVING_MODES, PASSIVE_MODES, WORKSPACE_MODES, Mode
 from wam_power_ros.control.state_checks import JointState, at_rate
+from wam_power_ros.control.urdf_checks import Approach
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.policy import PERIOD, read_only
 
@@ -56,6 +58,7 @@ class Limits:
         q_min: Lower position limits [rad]. Shape (n,).
         q_max: Upper position limits [rad]. Shape (n,).
         qd_max: Largest joint speed [rad/s]. Shape (n,).
+        approach: Speeds near the position limits, n of them; empty for none.
         spring_torque: Torque of the soft spring at a position limit [N m]. Shape (n,).
         elbow_speed: Largest speed of the arm's guarded points [m/s]. The WAM's safety board trips
             at 1.0 m/s as delivered; a toss needs up to 2.0, and the board set accordingly.
@@ -84,6 +87,7 @@ class Limits:
     workspace_min: np.ndarray = field(default_factory=lambda: np.array([-1.5, -1.5, -0.5]))
     workspace_max: np.ndarray = field(default_factory=lambda: np.array([1.5, 1.5, 2.0]))
     plane: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, 1.0, -0.5]))
+    approach: tuple[Approach, ...] = ()
     # The same values as plain floats, one row per joint or axis: several times faster to compare.
     _torques: list[list[float]] = field(init=False, repr=False)
     _motions: list[list[float]] = field(init=False, repr=False)
@@ -118,7 +122,7 @@ class Limits:
 
 
 def _names() -> list[str]:
-    return [each.name for each in fields(Limits) if each.init]
+    return [each.name for each in fields(Limits) if each.init and each.name != "approach"]
 
 
 def limits_of(arm: Arm, **overrides: object) -> Limits:
@@ -131,7 +135,7 @@ def limits_of(arm: Arm, **overrides: object) -> Limits:
     Raises:
         ValueError: A field does not exist, or a value is out of range.
     """
-    known = _names()
+    known = [*_names(), "approach"]
     if unknown := sorted(set(overrides) - set(known)):
         raise ValueError(f"limits {unknown} do not exist; known: {sorted(known)}")
     values: dict[str, Any] = {
@@ -140,6 +144,7 @@ def limits_of(arm: Arm, **overrides: object) -> Limits:
         "q_min": arm.q_min,
         "q_max": arm.q_max,
         "qd_max": arm.qd_max,
+        "approach": arm.approach,
         "spring_torque": 0.1 * arm.tau_max,
     }
     return Limits(**(values | overrides))
@@ -296,6 +301,8 @@ def motion_fault(
         if (x > high and speed > OUTWARDS) or (x < low and speed < -OUTWARDS):
             text = f"joint {i} at {x:.3f} rad, limits {low:.3f} to {high:.3f}"
             return Fault(FaultKind.JOINT_POSITION, text)
+    if limits.approach and (fault := _approach_fault(q, qd, limits)) is not None:
+        return fault
     if motion.tool_speed > tool_speed:
         text = f"tool at {motion.tool_speed:.2f} m/s, limit {tool_speed:.2f}"
         return Fault(FaultKind.TOOL_SPEED, text)
@@ -308,6 +315,18 @@ def motion_fault(
             if not low <= x <= high:
                 text = f"tool at {axis} = {x:.3f} m, workspace {low:.3f} to {high:.3f}"
                 return Fault(FaultKind.WORKSPACE, text)
+    return None
+
+
+def _approach_fault(q: list[float], qd: list[float], limits: Limits) -> Fault | None:
+    """Fault of the first joint that is too fast for its distance from the limit ahead, or None."""
+    rows = zip(q, qd, limits._motions, limits.approach, strict=True)
+    for i, (x, speed, (low, high, _), (offset, deceleration)) in enumerate(rows, start=1):
+        room = max(high - x if speed > 0.0 else x - low, 0.0)
+        allowed = max(math.sqrt(2.0 * deceleration * room) - offset, 0.0) + OUTWARDS
+        if abs(speed) > allowed:
+            text = f"joint {i} at {speed:.2f} rad/s, limit {allowed:.2f} at {x:.2f} rad"
+            return Fault(FaultKind.JOINT_SPEED, text)
     return None
 
 

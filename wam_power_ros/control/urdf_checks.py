@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 from xml.etree import ElementTree
 from xml.parsers import expat
 
@@ -27,6 +28,18 @@ EIGENVALUE_MIN = 1e-9
 _POSTURES = 8  # at which the mass matrix is checked
 _MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 _LIMITED = ("revolute", "prismatic")
+
+
+class Approach(NamedTuple):
+    """Speed sqrt(2 d r) - o that a joint may have at a distance r from the limit ahead.
+
+    Attributes:
+        offset: o [rad/s].
+        deceleration: d [rad/s^2].
+    """
+
+    offset: float
+    deceleration: float
 
 
 def parsed(urdf: str) -> ElementTree.Element:
@@ -55,12 +68,66 @@ def parsed(urdf: str) -> ElementTree.Element:
     return tree
 
 
+def limited(urdf: str, joint_names: Sequence[str], limits: Sequence[float]) -> str:
+    """Replace position limits of a URDF; a continuous joint becomes a revolute one.
+
+    Args:
+        urdf: Text of the URDF.
+        joint_names: Names of the arm's joints.
+        limits: Lower and upper limit of each joint [rad]; 0 and 0 keep those of the URDF. One 0 or
+            none keeps all.
+
+    Raises:
+        ValueError: Their number is not twice that of the joints, or limits of a joint are not
+            within those of the URDF, or of a continuous joint not within a turn.
+    """
+    if not any(limits):
+        return urdf
+    n = len(joint_names)
+    if len(limits) != 2 * n:
+        text = f"position_limits {list(limits)} must be {2 * n} numbers, lower and upper for each"
+        raise ValueError(f"{text} of {list(joint_names)}; 0, 0 keeps those of the URDF")
+    tree = parsed(urdf)
+    for name, low, high in zip(joint_names, limits[::2], limits[1::2], strict=True):
+        joint = tree.find(f"./joint[@name='{name}']")
+        if low == high == 0.0 or joint is None:
+            continue
+        if (given := joint.find("limit")) is None:
+            given = ElementTree.SubElement(joint, "limit")
+        if joint.get("type") == "continuous":
+            allowed, within = "a turn", high - low < 2.0 * math.pi
+            joint.set("type", "revolute")
+        else:
+            least, most = number(given.get("lower", "nan")), number(given.get("upper", "nan"))
+            allowed = f"those of the URDF, {least:g} to {most:g}"
+            within = least <= low and high <= most
+        if not (within and low < high):
+            text = f"position_limits of joint {name!r}, {low:g} to {high:g}, must rise, within"
+            raise ValueError(f"{text} {allowed}")
+        given.attrib.update(lower=repr(float(low)), upper=repr(float(high)))
+    return ElementTree.tostring(tree, encoding="unicode")
+
+
 def soft_limits(tree: ElementTree.Element, joint_name: str) -> tuple[float, float]:
     """Bounds of a position by the maker's own controller [rad]; infinite if there are none."""
     safety = tree.find(f"./joint[@name='{joint_name}']/safety_controller")
     found = {} if safety is None else safety.attrib
     low, high = (number(found.get(f"soft_{end}_limit", "0")) for end in ("lower", "upper"))
     return (low, high) if low < high else (-math.inf, math.inf)
+
+
+def approach(tree: ElementTree.Element, joint_names: Sequence[str]) -> tuple[Approach, ...]:
+    """Speeds near the position limits of each joint; empty if a joint has none.
+
+    They are in the element `<position_based_velocity_limits>` of Franka's descriptions.
+    """
+    found = (
+        tree.find(f"./joint[@name='{name}']/position_based_velocity_limits") for name in joint_names
+    )
+    given = [{} if each is None else dict(each.items()) for each in found]
+    names = "velocity_offset", "deceleration_limit"
+    values = [Approach(*(number(each.get(name, "")) for name in names)) for each in given]
+    return tuple(values) if np.isfinite(values).all() else ()
 
 
 def require_usable(tree: ElementTree.Element, joint_names: Sequence[str]) -> None:
@@ -99,8 +166,8 @@ def _unusable(joint: ElementTree.Element, known: list[str]) -> str:
         return f"is fixed in the robot description; movable are {known}"
     if kind == "continuous":
         return (
-            'is continuous: a driver may wrap its positions, which then jump; give it type="'
-            'revolute" with limits between which they do not jump, such as lower="-3.1" upper="3.1"'
+            "is continuous: a driver may wrap its positions, which then jump; give it limits "
+            "between which they do not, such as -3.1, 3.1, in position_limits of the set-up"
         )
     if kind not in _LIMITED:
         return f"is of type {kind!r}; allowed are {list(_LIMITED)}"

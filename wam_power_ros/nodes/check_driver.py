@@ -213,7 +213,8 @@ class CheckDriver(Node):
             raise ValueError(f"no message on {topic}: {advice}")
         params = self._arm_params
         names, tool, base = params.model_joint_names, params.tool_frame, params.base_frame
-        arm = Arm(self._urdf, names, tool, (), params.corrections, base)
+        corrections, limits = params.corrections, params.position_limits
+        arm = Arm(self._urdf, names, tool, (), corrections, base, limits)
         rows, record = self._arm_rows(arm, seconds)
         path = self._command_path()
         mocap = self._mocap_rows(arm, record, seconds)

@@ -38,6 +38,7 @@ from wam_power_ros.learning.policy import DURATION_MAX, check_id
 from wam_power_ros.params.body_tracker_params import MESSAGE_TYPES
 from wam_power_ros.params.node_params import Names, Params
 from wam_power_ros.params.resources import robot_description
+from wam_power_ros.params.torque_controller_params import PositionLimits
 from wam_power_ros.ros import interface, node_runner, scheduling
 from wam_power_ros.ros.diagnostics import Diagnostics
 from wam_power_ros.ros.outcomes import Answer, Code, fill
@@ -73,6 +74,7 @@ class DemonstrationRecorderParams(Params):
     urdf: str  # path, or a file of our share folder; empty: bags do not name their arm
     base_frame: str  # link, see the controller's
     tool_frame: str
+    position_limits: PositionLimits
     source: Literal["sim", "hardware"]
     free_to_start: Megabytes
     free_to_continue: Megabytes
@@ -88,8 +90,8 @@ class DemonstrationRecorder(Node):
         self._arm = ""  # identity of the arm, as JSON
         if params.urdf:
             urdf = robot_description(params.urdf)
-            base = params.base_frame
-            arm = Arm(urdf, params.model_joint_names, params.tool_frame, (), base_frame=base)
+            names, tool, base = params.model_joint_names, params.tool_frame, params.base_frame
+            arm = Arm(urdf, names, tool, (), None, base, params.position_limits)
             self._arm = arm_identity.to_json(arm.identity())
         self._directory = Path(params.directory).expanduser().absolute()
         self._recording: Recording | None = None

@@ -13,6 +13,7 @@ if __name__ == "__main__":  # before the other imports, which a signal may inter
 
     raise SystemExit(start("wam_power_ros.nodes.franka_driver"))
 
+import os
 import time
 from collections.abc import Callable
 
@@ -33,6 +34,13 @@ BRAKE = np.array([20.0] * 4 + [3.0] * 3)  # [N m s/rad] while no torque comes
 REST, BRAKE_TIME = 0.02, 0.5  # [rad/s], [s] until the robot is asked to hold the arm by itself
 GAP, AGAIN = 0.2, 1.0  # [s] without states after an error; between two attempts to connect
 ABLE = (franka.RobotMode.Idle, franka.RobotMode.Move, franka.RobotMode.Guiding)
+ERRORS = (  # no class is above all, but RuntimeError, which ROS raises, too
+    franka.FrankaException,  # also of its protocol, and of a robot of another version
+    franka.CommandException,
+    franka.InvalidOperationException,
+    franka.NetworkException,
+    franka.RealtimeException,
+)
 
 
 class FrankaDriver(Node):
@@ -74,7 +82,7 @@ class FrankaDriver(Node):
                 self._answer(state)
             except franka.ControlException:
                 self._control, self._stopped = None, True
-            except RuntimeError as error:  # of the library: connection, version, a refusal
+            except ERRORS as error:
                 lost, self._control = isinstance(error, franka.NetworkException), None
                 self._robot = None if lost else self._robot
                 text = f"{error}; cable, address {self._params.address}, FCI and joints in Desk"
@@ -92,7 +100,9 @@ class FrankaDriver(Node):
         if self._control is not None:
             return self._control.readOnce()[0]
         if self._robot is None:
+            before = os.sched_getscheduler(0), os.sched_getparam(0)
             self._robot = franka.Robot(self._params.address, franka.RealtimeConfig.kIgnore)
+            os.sched_setscheduler(0, *before)  # it takes 99, which kernel threads need
             torque, force = self._params.collision_torque, self._params.collision_force
             self._robot.set_collision_behavior(*[[torque] * 7] * 2, *[[force] * 6] * 2)
             self._sent_ns = 0

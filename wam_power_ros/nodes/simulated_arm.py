@@ -50,8 +50,8 @@ class SimulatedArm:
         own = TorqueControllerParams.model_fields.keys() - ELSEWHERE
         self.parameters = {name: setup["torque_controller"][name] for name in sorted(own)}
         corrections = controller_params.corrections
-        base = controller_params.base_frame
-        self.kinematics = Arm(urdf, joint_names, tool_frame, (), corrections, base)
+        base, limits = controller_params.base_frame, controller_params.position_limits
+        self.kinematics = Arm(urdf, joint_names, tool_frame, (), corrections, base, limits)
         self.identity = self.kinematics.identity()
         self._controller = controller_params.controller(urdf)
         self.region = controller_params.region

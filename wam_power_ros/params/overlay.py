@@ -96,9 +96,10 @@ class Setup(Mapping[str, dict[str, Any]]):
         try:
             corrections = Corrections.of_parameters(controller)
             guarded, base = guarded_points(*points), controller["base_frame"]
-            return Arm(urdf, names, tool, guarded, corrections, base)
+            limits = controller["position_limits"]
+            return Arm(urdf, names, tool, guarded, corrections, base, limits)
         except ValueError as error:
-            where = "model_joint_names, base_frame, tool_frame, guarded_links"
+            where = "model_joint_names, base_frame, tool_frame, position_limits, guarded_links"
             raise ValueError(
                 f"{controller['urdf']}: {error} (torque_controller: urdf, {where})"
             ) from None
@@ -404,7 +405,7 @@ def _derived(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Parameters:
     derived: Parameters = {
         "demonstration_recorder": {
             "state_topic": arm["state_topic"],
-            **{name: arm[name] for name in model},
+            **{name: arm[name] for name in (*model, "position_limits")},
             "driver_topics": topics,
             "body": mocap["body"],
             "mocap_topics": [mocap["pose_topic"] or mocap["markers_topic"]],
@@ -417,7 +418,7 @@ def _derived(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Parameters:
         "natnet_client": {"body": mocap["body"], "frame": mocap["mocap_frame"]},
         "learner": {name: arm[name] for name in model},
         "wam_sim": {
-            **{name: arm[name] for name in (*model, *driver, *world)},
+            **{name: arm[name] for name in (*model, "position_limits", *driver, *world)},
             "driver_compensates_gravity": arm["driver_compensates_gravity"],
             "velocity": "empty" if arm["velocity_topic"] else "filled",
             "effort": {"torque": "filled", "none": "empty"}.get(arm["effort"], arm["effort"]),

@@ -45,6 +45,10 @@ FrictionShares = Annotated[
     tuple[Annotated[float, Field(ge=-0.5, le=0.5)], ...],
     Field(min_length=1, max_length=JOINTS_MAX, description="of the Coulomb friction"),
 ]
+PositionLimits = Annotated[
+    tuple[Annotated[float, Field(ge=-12.6, le=12.6)], ...],
+    Field(min_length=1, max_length=2 * JOINTS_MAX, description="in rad, or m of a slide"),
+]
 Kilograms = Annotated[float, Field(ge=-5.0, le=20.0)]
 Moment = Annotated[float, Field(ge=-5.0, le=5.0)]
 Tilt = Annotated[float, Field(ge=-0.35, le=0.35)]
@@ -101,6 +105,7 @@ class TorqueControllerParams(Params, MotionSettings):
     urdf: str
     base_frame: str = Field(min_length=1)
     tool_frame: str
+    position_limits: PositionLimits
     joint_zeros: Annotated[
         tuple[Annotated[float, Field(ge=-0.2, le=0.2)], ...],
         Field(min_length=1, max_length=JOINTS_MAX, description="in rad: re-zero an arm beyond 0.2"),
@@ -235,7 +240,8 @@ class TorqueControllerParams(Params, MotionSettings):
         """
         guarded = guarded_points(self.guarded_names, self.guarded_links, self.guarded_points)
         names, tool = self.model_joint_names, self.tool_frame
-        arm = Arm(urdf, names, tool, guarded, self.corrections, self.base_frame)
+        base, allowed = self.base_frame, self.position_limits
+        arm = Arm(urdf, names, tool, guarded, self.corrections, base, allowed)
         limits = limits_of(
             arm,
             torque=self.torque_share * arm.tau_max,

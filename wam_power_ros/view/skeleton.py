@@ -38,6 +38,11 @@ class Skeleton:
                 for visual in link.findall("visual"):
                     if visual.find("geometry/mesh") is not None:
                         link.remove(visual)
+            for joint in tree.iter("joint"):
+                if joint.get("type") == "continuous":  # of one number, as its state has
+                    joint.set("type", "revolute")
+                    if joint.find("limit") is None:
+                        ElementTree.SubElement(joint, "limit", effort="0", velocity="0")
             text = ElementTree.tostring(tree, encoding="unicode")
             self._model = model = pin.buildModelFromXML(text)
             self._visual = pin.buildGeomFromUrdfString(model, text, pin.GeometryType.VISUAL)

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How an arm follows positions: found from a movement, and foreseen of a rollout."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from reproduction.studies.flip_sessions import teach
+from wam_power_ros.control.servo_response import followed, servo_of
+from wam_power_ros.in_process.environment import Environment
+from wam_power_ros.params import overlay
+
+T = np.arange(0.0, 6.0, 0.002)
+Q = np.stack([0.4 * np.sin(2.0 * T) ** 3, 0.2 * np.sin(5.0 * T)], axis=1)
+
+
+@pytest.mark.parametrize(("delay", "lag"), [(0.0, 0.0), (0.01, 0.01), (0.04, 0.02), (0.08, 0.04)])
+@pytest.mark.parametrize("every", [1, 4])  # states a set point
+def test_delay_and_lag_are_those_of_the_servo(delay: float, lag: float, every: int) -> None:
+    noise = np.random.default_rng(1).normal(0.0, 2e-4, Q.shape)
+    reached = followed(Q, 0.002, delay, lag) + noise
+    jitter = np.random.default_rng(2).uniform(0.0, 0.0004, len(T))
+    found = servo_of(T + jitter, reached, T[::every], Q[::every])
+    assert (found.delay, found.lag) == pytest.approx((delay, lag), abs=0.0041)
+    assert found.error < 1e-3
+
+
+def test_a_path_begins_at_rest_and_ends_at_its_end() -> None:
+    step = np.concatenate([np.zeros((50, 1)), np.ones((450, 1))])
+    late = followed(step, 0.002, 0.04, 0.02)[:, 0]
+    assert not late[:70].any()
+    assert late[80] == pytest.approx(1.0 - np.exp(-1.0), abs=0.04)  # a lag after the delay
+    assert late[-1] == pytest.approx(1.0, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("reached", "words"),
+    [
+        (-Q, "no delay explains"),
+        (followed(Q, 0.002, 0.22, 0.0), "later than"),
+        (np.roll(Q, 1, axis=1), "no delay explains"),
+    ],
+)
+def test_an_arm_that_follows_otherwise_has_no_delay(reached: np.ndarray, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        servo_of(T, reached, T, Q)
+
+
+def test_an_arm_that_did_not_move_tells_nothing() -> None:
+    with pytest.raises(ValueError, match=r"no joint was moved by 0\.1 rad"):
+        servo_of(T, 0.1 * Q, T, 0.1 * Q)
+
+
+def test_what_is_foreseen_of_an_arm_with_a_known_servo_is_what_it_does() -> None:
+    setup = overlay.setup(["position"], simulated=True, task="flip")
+    setup = setup.changed({"wam_sim": {"command_delay_ticks": 20, "servo_lag": 0.02}})
+    known = {"servo_delay": 0.04, "servo_lag": 0.02}
+    policy = teach(Environment.of(setup), 21, 1)[0]
+    errors = []
+    for told in ({}, known):
+        environment = Environment.of(setup.changed({"torque_controller": told}))
+        rollout, _ = environment.run(policy)
+        assert rollout.fault is None
+        foreseen = environment.foresee(policy)
+        assert foreseen is not None
+        tool, path = rollout.tool, foreseen.tool
+        ways = [np.interp(tool.t, path.t, way) for way in path.position.T]
+        errors.append(float(np.abs(tool.position - np.stack(ways, axis=1)).max()))
+    assert errors[1] < 0.25 * errors[0], errors
