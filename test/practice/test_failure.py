@@ -91,6 +91,7 @@ def worst_succeeds(number: int, toss: Assessment) -> Outcome:
         (ended(FaultKind.PLANE, 0.0), Cause.PLANE, "plane"),
         (ended(FaultKind.JOINT_SPEED, 0.0), Cause.LIMITS, "joint_speed"),
         (ended(FaultKind.TRACKING, None), Cause.FAULTS, "tracking"),
+        (ended(FaultKind.EXTERNAL_TORQUE, None), Cause.TORQUE, "external_torque"),
         (not_tossed, Cause.UNMEASURED, "landing_x"),
         (drifting, Cause.DRIFT, "landing_x"),
         (worst_succeeds, Cause.DISAGREE, ""),
@@ -135,3 +136,22 @@ def test_a_session_without_one_usable_rollout_has_failed() -> None:
     nothing = Assessment(None, why="the pancake was never seen")
     found = why(lambda number, toss: (nothing, {}))
     assert (found.cause, found.count, found.total) == (Cause.UNSEEN, 3, 3)
+
+
+def test_a_heavy_tool_whose_demonstration_cannot_be_reproduced_is_named() -> None:
+    heavy = {"fault": "4 N m are not explained", "fault_kind": FaultKind.EXTERNAL_TORQUE}
+    found = why(lambda number, toss: (Assessment(None if number == 1 else 0.0), heavy))
+    assert (found.cause, found.count, found.total) == (Cause.TORQUE, 2, 2)
+
+
+def test_rollouts_lost_for_another_reason_do_not_blame_stamps_that_were_corrected() -> None:
+    found = why(lost("the pancake was never seen", 2, stamps_late=0.03, tossed=False))
+    assert (found.cause, found.detail) == (Cause.UNSEEN, "the pancake was never seen")
+
+
+@pytest.mark.parametrize(("share", "soft"), [(1.0, False), (0.5, False), (0.12, True)])
+def test_springs_that_cannot_follow_what_is_learnt_are_named(share: float, soft: bool) -> None:
+    start = replace(POLICY, stiffness=share * POLICY.stiffness)
+    found = why_failed(session(plain).records, TASK, SETTINGS, start)
+    assert (found.cause is Cause.SOFT) is soft
+    assert not soft or 0.0 < found.size < 1 / 3

@@ -13,11 +13,15 @@ import numpy as np
 
 from wam_power_ros import installed
 from wam_power_ros.faults import FaultKind
+from wam_power_ros.learning import dmp
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.practice.session_log import Record
 from wam_power_ros.practice.settings import SessionSettings
 from wam_power_ros.tasks.task import Task
 
+# Share of a shift of the last third of the attractors that the end of a path must follow. Those of
+# a flip do by 0.98; with a quarter of the stiffness by 0.47, with an eighth of it by 0.27.
+FOLLOWED_MIN = 1 / 3
 UNUSABLE_MIN = 1 / 3  # share of the rollouts that must show what they could not be judged for
 FAULTS_MIN = 1 / 4  # share of them that faults must have ended
 ROLLOUTS_MIN = 12  # with all errors known, to tell what moves them
@@ -29,6 +33,9 @@ GROUP_MIN = 3  # successes and others that are needed to compare their returns
 AGREED_MIN = 0.6  # smallest probability that a success has a higher return than another rollout
 
 
+_STEP = 0.002  # [s] of the path
+
+
 class Cause(Enum):
     """Cause of a failure; what its numbers mean is beside it."""
 
@@ -36,13 +43,18 @@ class Cause(Enum):
     UNSEEN = "unseen"  # detail: why the last of the rollouts could not be judged
     PLANE = "plane"  # of the keep-out
     LIMITS = "limits"  # detail: kind of the fault
+    TORQUE = "torque"  # that no command explains
     FAULTS = "faults"  # that no policy causes; the same
+    SOFT = "soft"  # size: share of a shift of the last attractors that the end of the path follows
     UNMEASURED = "unmeasured"  # detail: error that has no value
     DRIFT = "drift"  # detail: error; size: its change over the session [tolerances]
     IGNORED = "ignored"  # detail: error; size: its change, as a share of the task's model
     DISAGREE = "disagree"  # size: probability that a success has a higher return
     FELL_BACK = "fell back"  # rollouts that PoWER chose, because no plan was better
     UNKNOWN = "unknown"  # none of these
+
+
+_NAMED = {FaultKind.PLANE: Cause.PLANE, FaultKind.EXTERNAL_TORQUE: Cause.TORQUE}
 
 
 @dataclass(frozen=True)
@@ -67,7 +79,9 @@ def why_failed(
     own = [record for record in records if record.kind != "retest"]
     tests = [record for record in records if record.kind == "retest"]
     used = sum(record.ret is not None for record in own)
-    hopeless = not used and any(record.attempt >= rules.attempts for record in own)
+    reproduced = any(r.kind != "reproduction" or (r.ret is not None and not r.fault) for r in own)
+    tried = own and (own[-1].ret is not None or own[-1].attempt >= rules.attempts)
+    hopeless = tried and not reproduced
     learnt = tests or used >= rules.budget or len(own) >= 3 * rules.budget
     tested = len(tests) >= rules.retests or any(record.refused for record in tests)
     if not (hopeless or (learnt and tested)):
@@ -75,7 +89,8 @@ def why_failed(
     last = [record for record in tests if record.ret is not None] or own[-1:]
     if 2 * sum(record.succeeded for record in last) >= len(last):
         return None
-    found = _unseen(own) or _faults(own) or _errors(own, task, start) or _disagree(own)
+    found = _unseen(own) or _faults(own) or _soft(own, start) or _errors(own, task, start)
+    found = found or _disagree(own)
     drawn = sum(record.kind == "explore" for record in own)
     plans = hasattr(installed.find("learner", settings.learner), "falls_back")
     cause = Cause.FELL_BACK if plans and 2 * drawn > len(own) else Cause.UNKNOWN
@@ -87,7 +102,8 @@ def _unseen(own: Sequence[Record]) -> Failure | None:
     lost = [record for record in own if record.ret is None and not record.fault]
     if len(lost) <= UNUSABLE_MIN * len(own):
         return None
-    late = [late for r in lost if (late := (r.observation or {}).get("stamps_late"))]
+    seen = [record.observation or {} for record in lost]
+    late = [each["stamps_late"] for each in seen if each.keys() == {"stamps_late"}]  # not corrected
     if 2 * len(late) > len(lost):
         return Failure(Cause.CLOCKS, len(late), len(own), size=float(np.median(late)))
     return Failure(Cause.UNSEEN, len(lost), len(own), lost[-1].why)
@@ -100,8 +116,24 @@ def _faults(own: Sequence[Record]) -> Failure | None:
         return None
     kind, count = kinds.most_common(1)[0]
     cause = Cause.LIMITS if kind.of_policy else Cause.FAULTS
-    cause = Cause.PLANE if kind is FaultKind.PLANE else cause
+    cause = _NAMED.get(kind, cause)
     return Failure(cause, count, len(own), kind.value)
+
+
+def _soft(own: Sequence[Record], start: Policy | None) -> Failure | None:
+    """Springs that do not bring the tool to where the last attractors are moved."""
+    if start is None:
+        return None
+    shift = np.zeros((3, start.basis.count, 3))
+    shift[:, -math.ceil(start.basis.count / 3) :] = np.eye(3)[:, np.newaxis]
+    stiffness = np.broadcast_to(start.stiffness, (3, *start.stiffness.shape))
+    steps, still = round(start.basis.duration / _STEP), np.zeros(3)
+    path, _ = dmp.reproduce_many(
+        start.basis, stiffness, shift, start.damping, still, still, steps, _STEP
+    )
+    follows = float(np.diagonal(path[:, -1]).min())
+    failure = Failure(Cause.SOFT, len(own), len(own), size=follows)
+    return failure if follows < FOLLOWED_MIN else None
 
 
 def _errors(own: Sequence[Record], task: Task, start: Policy | None) -> Failure | None:

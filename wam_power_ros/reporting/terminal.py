@@ -33,8 +33,12 @@ FAILED = {  # count, total, detail and size are those of `Failure`
     Cause.PLANE: "the keep-out plane ended {of}: demonstrate farther from it, or correct it",
     Cause.LIMITS: "a limit of the arm, {detail}, ended {of}: demonstrate a slower movement, or one "
     "farther inside the limits",
+    Cause.TORQUE: "torques that no command explains ended {of}: the tool has another mass than in "
+    "the URDF, which wam-power commission measures, or something touches the arm",
     Cause.FAULTS: "faults that no policy causes, most often {detail}, ended {of}: "
     "docs/troubleshooting.md has their causes",
+    Cause.SOFT: "the springs of the policy are too soft: the movement follows a shift of its last "
+    "attractors by only {size:.0%}; fit the demonstration with more stiffness",
     Cause.UNMEASURED: "{detail} had no value in {of}, so nothing told what to change: demonstrate "
     "a movement that gets as far",
     Cause.DRIFT: "{detail} changed by {size:+.1f} tolerances over the session, whatever was tried: "

@@ -11,6 +11,7 @@ import numpy as np
 
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
+from wam_power_ros.tasks.flip import placement
 from wam_power_ros.tasks.flip.clock_offset import (
     CORRECTED_MAX,
     clock_offset,
@@ -35,12 +36,17 @@ def assess(policy: Policy, rollout: Rollout, settings: FlipSettings) -> Assessme
     pan, pancake = rollout.tool, rollout.body
     if pancake is None or len(pancake.t) == 0:
         return Assessment(None, why="the pancake was never seen")
+    if why := placement.doubt(pan, pancake, rollout.before):
+        return Assessment(None, why=why)
     late = clock_offset(pan, pancake, rollout.before)
     if abs(late) > CORRECTED_MAX:
         return Assessment(None, observation={"stamps_late": late}, why=stamps_off(late))
     pancake, before = shifted(pancake, rollout.before, late)
+    pancake, before, off = placement.on_floor(pan, pancake, before)
     flight, doubt = observe_flight(pan, pancake, before)
     observation = dataclasses.asdict(flight)
+    if off:
+        observation["height_off"] = off
     if late:
         observation["stamps_late"] = late
     if why := _lost_from_view(pan, pancake, flight) or doubt:

@@ -22,6 +22,7 @@ from wam_power_ros.tasks.flip.flight import DELTA_H
 from wam_power_ros.tasks.flip.frames import REST_HEIGHT_MAX
 from wam_power_ros.tasks.flip.pan_toss import PANCAKE, predict_toss
 from wam_power_ros.tasks.flip.parametrization import flip_parametrization
+from wam_power_ros.tasks.flip.placement import ONE_MARKER, misplaced
 from wam_power_ros.tasks.flip.returns import pancake_return
 from wam_power_ros.tasks.flip.settings import FLIP_FIT, PRESETS, TRUE_TURN, FlipSettings
 from wam_power_ros.tasks.flip.toss_errors import (
@@ -43,15 +44,10 @@ from wam_power_ros.tasks.task import (
 )
 
 _OFFSET_MAX = 0.10  # largest distance of the pancake from the pan's centre before a rollout [m]
-_HEIGHT_RANGE = (-0.01, REST_HEIGHT_MAX)  # of its centre above the pan's floor, the same [m]
-_FLAT_OFFSET_MAX = 0.06  # largest distance of a pancake that lies on the floor, not on the rim [m]
+_RIM_OFFSET_MIN = 0.06  # from which on one above the floor lies on the rim [m]
 _MISPLACED_MAX = 0.15  # height up to which a body at rest is in the pan, seen wrongly [m]
 _REST_SPEED_MAX = 0.05  # largest speed at rest [m/s]
 _TURN_NOISE = 1e-9  # of an angular velocity or speed: less is not measured [rad/s, m/s]
-ONE_MARKER = (
-    "the pancake's orientation is never measured, as of one marker, so a flip cannot be seen: give "
-    "it a layout of three markers or more, and set single_marker: false"
-)
 
 
 def equation_5(record: LoggedRollout) -> float:
@@ -105,23 +101,18 @@ class Flip(Task):
         """Check that the pancake rests in the pan, which may be tilted; see `Task`."""
         if body is None:
             return "the pancake is not seen"
-        x, y, height = tool.rotation.T @ (body.position - tool.position)
-        low, high = _HEIGHT_RANGE
-        above, speed = math.hypot(x, y) < _OFFSET_MAX, float(np.linalg.norm(body.velocity))
-        if above and low < height < high:
-            if speed >= _REST_SPEED_MAX:
-                return f"the pancake moves at {speed:.2f} m/s"
-            blind = float(np.linalg.norm(body.angular_velocity)) < _TURN_NOISE < speed
-            return ONE_MARKER if blind else ""
-        if above and height > 0.0 and math.hypot(x, y) > _FLAT_OFFSET_MAX:
+        x, y, height = in_pan = tool.rotation.T @ (body.position - tool.position)
+        aside, speed = math.hypot(x, y), float(np.linalg.norm(body.velocity))
+        above = aside < _OFFSET_MAX and abs(height) < _MISPLACED_MAX
+        if above and aside > _RIM_OFFSET_MIN and height > REST_HEIGHT_MAX:
             return f"the pancake lies on the rim of the pan, {height * 1e3:.0f} mm above its floor"
-        if above and abs(height) < _MISPLACED_MAX and speed < _REST_SPEED_MAX:
-            return (
-                f"the pancake is seen at rest {height * 1e3:+.0f} mm from the pan's floor, where "
-                "nothing can hold it: a joint's zero or the cameras' frame is wrong; measure them "
-                "with wam-power commission"
-            )
-        return f"the pancake is not in the pan: {x:.3f}, {y:.3f}, {height:.3f} m in its frame"
+        wrong = misplaced(in_pan)
+        if not above or (wrong and speed >= _REST_SPEED_MAX):
+            return f"the pancake is not in the pan: {x:.3f}, {y:.3f}, {height:.3f} m in its frame"
+        if speed >= _REST_SPEED_MAX:
+            return f"the pancake moves at {speed:.2f} m/s"
+        blind = float(np.linalg.norm(body.angular_velocity)) < _TURN_NOISE < speed
+        return wrong or (ONE_MARKER if blind else "")
 
     def assess(self, policy: Policy, rollout: Rollout) -> Assessment:
         """Return and success of a rollout of `policy`, less far from a goal's apex."""
