@@ -22,9 +22,6 @@ class CommandGuard:
 
     A killed commander stays announced for 20 s. If it sends nothing, the node may begin to send,
     but stays subscribed until the other is gone. A commander that appears later is a fault.
-
-    Attributes:
-        foreign: True if another publisher has sent a command since the last `begin`.
     """
 
     def __init__(self, node: Node, publisher: Publisher) -> None:
@@ -33,8 +30,12 @@ class CommandGuard:
         self._others = 0  # publishers at the last count
         self._own: deque[bytes] = deque(maxlen=_OWN_MAX)  # commands sent while subscribed
         self._subscription: Subscription | None = None
-        self.foreign = False
         self.listen()
+
+    @property
+    def foreign(self) -> bool:
+        """Whether another publisher sends commands, as far as we are subscribed."""
+        return time.monotonic() - self._foreign_time < SILENCE_TIMEOUT
 
     def listen(self) -> None:
         """Subscribe to the commands of others."""
@@ -49,9 +50,8 @@ class CommandGuard:
 
     def begin(self) -> str | None:
         """Begin to send; returns the reason why this is not possible yet, or None."""
-        if time.monotonic() - self._foreign_time < SILENCE_TIMEOUT:
+        if self.foreign:
             return f"another publisher sends commands on {self._publisher.topic_name}; end it first"
-        self.foreign = False
         self._others = self._count_others()
         self._unsubscribe_if_alone()
         return None
@@ -89,4 +89,4 @@ class CommandGuard:
 
     def _on_command(self, command: bytes) -> None:
         if not any(command.startswith(own) for own in reversed(self._own)):
-            self._foreign_time, self.foreign = time.monotonic(), True
+            self._foreign_time = time.monotonic()
