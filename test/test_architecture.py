@@ -107,7 +107,7 @@ BUDGET = {
     "commissioning": 1532,  # +165: a set-up proposed from a URDF; +116: its report, from cli/
     "tracking": 764,
     "tasks": 3616,  # +93: what cannot be the pancake in the pan
-    "practice": 2389,  # +32: tools and springs that failed; +46: candidates are fitted here
+    "practice": 2387,  # +32: tools and springs that failed; +46: candidates are fitted here
     "conformance": 1151,  # +25: effort without gravity
     "bags": 2656,  # +246: sets of LeRobot, written and read
     "params": 1406,  # what may be set at rest; -p body:=NAME is derived from; NatNet, FR3

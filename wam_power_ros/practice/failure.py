@@ -30,10 +30,8 @@ DRIFT_MIN = 2.0  # smallest trend over the session that matters [tolerances]
 MOVED_MIN = 0.5  # standard deviation of the change that the task expects, to compare [tolerances]
 IGNORED_MAX = 0.2  # largest share of it that is as good as none
 GROUP_MIN = 3  # successes and others that are needed to compare their returns
+STEP = 0.002  # [s] of the path of Eq. 1
 AGREED_MIN = 0.6  # smallest probability that a success has a higher return than another rollout
-
-
-_STEP = 0.002  # [s] of the path
 
 
 class Cause(Enum):
@@ -127,9 +125,9 @@ def _soft(own: Sequence[Record], start: Policy | None) -> Failure | None:
     shift = np.zeros((3, start.basis.count, 3))
     shift[:, -math.ceil(start.basis.count / 3) :] = np.eye(3)[:, np.newaxis]
     stiffness = np.broadcast_to(start.stiffness, (3, *start.stiffness.shape))
-    steps, still = round(start.basis.duration / _STEP), np.zeros(3)
+    steps, still = round(start.basis.duration / STEP), np.zeros(3)
     path, _ = dmp.reproduce_many(
-        start.basis, stiffness, shift, start.damping, still, still, steps, _STEP
+        start.basis, stiffness, shift, start.damping, still, still, steps, STEP
     )
     follows = float(np.diagonal(path[:, -1]).min())
     failure = Failure(Cause.SOFT, len(own), len(own), size=follows)
