@@ -91,4 +91,5 @@ def test_the_frame_of_cameras_is_asked_for_where_the_task_tracks_a_body(
 
 
 def test_an_arm_that_takes_positions_needs_no_torques_to_be_measured() -> None:
-    assert not doctor_command.measured(overlay.setup(["ur", "position"], task="reach"))
+    rows = doctor_command.measured(overlay.setup(["ur", "position"], task="reach"))
+    assert [row.name for row in rows] == ["servo"]

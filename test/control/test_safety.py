@@ -14,6 +14,7 @@ from wam_power_ros.control.arm import Arm, Motion, Speeds
 from wam_power_ros.control.modes import Mode
 from wam_power_ros.control.safety import Limits
 from wam_power_ros.control.state_checks import JointState
+from wam_power_ros.control.urdf_checks import Approach
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.params.resources import share
 
@@ -227,7 +228,10 @@ POSITIVE = (
 )
 
 
-@pytest.mark.parametrize("name", [field.name for field in fields(Limits) if field.init])
+ARRAYS = [field.name for field in fields(Limits) if field.init and field.name != "approach"]
+
+
+@pytest.mark.parametrize("name", ARRAYS)
 def test_an_invalid_limit_is_refused_by_name(name: str) -> None:
     value = np.array(getattr(LIMITS, name), dtype=float)
     wrong = [np.full(value.shape, math.nan), np.full((*value.shape, 1), 1.0)]
@@ -245,6 +249,14 @@ def test_an_invalid_limit_is_refused_by_name(name: str) -> None:
         assert getattr(kept, name)[0] != 9.0
         with pytest.raises(ValueError, match="read-only"):
             getattr(kept, name)[0] = 9.0
+
+
+def test_speeds_near_the_position_limits_are_of_all_joints_and_can_be_braked() -> None:
+    one = Approach(0.2, 4.0)
+    assert safety.limits_of(ARM, approach=(one,) * 7).approach == (one,) * 7
+    for wrong in ((one,) * 6, (one,) * 6 + (Approach(-0.1, 4.0),), (Approach(0.2, 0.0),) * 7):
+        with pytest.raises(ValueError, match="limit approach = "):
+            safety.limits_of(ARM, approach=wrong)
 
 
 def test_the_lower_limits_are_below_the_upper_ones_and_a_plane_has_a_unit_normal() -> None:

@@ -84,6 +84,7 @@ def test_a_rollout_by_positions_ends_as_by_torques_with_each_kind_of_message(
         assert arm.sent[-1].header.stamp.sec == 0
 
 
+@pytest.mark.alone
 @pytest.mark.requirement("S-151")
 @pytest.mark.parametrize("ended", ["controller", "driver"])
 def test_an_interrupted_controller_and_a_dead_driver_leave_references_at_rest(

@@ -110,6 +110,9 @@ class Limits:
                 raise ValueError(f"limit {lower} = {getattr(self, lower)} must be below {upper}")
         if abs(float(np.linalg.norm(self.plane[:3])) - 1.0) > 1e-6:
             raise ValueError(f"limit plane = {self.plane} must begin with a unit normal")
+        possible = all(offset >= 0.0 < deceleration for offset, deceleration in self.approach)
+        if len(self.approach) not in (0, n) or not possible:
+            raise ValueError(f"limit approach = {self.approach} must be none, or {n} that brake")
         low, high = self.q_min, self.q_max
         for name, columns in (
             ("_torques", (self.torque, self.torque_rate)),

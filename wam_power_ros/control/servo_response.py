@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import lfilter
 
 PERIOD = 0.002  # [s] of the fit, and its resolution
 DELAY_MAX, LAG_MAX = 0.2, 0.1  # [s] that are tried
@@ -22,7 +22,10 @@ def followed(q: np.ndarray, period: float, delay: float, lag: float) -> np.ndarr
     """
     if lag > 0.0:
         kept = math.exp(-period / lag)
-        q = lfilter([1.0 - kept], [1.0, -kept], q, axis=0, zi=kept * q[:1])[0]
+        path = q.copy()
+        for before, at in pairwise(path):
+            at += kept * (before - at)
+        q = path
     if delay == 0.0:
         return q
     t = period * np.arange(len(q))
