@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -102,6 +103,16 @@ def test_a_ur_teaches_replays_and_learns_to_reach_over_dds(tmp_path: Path) -> No
     assert all(len(row["truth"]["peak_qd"]) == 6 and row["ret"] > 0.0 for row in rows)
 
 
+def simulated(processes: Processes, file: Path) -> list[str]:
+    """Start the stand-in of a set-up and wait for it; returns the begin of other commands."""
+    command = [sys.executable, "-m", "wam_power_ros.cli", "run"]
+    sim = processes.start([*command, "wam_sim", "--ros-args", "--params-file", str(file)])
+    end = time.monotonic() + 60.0
+    while "the arm, held by its driver" not in processes.output(sim) and time.monotonic() < end:
+        time.sleep(0.1)
+    return command
+
+
 def test_check_driver_of_a_ur_by_positions_asks_for_no_torque_and_for_a_reach_for_no_camera(
     processes: Processes, tmp_path: Path
 ) -> None:
@@ -110,8 +121,7 @@ def test_check_driver_of_a_ur_by_positions_asks_for_no_torque_and_for_a_reach_fo
     )
     names, file = ["ur", "position", str(external)], tmp_path / "setup.yaml"
     file.write_text(overlay.text(overlay.setup(names, simulated=True, task="reach")))
-    command = [sys.executable, "-m", "wam_power_ros.cli", "run"]
-    processes.start([*command, "wam_sim", "--ros-args", "--params-file", str(file)])
+    command = simulated(processes, file)
     given = [word for name in names for word in ("--config", name)]
     answers = ("--task", "reach", "--seconds", "2", "--active", "--json")
     rows_file = tmp_path / "rows.json"
@@ -131,8 +141,7 @@ def test_check_driver_says_of_a_ur_what_it_cannot_tell(
 ) -> None:
     file = tmp_path / "setup.yaml"
     file.write_text(overlay.text(overlay.setup(["ur"], simulated=True)))
-    command = [sys.executable, "-m", "wam_power_ros.cli", "run"]
-    processes.start([*command, "wam_sim", "--ros-args", "--params-file", str(file)])
+    command = simulated(processes, file)
     answers = ("--seconds", "2", "--active", "--json", str(tmp_path / "rows.json"))
     check = processes.start([*command, "check_driver", "--config", "ur", *answers])
     assert check.wait(120) == 0, processes.output(check)
