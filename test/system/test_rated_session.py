@@ -64,6 +64,7 @@ def test_a_session_waits_for_a_persons_rating_of_each_rollout_and_learns_from_it
     assert f"a rating of {1.5} must be from 0" in rate(1.5).message
     assert rollouts() == []
     assert processes.end(first, signal.SIGKILL) == -signal.SIGKILL
+    probe.spin(1.0)  # what the first has said comes in, before the next is listened to
     again = learner()
     wait()
     assert rate(0.25).success
