@@ -112,9 +112,7 @@ def with_velocity(record: ArmRecord, received_ns: np.ndarray, qd: np.ndarray) ->
     """Add velocities from a separate topic: the last ones received before each state.
 
     Args:
-        record: Record of the states.
         received_ns: Times of arrival of the velocities [ns], shape (k,).
-        qd: Velocities, shape (k, n).
     """
     if len(received_ns) == 0 or len(record.q) == 0:
         return replace(record, qd=None)
@@ -170,7 +168,6 @@ def velocity(record: ArmRecord, topic: str = "") -> Row:
     """Whether velocities arrive, and agree with the derivative of the positions.
 
     Args:
-        record: Record with the velocities.
         topic: Topic of the velocities, empty when the joint states contain them.
     """
     row = partial(Row, "velocity", f"rad/s on {topic}" if topic else "rad/s in every state")
@@ -257,8 +254,6 @@ def gravity(record: ArmRecord, arm: Arm, quantity: str = "torque") -> Row:
     Of motor currents only the signs can be compared, so that no such row is OK.
 
     Args:
-        record: Record of an arm at rest.
-        arm: Model of the arm.
         quantity: Quantity in the field `effort`: "torque" [N m], "external" without gravity [N m],
             "current" of the motors [A], or "none".
     """
@@ -411,9 +406,7 @@ def tool_direction(arm: Arm, q: np.ndarray, joint: int) -> str:
     """Direction in which the tool moves when a joint increases, for a person facing the arm.
 
     Args:
-        arm: Model of the arm.
         q: Joint positions [rad], shape (n,).
-        joint: Index of the joint.
     """
     column = arm.jacobian(q)[:, joint]
     words = (("forward", "back"), ("to its left", "to its right"), ("up", "down"))

@@ -100,8 +100,6 @@ def frame_quality(
     """Rows about frozen poses, and about the share of frames that the tracker accepts.
 
     Args:
-        frames: Frames in order of arrival.
-        settings: Settings of the tracker.
         refused: Number of unreadable messages, by reason.
     """
     expected = f"at least {USABLE_SHARE:.0%} of frames usable by the tracker"
@@ -153,8 +151,6 @@ def latency(
     """Latency of the frames relative to the clock of the arm's stamps.
 
     Args:
-        received_ns: Times of arrival, shape (m,).
-        stamp_ns: Stamps, shape (m,).
         arm_age: Time from the stamp of a joint state to its arrival [s].
         offset: Configured delay of a stamp after the exposure, latency_offset [s].
         longest: Latency from which on rollouts are not scored [s].
@@ -180,8 +176,6 @@ def body_position(
     """Position of the body in the arm's base frame, and its distance from the tool.
 
     Args:
-        frames: Frames in order of arrival.
-        settings: Settings of the tracker.
         tool: Position of the tool in the base frame [m], shape (3,); None when unknown.
     """
     row = partial(Row, "mocap frame", "a body in the tool is measured in the tool")

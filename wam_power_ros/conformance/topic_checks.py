@@ -43,10 +43,7 @@ class Row:
 
     Attributes:
         name: Name of the check, unique in a table.
-        expected: Requirement of the set-up.
-        found: Measured value.
         verdict: Whether the measured value meets the requirement.
-        advice: Remedy where it does not.
     """
 
     name: str
@@ -105,9 +102,6 @@ def reception(
     """Whether messages arrive on a topic: `count` of them in `seconds` [s].
 
     Args:
-        name: Name of the row.
-        topic: The topic.
-        count: Number of messages.
         seconds: Duration [s].
         ends: Publishers of the topic.
         unmatched: Sentence on each of them from which nothing can be received.
@@ -215,8 +209,6 @@ def publishers(name: str, kind: str, ends: Sequence[Endpoint], unmatched: Sequen
     """Whether our best-effort subscription of a message type matches the publishers.
 
     Args:
-        name: Name of the row.
-        kind: The message type.
         ends: Publishers of the topic.
         unmatched: Sentence on each of them from which nothing can be received.
     """
@@ -266,11 +258,8 @@ def command_path(
     """Whether one driver subscribes to torques and no node publishes them.
 
     Args:
-        topic: Topic of the torques.
-        kind: Its message type.
         drivers: Subscriptions of other nodes.
         commanders: Publishers of other nodes.
-        count: Number of torques received.
         unmatched: Sentence on each driver that cannot receive torques of this type and QoS.
     """
     expected = f"one driver subscribes to {topic}, {kind}; nobody publishes"

@@ -34,13 +34,9 @@ class CommandCheck:
     """Answers each state with one torque or none, and results in a row.
 
     Attributes:
-        finished: Whether the test has ended.
         carrying_torque: Torque that carries the arm, as far as known [N m], shape (n,).
-        row: Result.
 
     Args:
-        arm: Model of the arm, with the friction of its joints.
-        joint_names: Names of the joints in the driver's messages.
         driver_compensates_gravity: Configured value: if true, a torque of zero carries the arm.
         q: Positions at rest [rad], shape (n,).
         tau: Torques that the driver reports at rest without commands [N m], shape (n,).

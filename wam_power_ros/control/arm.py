@@ -42,8 +42,6 @@ class GuardedPoint(NamedTuple):
     """A point of the arm, in addition to the tool, whose speed and position are limited.
 
     Attributes:
-        name: Name for messages.
-        link: Link that the point is fixed to.
         offset: Position in the frame of the link [m]. Shape (3,).
     """
 
@@ -130,8 +128,6 @@ class Arm:
     dynamics do not include friction.
 
     Attributes:
-        n: Number of joints.
-        name: Name of the robot in the URDF.
         joint_names: Names of the joints, in the order of all joint vectors.
         q_min: Lower position limits [rad]. Shape (n,).
         q_max: Upper position limits [rad]. Shape (n,).
@@ -145,14 +141,11 @@ class Arm:
             Shape (n,).
         asymmetry: Share by which Coulomb friction is larger forwards than on average. Shape (n,).
         low_speed_friction: Share of it that is added at low speed. Shape (n,).
-        guarded: Names of the guarded points.
         model: Pinocchio's model of the chain, whose universe is the base frame.
         root: Pose of the URDF's root link, which is upright, in the base frame.
 
     Args:
-        urdf: Text of the URDF.
         joint_names: Names of the joints, base to tip.
-        tool_frame: Link whose frame is the tool.
         guarded: Points whose motion is limited in addition to the tool's; by default the WAM's, of
             a URDF that has its links.
         corrections: What was measured on this arm, None for an arm as its URDF describes it.

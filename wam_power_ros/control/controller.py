@@ -56,9 +56,6 @@ class Controller:
     """Computes torques from joint states. Not thread-safe: call it from one thread.
 
     Attributes:
-        arm: Model of the arm.
-        settings: Settings of the controller, with limits.
-        limits: Limits of the arm.
         counters: Number of states `accepted`, `repeated`, `older`, `rejected`; of `gaps`, `jumps`;
             of torques `limited` and `stale`; of `faults`.
         latched: Latched fault, None without one.
@@ -69,8 +66,6 @@ class Controller:
         error: Last exception of a computation, until `take_error`; None without one.
 
     Args:
-        arm: Model of the arm, used by this controller alone.
-        settings: Settings of the controller.
         latched: Fault that a previous controller had latched; only a reset clears it.
 
     Raises:

@@ -104,8 +104,6 @@ class Corrections:
         """Correct a model of the arm in place, all but its torques.
 
         Args:
-            model: Pinocchio's model of the chain.
-            tool_frame: Index of the frame of the tool.
             root: Axes of the URDF's root link, which the tilt is of, as columns. Shape (3, 3).
 
         Raises:

@@ -33,8 +33,6 @@ class BrakeWithoutModel:
     braking, which alone would let the arm creep away.
 
     Args:
-        arm: Model of the arm, for its limits and its friction.
-        driver_compensates_gravity: Whether the driver adds g(q), which is then not sent.
         period: Sampling period of the states [s].
     """
 
@@ -53,7 +51,6 @@ class BrakeWithoutModel:
         """Compute anew, every 20 ms, what carries and brakes the arm.
 
         Args:
-            arm: Model of the arm.
             q: Joint positions [rad]. Shape (n,).
             beyond: Torque that carries the arm beyond g(q) [N m]. Shape (n,).
 

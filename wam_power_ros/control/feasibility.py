@@ -80,8 +80,6 @@ def simulate_policy(
 
     Args:
         arm: Model of the arm; its buffers are used.
-        settings: Settings of the controller.
-        policy: Policy to simulate.
         margin: Share of the speed limits that the policy may use, see `speed_margin`. It must stay
             `POSITION_MARGIN` within the position limits.
     """

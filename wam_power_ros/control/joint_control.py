@@ -52,11 +52,7 @@ class TrackingError:
     """Running statistics of the error between reference and measured posture.
 
     Attributes:
-        count: Number of states so far.
         largest: Largest error of each joint so far [rad]. Shape (n,).
-
-    Args:
-        arm: Model of the arm, for its forward kinematics.
     """
 
     def __init__(self, arm: Arm) -> None:
@@ -148,7 +144,6 @@ class StationaryJoints:
         """Bound the feedback torque at stationary joints [N m]. Shape (n,).
 
         Args:
-            joints: Stationary joints, from `joints`.
             feedback: Torque in addition to gravity and the reference's acceleration [N m].
             inertia: Inertia of every joint with the others locked [kg m^2]. Shape (n,).
             dt: Time since the last state [s].
@@ -183,7 +178,6 @@ class JointControl:
         replay_error: Tracking error of the last replay so far; None before the first.
 
     Args:
-        arm: Model of the arm.
         limits: Limits of the arm; braking never ends beyond its joint limits.
     """
 

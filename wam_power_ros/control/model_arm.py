@@ -24,8 +24,6 @@ class ModelArm:
         seen: Joint speeds as reported [rad/s]. Shape (n,).
 
     Args:
-        arm: Model of the arm; its buffers are used.
-        settings: Settings of the controller.
         q: Positions to begin with [rad]. Shape (n,).
         tau: Torque sent until then [N m]. Shape (n,).
     """

@@ -55,7 +55,6 @@ class ControllerError(RuntimeError):
     """A refused request; the controller is unchanged.
 
     Attributes:
-        refusal: Reason code.
         speed: Largest speed, relative to the one asked for, at which it is possible if too fast.
     """
 
@@ -66,12 +65,6 @@ class ControllerError(RuntimeError):
 
 def check_transition(mode: Mode, target: Mode, fault: Fault | None, reset: bool = False) -> None:
     """Refuse a transition that is not allowed.
-
-    Args:
-        mode: Current mode.
-        target: Requested mode.
-        fault: Latched fault, None without one.
-        reset: Whether this is the reset of a fault.
 
     Raises:
         ControllerError: A fault is latched, or `TRANSITIONS` does not list the transition.

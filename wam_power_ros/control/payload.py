@@ -36,7 +36,6 @@ class PayloadCheck:
             carried, the estimate of the mass changed by more than half.
 
     Args:
-        arm: Model of the arm.
         period: Sampling period of the states [s].
     """
 

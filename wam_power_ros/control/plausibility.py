@@ -76,7 +76,6 @@ class VelocityCheck:
     """Compares the change of every position with its velocity.
 
     Args:
-        n: Number of joints.
         period: Sampling period of the states [s].
     """
 
@@ -104,10 +103,7 @@ class VelocityCheck:
         """Fault when positions and velocities contradict each other in consecutive states.
 
         Args:
-            last: Previous state.
-            state: Current state.
             unchanged: Number of states for which each joint's position has stayed the same.
-            interval: Time between the two.
         """
         states = last.positions, state.positions, last.speeds, state.speeds
         kept = unchanged, self._lagged, self._moved
@@ -192,11 +188,8 @@ class TorqueCheck:
         """Fault when the residual exceeds its bound in consecutive states.
 
         Args:
-            last: Previous state.
-            state: Current state.
             unchanged: Number of states for which each joint's position has stayed the same.
             tau: Motor torque commanded between the two [N m]. Shape (n,).
-            bound: Bound on the residual in addition to friction.
             dt: Time between the two [s].
         """
         arm = self._arm
@@ -293,9 +286,7 @@ class Plausibility:
 
         Args:
             last: Previous state, None when it is too long ago to compare with.
-            state: Current state.
             tau: Motor torque commanded between the two [N m]. Shape (n,).
-            bound: Bound on the torque residual.
         """
         if last is None:
             self.begin()

@@ -66,17 +66,11 @@ class Execution:
     """One rollout; it begins with the first state.
 
     Attributes:
-        id: Id of the policy.
         start_ns: Stamp of the first state [ns], None before it.
         under_way: False from `end` on.
         complete: Whether the movement has run to its end.
         stopped_in: Name of the guarded region that has ended it, "" for none.
         of_model: Whether the states are those of a model, so that `record` alone gives the path.
-
-    Args:
-        policy: Policy to execute, from `prepare`.
-        arm: Model of the arm; its buffers are used.
-        settings: Settings of the controller.
     """
 
     def __init__(self, policy: TabulatedPolicy, arm: Arm, settings: ControllerSettings) -> None:
@@ -103,10 +97,6 @@ class Execution:
         """Joint torques for one state, None when the rollout is over.
 
         Evaluates Eq. 1 and the orientation law in closed loop on the measured state.
-
-        Args:
-            state: Joint state.
-            motion: Kinematics of the state.
 
         Returns:
             [N m]. Shape (n,).

@@ -62,7 +62,6 @@ class ModelState:
         qd: Joint speeds [rad/s]. Shape (n,).
 
     Args:
-        arm: Model of the arm.
         q: Positions to begin with [rad]. Shape (n,).
         qd: Speeds to begin with [rad/s]. Shape (n,).
         external: Constant torque beyond the model [N m]. Shape (n,).
@@ -120,8 +119,6 @@ class Reaction:
         was_held: True if the fault was found in a hold, so that `carried` has held the arm at rest.
 
     Args:
-        arm: Model of the arm.
-        motor_torque: Motor torque that results from the last command, as a function of posture.
         period: Sampling period of the states [s].
     """
 
@@ -283,7 +280,6 @@ class Reaction:
 
         Args:
             last: Last state received.
-            believed: Whether it is believed.
             dt: Time since this state or since the last call [s].
         """
         if self._model is None:
@@ -342,8 +338,6 @@ class Reaction:
         """Motor torque that brakes and holds the arm [N m]. Shape (n,).
 
         Args:
-            state: Measured state.
-            believed: Whether it is believed.
             explained: True if it is believed, and the torques sent explain the motion it reports.
             weight: Torque of a weight at the tool that the model does not have [N m]. Shape (n,).
         """

@@ -29,7 +29,6 @@ def movement(
     Args:
         stamps_ns: Header stamps [ns], strictly increasing. Shape (M,).
         q: Recorded joint angles [rad]. Shape (M, n).
-        speed: Speed relative to the recording.
 
     Returns:
         Times from 0 [s], shape (N,), and joint angles [rad], shape (N, n).
@@ -85,7 +84,6 @@ def sampled(t: npt.ArrayLike, q: npt.ArrayLike, period: float, limits: Limits) -
         t: Times, increasing [s]. Shape (N,).
         q: Joint positions, smooth, because their second derivative is used [rad]. Shape (N, n).
         period: Sampling period of the joint states [s].
-        limits: Limits of the arm.
 
     Raises:
         ControllerError: The movement is not valid, has another number of joints, leaves the joint

@@ -131,10 +131,6 @@ def _names() -> list[str]:
 def limits_of(arm: Arm, **overrides: object) -> Limits:
     """Limits of an arm: from its URDF, with defaults for the rest.
 
-    Args:
-        arm: Arm with torque, position and speed limits.
-        **overrides: Fields of `Limits`.
-
     Raises:
         ValueError: A field does not exist, or a value is out of range.
     """
@@ -288,11 +284,7 @@ def motion_fault(
     Args:
         q: Joint positions [rad], n numbers.
         qd: Joint speeds [rad/s], n numbers.
-        motion: Kinematics of the state.
-        guarded: Names of the arm's guarded points.
-        limits: Limits of the arm.
         tool_speed: Limit of the tool speed in this mode [m/s].
-        workspace: Whether the workspace box applies.
     """
     kernel, bounds = compiled.kernel, limits._motions
     kept = kernel is not None and kernel.joints_within(q, qd, bounds, OUTWARDS)
@@ -348,8 +340,6 @@ class MotionCheck:
     """Compares every state with the motion limits of its mode.
 
     Args:
-        limits: Limits of the arm.
-        guarded: Names of its guarded points.
         period: Sampling period of the states [s].
     """
 
@@ -368,7 +358,6 @@ class MotionCheck:
 
         Args:
             mode: Current mode; it decides which limits apply.
-            state: Joint state.
             motion: Kinematics of the state; the speeds suffice unless the arm moves by itself.
         """
         if mode in PASSIVE_MODES:

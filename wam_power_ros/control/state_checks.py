@@ -103,12 +103,10 @@ class StateChecks:
         last: Last accepted state, None before the first.
         before: State accepted before `last`; None without one, or after a gap.
         fault: Fault that the last state caused, None without one.
-        refused_in_row: Number of states refused since the last accepted one.
         refusal: Why the last refused state was refused, with the value and what is allowed; empty
             before the first, and for one that was unreadable.
 
     Args:
-        n: Number of joints.
         period: Sampling period of the states [s].
         velocity_cutoff: Cut-off of the low-pass for differentiated positions [rad/s].
         qd_max: Speed limits of the joints [rad/s]. Shape (n,).

@@ -49,14 +49,7 @@ class Supervision:
     report an arm that falls as the torques explain; after a jump never before the reset.
 
     Attributes:
-        believed: Whether joint states are believed.
         reaction: What brakes and holds the arm in a fault.
-
-    Args:
-        arm: Model of the arm.
-        limits: Limits of the arm.
-        settings: Settings of the controller.
-        motor_torque: Motor torque that results from the last command, as a function of posture.
     """
 
     def __init__(
@@ -190,9 +183,7 @@ class Supervision:
         """Fault of a state that fails a plausibility check, or None.
 
         Args:
-            mode: Current mode.
             before: Previous state, None when it is too long ago to compare with.
-            state: Current state.
         """
         if mode is Mode.INACTIVE:
             return None
@@ -266,12 +257,7 @@ class Supervision:
         return self.reaction.missing(last, self.believed, dt)
 
     def reaction_torque(self, state: JointState, motion: Motion | Speeds) -> np.ndarray:
-        """Motor torque in a fault [N m], shape (n,); see `Reaction.torque`.
-
-        Args:
-            state: Measured state.
-            motion: Kinematics of the measured state.
-        """
+        """Motor torque in a fault [N m], shape (n,); see `Reaction.torque`."""
         plausible = self._plausibility.implausible_ns != state.stamp_ns
         if not isinstance(motion, Motion) or safety.rest_violation(motion) or not plausible:
             self._rest_since_ns = None

@@ -16,9 +16,6 @@ class TorqueOutput:
         sent: Last torque sent, read-only [N m]. Shape (n,).
 
     Args:
-        arm: Model of the arm.
-        limits: Limits of the arm.
-        driver_compensates_gravity: Whether the driver adds g(q), which is then not sent.
         counters: Counter of torques `limited`, updated in place.
     """
 

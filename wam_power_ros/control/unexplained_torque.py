@@ -86,7 +86,6 @@ class UnexplainedTorque:
         """Register a state of the held arm.
 
         Args:
-            at_rest: Whether the arm was at rest.
             q: Joint positions [rad]. Shape (n,).
             qd: Reported speeds [rad/s]. Shape (n,).
             beyond: Motor torque commanded, minus g(q) [N m]. Shape (n,).

@@ -72,8 +72,6 @@ def limited(urdf: str, joint_names: Sequence[str], limits: Sequence[float]) -> s
     """Replace position limits of a URDF; a continuous joint becomes a revolute one.
 
     Args:
-        urdf: Text of the URDF.
-        joint_names: Names of the arm's joints.
         limits: Lower and upper limit of each joint [rad]; 0 and 0 keep those of the URDF. One 0 or
             none keeps all.
 
@@ -132,10 +130,6 @@ def approach(tree: ElementTree.Element, joint_names: Sequence[str]) -> tuple[App
 
 def require_usable(tree: ElementTree.Element, joint_names: Sequence[str]) -> None:
     """Refuse joints that an arm cannot have; those of the URDF that are not named are locked.
-
-    Args:
-        tree: URDF.
-        joint_names: Names of the arm's joints.
 
     Raises:
         ValueError: A joint of the arm is missing, fixed, continuous, mimics another one, or lacks a
@@ -200,7 +194,6 @@ def require_physical(tree: ElementTree.Element, model: pin.Model) -> None:
     """Refuse an arm whose moving links are no physical bodies: its model cannot carry it.
 
     Args:
-        tree: URDF.
         model: Chain of the arm's joints, whose other joints are locked; without rotor inertias.
 
     Raises:

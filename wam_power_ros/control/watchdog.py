@@ -116,10 +116,6 @@ class StampClock:
 def overload(share_missed: float, missed_in_row: int) -> tuple[str, Fault | None]:
     """Warning about missed periods in a second, and the fault when there are too many.
 
-    Args:
-        share_missed: Share of missed periods.
-        missed_in_row: Largest number of consecutive missed periods.
-
     Returns:
         Text of the warning, empty without one, and the fault, None without one.
     """

@@ -106,7 +106,6 @@ def from_joint_samples(
     movement is therefore the same, bit for bit, however long the arm rested before or after.
 
     Args:
-        arm: Arm model, for its forward kinematics.
         stamps_ns: Header stamps, strictly increasing [ns]. Shape (M,).
         q: Joint angles [rad]. Shape (M, arm.n).
         movement: How to trim and smooth; fractions of 0 keep the whole recording.

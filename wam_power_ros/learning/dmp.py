@@ -102,7 +102,6 @@ def acceleration(
     """Reference acceleration of the tool at tick k: Eq. 1, and the same law for the rotation.
 
     Args:
-        policy: Policy to execute.
         k: Tick since the start, >= 0; beyond the last row, the last row is used.
         position: Position x of the tool [m]. Shape (3,).
         rotation: Rotation vector r of R = exp(r) R_ref, in the base frame [rad]; three numbers.
@@ -148,7 +147,6 @@ def reproduce_many(
     Semi-implicit Euler: the velocity first, then the position with the new velocity.
 
     Args:
-        basis: Basis shared by all policies.
         stiffness: Stiffness K_i of each policy [1/s^2]. Shape (B, n, 3, 3).
         attractors: Attractors mu_i of each policy [m]. Shape (B, n, 3).
         damping: Damping kappa_V of all policies [1/s].

@@ -96,7 +96,6 @@ class LearnerClass(Protocol):
     """Class of a learner, registered in the entry-point group `wam_power_ros.learners`.
 
     Attributes:
-        Settings: Model of the settings, with a default for every field.
         needs_error_model: Whether the constructor needs an `ErrorModel`; if not, it accepts none.
             False if left out.
         needs_corrections: True if it learns from the task's corrections alone; may be left out.
@@ -184,10 +183,6 @@ class GaussianLearner(ABC):
 
     A subclass defines `_update`, which computes the mean from past rollouts, and `Settings` if it
     has any of its own.
-
-    Attributes:
-        size: Number of parameters.
-        settings: Settings of the learner.
     """
 
     Settings: type[LearnerSettings] = LearnerSettings

@@ -160,11 +160,7 @@ class Stiffness(Group):
 
 @dataclass(frozen=True, eq=False)
 class Attractors(Group):
-    """Elements of each mu_i [m].
-
-    Attributes:
-        axes: Axes of the learnt elements.
-    """
+    """Elements of each mu_i [m]."""
 
     name: str = field(default="attractors", init=False)
     axes: tuple[int, ...] = (0, 1, 2)
@@ -247,7 +243,6 @@ class Parametrization:
 
     Attributes:
         size: Number of parameters.
-        policy0: Policy at z = 0.
         theta0: Parameters of `policy0`, in the units of the groups. Shape (size,).
         scale: Standard deviation of the exploration noise, in the units of theta. Shape (size,).
         groups: Name of each group -> its slice in theta and z.

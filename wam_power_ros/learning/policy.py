@@ -51,12 +51,6 @@ def read_only(
 ) -> np.ndarray:
     """Check an array and return a read-only float copy of it.
 
-    Args:
-        name: Name of the value in error messages.
-        value: Array or nested sequence.
-        shape: Expected shape.
-        limit: Largest absolute value allowed.
-
     Raises:
         ValueError: If an element is not a number, not finite or beyond the limit, or the shape
             differs.

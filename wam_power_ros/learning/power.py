@@ -39,7 +39,6 @@ def power_update(
         theta: Current parameters. Shape (n,).
         rollouts: Parameters of the past rollouts, oldest first. Shape (m, n).
         returns: Returns of the past rollouts, >= 0. Shape (m,).
-        sigma: Size of the elite.
         weights: Kind of weights, see `Power.Settings`.
         sharpness: Width of the sharpened weights, see `Power.Settings`.
 

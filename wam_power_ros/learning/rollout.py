@@ -17,7 +17,6 @@ class _Path:
     """Path of a frame in the base frame during one rollout; arrays are copied and read-only.
 
     Attributes:
-        id: Id of the policy that was executed.
         t: Time since the start of the rollout, strictly increasing [s]. Shape (T,).
         position: Origin of the frame [m]. Shape (T, 3).
         quat_xyzw: Orientation, unit quaternions. Shape (T, 4).
@@ -73,7 +72,6 @@ class Foreseen(NamedTuple):
     """Execution of a policy on a model of the arm.
 
     Attributes:
-        tool: Path of the tool.
         excess: Share by which each highest speed exceeds what is allowed; below 0 if it does not.
             Shape (c,).
     """
@@ -87,10 +85,8 @@ class Rollout:
     """A finished rollout.
 
     Attributes:
-        tool: Path of the tool.
         body: Path of the tracked body from the start on, None for a task that tracks none. Frames
             before it, at t < 0, are moved to `before`.
-        fault: Controller fault that ended the rollout, None without a fault.
         stopped_in: Name of the guarded region that ended the rollout, "" if none did.
         before: Path of the body just before the start, while the arm held it at rest; None if it
             was not seen.

@@ -37,7 +37,6 @@ def fit(t: np.ndarray, x: np.ndarray, count: int = 8) -> Policy:
     Args:
         t: Increasing times [s]. Shape (N,).
         x: Positions [m]. Shape (N, 3).
-        count: Number of spring-dampers.
 
     Raises:
         ValueError: A shape is wrong, a value not finite, a time does not increase, or the movement
@@ -86,9 +85,6 @@ def practise(
     Args:
         return_of: Executes a policy and tells its return, not negative: higher is better.
         policy: Policy to begin with, which is the first attempt.
-        rng: Source of the exploration.
-        rollouts: Number of attempts.
-        noise: Standard deviation of the exploration.
         learner: Makes a learner of so many parameters.
 
     Yields:

@@ -116,10 +116,7 @@ class Improvement:
     """Selects trials around one demonstration and learns from their records.
 
     Attributes:
-        demonstration: Id of the candidate that is learnt from.
-        learner: Learner; read-only for callers.
         practised: Number of finished trials of the practice, including dropped ones.
-        rule: Stopping rule; read-only for callers.
     """
 
     def __init__(

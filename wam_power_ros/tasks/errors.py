@@ -25,7 +25,6 @@ class Error:
     One that no effect moves is not learnt from: its limit alone counts.
 
     Attributes:
-        name: Its name.
         unit: Its unit, such as "m" or "rad".
         tolerance: Size up to which a rollout is as good as is useful.
         limit: Size from which a rollout is no success; infinite if it does not decide that.
