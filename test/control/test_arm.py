@@ -179,42 +179,9 @@ def test_a_joint_or_frame_that_does_not_match_is_named() -> None:
         Arm(URDF, NAMES, tool_frame="spoon")
     with pytest.raises(ValueError, match="not a URDF"):
         Arm("<robot", NAMES)
-    with pytest.raises(ValueError, match="continuous"):
-        Arm(URDF.replace('name="wam_j7" type="revolute"', 'name="wam_j7" type="continuous"'), NAMES)
-    with pytest.raises(ValueError, match="armature"):
-        Arm(URDF.replace('armature="0.20517"', 'armature="heavy"'), NAMES)
-
-
-@pytest.mark.parametrize("joint", range(1, 8))
-@pytest.mark.parametrize(
-    ("attribute", "value", "words"),
-    [
-        ("armature", "-0.001", "armature .-0.001. of joint .* that is not negative"),
-        ("armature", "nan", "armature .nan. of joint .* must be a finite number"),
-        ("velocity", "0.0", "limit velocity = '0.0' of joint .* above 0"),
-        ("effort", "0.0", "limit effort = '0.0' of joint .* above 0"),
-        ("upper", "-9.0", "upper = '-9.0' of joint .* above -"),
-    ],
-)
-def test_one_joint_with_invalid_limits_or_armature_is_enough_to_be_refused(
-    joint: int, attribute: str, value: str, words: str
-) -> None:
-    begin = URDF.index(f'<joint name="wam_j{joint}"')
-    end = URDF.index("</joint>", begin)
-    spoilt = re.sub(rf'{attribute}="[^"]*"', f'{attribute}="{value}"', URDF[begin:end], count=1)
-    with pytest.raises(ValueError, match=words):
-        Arm(URDF[:begin] + spoilt + URDF[end:], NAMES)
-
-
-def test_a_weak_slow_joint_without_rotor_inertia_is_accepted() -> None:
-    begin = URDF.index('<joint name="wam_j7"')
-    weak = URDF[begin:]
-    for attribute, value in (("armature", "0.0"), ("velocity", "0.1"), ("effort", "0.01")):
-        weak = re.sub(rf'{attribute}="[^"]*"', f'{attribute}="{value}"', weak, count=1)
-    arm = Arm(URDF[:begin] + weak, NAMES)
-    assert (arm.armature[6], arm.qd_max[6], arm.tau_max[6]) == (0.0, 0.1, 0.01)
-    no_dynamics = re.sub(r"<dynamics[^>]*/>", "", URDF)
-    assert not Arm(no_dynamics, NAMES).armature.any()
+    for wrong in ("heavy", "-0.001", "nan"):
+        with pytest.raises(ValueError, match="armature"):
+            Arm(URDF.replace('armature="0.20517"', f'armature="{wrong}"'), NAMES)
 
 
 def test_limits_are_those_of_the_urdf(arm: Arm) -> None:

@@ -25,7 +25,6 @@ from rigid_arm import (
     tool,
 )
 
-from wam_power_ros import rotations
 from wam_power_ros.control import safety
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller import Controller
@@ -34,58 +33,12 @@ from wam_power_ros.control.safety import limits_of
 from wam_power_ros.learning.policy import Policy, with_id
 
 
-def test_gravity_compensation_carries_the_arm_where_it_is() -> None:
-    for q in (HOME, np.deg2rad([30.0, -40.0, 20.0, 80.0, -50.0, 30.0, 60.0])):
-        controller, plant = begin(q)
-        controller.set_gravity_compensation(True)
-        run(controller, plant, 2.0)
-        assert np.abs(plant.q - q).max() < 1e-3
-        assert controller.label == "gravity_compensation"
-
-
-def test_a_person_can_teach_a_toss_at_2_5_metres_a_second() -> None:
-    start = MODEL.tool_pose(HOME)[0]
-    wrist = start - np.array([0.34, 0.0, 0.0])
-    speeds = []
-
-    def pan(t: float) -> tuple[np.ndarray, np.ndarray]:
-        """Target of the hand: up by 6 cm while the front edge flicks up by 46 degrees."""
-        s = np.clip((t - 0.3) / 0.25, 0.0, 1.0)
-        share = s**3 * (10.0 + s * (-15.0 + 6.0 * s))
-        rotation = rotations.exp(np.array([0.0, -0.8 * share, 0.0]))
-        return wrist + np.array([0.0, 0.0, 0.06 * share]) + 0.34 * rotation[:, 0], rotation
-
-    def hand(t: float, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
-        motion = MODEL.motion(q, qd)
-        (before, turned_before), (after, turned_after) = pan(t - 1e-4), pan(t + 1e-4)
-        speed = (after - before) / 2e-4
-        spin = rotations.log(turned_after @ turned_before.T) / 2e-4
-        force = 3000.0 * (0.5 * (before + after) - motion.position)
-        turn = 60.0 * rotations.log(turned_after @ motion.rotation.T)
-        speeds.append(motion.tool_speed)
-        wrench = np.concatenate(
-            [force + 120.0 * (speed - motion.twist[:3]), turn + 3.0 * (spin - motion.twist[3:])]
-        )
-        return MODEL.jacobian(q).T @ wrench
-
-    limits = limits_of(MODEL, teaching_tool_speed=4.0)
-    arm = make(limits=limits)
-    controller, plant = begin(controller=arm, sensing=True, delay=2, friction=1.0)
-    controller.set_gravity_compensation(True)
-    plant.push = hand
-    run(controller, plant, 0.7)
-    assert controller.mode is Mode.GRAVITY_COMPENSATION, controller.latched
-    assert max(speeds) > 2.4
-    assert np.linalg.norm(tool(plant) - pan(9.0)[0]) < 0.01
-
-
-@pytest.mark.parametrize(("delay", "sensing"), [(0, False), (2, True), (4, True)])
-def test_hold_returns_after_a_push(delay: int, sensing: bool) -> None:
+def test_hold_returns_after_a_push() -> None:
     def push(t: float, q: np.ndarray, _: np.ndarray) -> np.ndarray:
         return MODEL.jacobian(q)[:3].T @ (20.0, 30.0, 10.0) if 0.3 < t < 0.5 else np.zeros(7)
 
     tolerant = make(contact_share=1.0)  # the push is no contact fault
-    controller, plant = begin(controller=tolerant, delay=delay, sensing=sensing, push=push)
+    controller, plant = begin(controller=tolerant, delay=4, sensing=True, push=push)
     run(controller, plant, 0.3)
     assert np.linalg.norm(tool(plant) - MODEL.tool_pose(HOME)[0]) > 0.01
     run(controller, plant, 1.2)
@@ -130,18 +83,6 @@ def test_a_move_to_start_arrives_at_limited_speed_and_is_ready(friction: float) 
 
 
 @pytest.mark.requirement("S-25")
-def test_a_blocked_move_is_a_fault() -> None:
-    controller, plant = begin(HOME + 0.6, controller=make(contact_share=100.0))
-    controller.move_to_start()
-    stuck = plant.q.copy()
-    for k in range(3000):  # its encoders flicker by a count: it does not look frozen
-        controller.step(plant.stamp, stuck + 1e-5 * (k % 2), np.zeros(7))
-        plant.stamp += PERIOD_NS
-    assert controller.mode is Mode.FAULT
-    assert "rad from its reference" in controller.latched.text
-
-
-@pytest.mark.requirement("S-25")
 def test_a_held_arm_that_was_moved_away_does_not_spring_back() -> None:
     def idle(t: float, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         cut = np.zeros(7) if t < 0.3 else -np.array(sent[-1])  # no torque reaches the motors
@@ -176,25 +117,6 @@ def test_a_replay_follows_the_recording_and_reports_its_error() -> None:
     assert 0.0 < error.tool()[0] < error.tool()[1] < 0.03
     run(controller, plant, 0.5)
     assert np.abs(plant.q - HOME).max() < 0.03
-
-
-@pytest.mark.requirement("S-16")
-def test_a_replay_that_does_not_fit_is_refused() -> None:
-    controller, _ = begin()
-    t = np.linspace(0.0, 1.0, 100)
-    fine = HOME + 0.5 * np.sin(t)[:, None] * np.ones(7)
-    for trajectory, speed, reason in (
-        (SimpleNamespace(t=t, q=fine), 50.0, "speed limit"),
-        (SimpleNamespace(t=t, q=fine + 3.0), 1.0, "joint limits"),
-        (SimpleNamespace(t=t, q=fine[:, :6]), 1.0, "6 joints"),
-        (SimpleNamespace(t=t[::-1], q=fine), 1.0, "increase"),
-        (SimpleNamespace(t=t, q=fine * np.nan), 1.0, "finite"),
-        (SimpleNamespace(t=t, q=fine), 1e-4, "600"),
-        (SimpleNamespace(t=t, q=fine[:5]), 1.0, "N >= 4"),
-    ):
-        with pytest.raises(ControllerError, match=reason):
-            start_replay(controller, trajectory, speed)
-    assert controller.mode is Mode.HOLD
 
 
 def in_mode(mode: Mode) -> Controller:
@@ -277,13 +199,9 @@ def test_a_rollout_starts_only_at_rest_at_its_start() -> None:
 @pytest.mark.requirement("S-15")
 def test_a_policy_that_does_not_fit_is_refused_and_the_old_one_kept() -> None:
     controller, _ = begin()
-    stiff = make_policy("stiff")
-    stiff = Policy(**{**vars(stiff), "stiffness": stiff.stiffness * 7.0})
     for policy, reason in (
         (make_policy("long", q_start=HOME), "rollout"),
         (Policy(**{**vars(POLICY), "q_start": HOME[:6]}), "6 joints"),
-        (Policy(**{**vars(POLICY), "q_start": HOME + 2.0}), "outside the limits"),
-        (stiff, "above the limit"),
     ):
         if reason == "rollout":
             controller.execute()
@@ -295,16 +213,9 @@ def test_a_policy_that_does_not_fit_is_refused_and_the_old_one_kept() -> None:
     assert controller.policy_id == "trial-0002"
 
 
-def test_invalid_settings_are_refused_by_name() -> None:
-    for wrong in (
-        {"period": 0.0},
-        {"move_speed": math.nan},
-        {"stiffness_max": -1.0},
-        {"settle_time": math.inf},
-        {"limits": safety.limits_of(Arm(URDF, NAMES[:4]))},
-    ):
-        with pytest.raises(ValueError, match=next(iter(wrong))):
-            make(**wrong)
+def test_limits_of_another_number_of_joints_are_refused() -> None:
+    with pytest.raises(ValueError, match="limits are for 4 joints"):
+        make(limits=safety.limits_of(Arm(URDF, NAMES[:4])))
 
 
 number = st.one_of(
@@ -360,11 +271,3 @@ def test_no_sequence_of_states_and_calls_gives_a_torque_beyond_the_limits(
             tau = controller.step(stamp, HOME if q is None else q, qd)
         check(tau, previous, 0.004)
         previous = tau
-
-
-@pytest.mark.parametrize("stamp", [None, 1.5, "now", math.nan])
-def test_a_stamp_that_is_not_an_integer_is_refused(stamp: object) -> None:
-    controller, plant = begin()
-    answer = controller.step(*plant.state())
-    check(controller.step(stamp, HOME, np.zeros(7)), answer)
-    assert controller.counters["rejected"] == 1

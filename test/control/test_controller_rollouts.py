@@ -17,7 +17,6 @@ from rigid_arm import (
     make,
     make_policy,
     run,
-    start_replay,
     tool,
 )
 
@@ -26,7 +25,6 @@ from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.modes import ControllerError, Mode, Refusal
 from wam_power_ros.learning import dmp
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.rollout import EndEffectorPath
 from wam_power_ros.regions import Region
 
 
@@ -71,9 +69,7 @@ def deviation(result: SimpleNamespace, policy: Policy) -> tuple[float, float]:
     ("law", "delay", "sensing", "millimetres", "degrees"),
     [
         ("operational_space", 0, False, 1.5, 0.5),
-        ("operational_space", 2, True, 6.0, 1.0),
         ("operational_space", 4, True, 8.0, 1.5),
-        ("virtual_mass", 0, False, 30.0, 6.0),
         ("virtual_mass", 2, True, 30.0, 6.0),
     ],
 )
@@ -90,12 +86,11 @@ def test_a_rollout_follows_the_reproduced_path(
     assert np.abs(np.diff(result.position, axis=0)).max() > 0.0008  # it did throw
 
 
-@pytest.mark.parametrize("friction", [0.3, 1.0])
-def test_a_rollout_through_the_wrist_singularity_stays_calm(friction: float) -> None:
+def test_a_rollout_through_the_wrist_singularity_stays_calm() -> None:
     q = HOME.copy()
     q[[3, 5]] = np.deg2rad([80.0, -10.0])
     policy = make_policy(q_start=q, pitch=0.6)
-    controller, plant = begin(q, controller=make(policy), delay=2, sensing=True, friction=friction)
+    controller, plant = begin(q, controller=make(policy), delay=2, sensing=True, friction=0.3)
     crossed = rollout(controller, plant)
     assert controller.mode is Mode.HOLD, controller.latched
     assert deviation(crossed, policy)[0] < 0.01
@@ -137,23 +132,6 @@ def test_the_pan_stays_where_the_rollout_ended() -> None:
     torques = run(controller, plant, 1.0)
     assert np.linalg.norm(tool(plant) - end) < 1e-3
     assert np.abs(np.diff(torques, axis=0)).max() < 1.5  # no jump [N m per period]
-
-
-def test_lost_states_do_not_slow_a_movement() -> None:
-    controller, plant = begin()
-    whole = rollout(controller, plant)
-    controller, plant = begin()
-    controller.execute()
-    tau, k = controller.step(*plant.state()), 0
-    while controller.mode is Mode.ROLLOUT:
-        plant.step(tau)
-        k += 1
-        if k % 7:
-            tau = controller.step(*plant.state())
-    path = controller.take_finished()
-    assert path.t[-1] == pytest.approx(whole.path.t[-1], abs=0.01)
-    at = np.interp(0.4, path.t, path.position[:, 2])
-    assert at == pytest.approx(np.interp(0.4, whole.path.t, whole.path.position[:, 2]), abs=2e-3)
 
 
 def test_an_aborted_rollout_leaves_a_shorter_path() -> None:
@@ -248,45 +226,6 @@ def test_a_rollout_ends_without_a_fault_where_the_tool_enters_the_guarded_region
     assert controller.rollout_stamp_ns is not None
     run(controller, plant, 1.0)
     assert np.abs(plant.qd).max() < 1e-3  # it has braked
-    controller.move_to_start()
-    run(controller, plant, 10.0, until=lambda: controller.ready)
-    controller.execute()
-    again = rollout_to_end(controller, plant)
-    assert again.t[-1] == pytest.approx(path.t[-1], abs=0.01)
-
-
-def rollout_to_end(controller: Controller, plant: Plant) -> EndEffectorPath:
-    run(controller, plant, 3.0, until=lambda: controller.mode is not Mode.ROLLOUT)
-    return controller.take_finished()
-
-
-def test_a_rollout_that_begins_in_the_guarded_region_ends_with_its_first_state() -> None:
-    centre = MODEL.tool_pose(HOME)[0]
-    controller, plant = begin(controller=make(region=Region("box", tuple(centre), 0.1)))
-    controller.execute()
-    run(controller, plant, 0.01)
-    assert controller.mode is Mode.HOLD
-    path = controller.take_finished()
-    assert path.t.tolist() == [0.0]
-    np.testing.assert_allclose(path.position[0], centre, atol=1e-3)
-
-
-def test_outside_rollouts_a_guarded_region_has_no_effect() -> None:
-    centre = MODEL.tool_pose(HOME)[0]
-    t = np.linspace(0.0, 0.5, 51)
-    still = SimpleNamespace(t=t, q=np.tile(HOME, (51, 1)))
-    torques = []
-    for region in (None, Region("box", tuple(centre), 0.5)):
-        controller, plant = begin(HOME + 0.1, controller=make(region=region))
-        controller.move_to_start()
-        sent = run(controller, plant, 4.0)
-        controller.set_gravity_compensation(True)
-        sent += run(controller, plant, 0.1)
-        start_replay(controller, still)
-        sent += run(controller, plant, 0.3)
-        assert controller.mode is Mode.REPLAY
-        torques.append(np.array(sent))
-    assert np.array_equal(*torques)
 
 
 def test_a_policy_that_was_stopped_in_a_region_does_not_count_as_completed() -> None:
@@ -296,7 +235,8 @@ def test_a_policy_that_was_stopped_in_a_region_does_not_count_as_completed() -> 
     )
     controller.enabled = True
     controller.execute()
-    assert rollout_to_end(controller, plant).t[-1] < 1.0
+    run(controller, plant, 3.0, until=lambda: controller.mode is not Mode.ROLLOUT)
+    assert controller.take_finished().t[-1] < 1.0
     assert controller.stopped_in == "box"
     run(controller, plant, 1.0)
     controller.move_to_start()

@@ -274,17 +274,6 @@ def test_without_a_computed_torque_an_arm_is_neither_activated_nor_reset() -> No
         controller.reset()
 
 
-@pytest.mark.requirement("S-112")
-def test_an_arm_without_a_model_is_at_rest_when_its_joints_are() -> None:
-    bench = Bench()
-    bench.begin("rollout")
-    bench.arm.broken = ALL
-    bench.run(0.004)
-    assert not bench.controller.at_rest
-    bench.run(0.5)
-    assert bench.controller.at_rest
-
-
 def test_a_stop_whose_rollout_has_no_path_is_a_fault() -> None:
     bench = Bench()
     bench.controller.execute()
@@ -317,6 +306,7 @@ def test_when_torques_can_be_computed_again_the_arm_is_not_taken_for_one_that_st
     assert max(bench.run(1.0)) < 0.02
 
 
+@pytest.mark.requirement("S-112")
 @pytest.mark.parametrize(("joint_speed", "rests"), [(0.049, True), (0.051, False)])
 def test_without_a_model_an_arm_is_at_rest_below_a_joint_speed(
     joint_speed: float, rests: bool

@@ -13,12 +13,11 @@ from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 
 
 @pytest.mark.requirement("S-01", "S-123")
-@pytest.mark.parametrize("seed", [0, 1])
-def test_fuzzed_messages_give_no_torque_over_a_limit(seed: int) -> None:
+def test_fuzzed_messages_give_no_torque_over_a_limit() -> None:
     files = share("config/torque_controller.yaml"), share("config/simulation.yaml")
     params = TorqueControllerParams.of_setup(overlay.of_files(files))
     controller = params.controller(share("urdf/wam7.urdf").read_text())
-    found = bombard(controller, taught(), 4000, seed)
+    found = bombard(controller, taught(), 4000, 0)
     assert found["torques"] > 3000 and found["refused"] > 50
     assert found["not finite"] == found["over"] == found["rate"] == 0
     assert controller.counters["faults"] > 1  # there was something to get wrong

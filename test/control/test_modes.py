@@ -27,21 +27,6 @@ def test_every_refusal_is_a_code_of_an_answer() -> None:
     assert {refusal.value for refusal in Refusal} <= {code.value for code in Code}
 
 
-@pytest.mark.parametrize("mode", list(Mode))
-@pytest.mark.parametrize("target", list(Mode))
-def test_a_transition_is_as_the_table_says_or_refused(mode: Mode, target: Mode) -> None:
-    if mode is Mode.FAULT:
-        with pytest.raises(ControllerError, match=r"wrist is 0\.012 m") as refused:
-            check_transition(mode, target, FAULT)
-        assert refused.value.refusal is Refusal.FAULT
-    elif target in TRANSITIONS[mode]:
-        check_transition(mode, target, None)
-    else:
-        with pytest.raises(ControllerError, match=f"not possible from {mode.value}") as refused:
-            check_transition(mode, target, None)
-        assert refused.value.refusal is Refusal.BUSY
-
-
 def test_the_way_out_of_a_fault_is_its_reset_to_hold() -> None:
     check_transition(Mode.FAULT, Mode.HOLD, FAULT, reset=True)
     for target in set(Mode) - {Mode.HOLD}:

@@ -6,7 +6,6 @@ The kinematics here are computed from the text of the URDF by NumPy alone.
 
 from __future__ import annotations
 
-import itertools
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -31,10 +30,7 @@ STANDS = {
     "ceiling": ((0.0, 0.4, 2.4), (np.pi, 0.0)),
     "slope": ((-0.5, 0.0, 0.2), (0.2, -0.5)),
 }
-MOUNTS = [
-    (place, (*lean, yaw)) for (place, lean), yaw in itertools.product(STANDS.values(), (0, 0.8, -2))
-]
-NAMES = [f"{name} at {yaw}" for name, yaw in itertools.product(STANDS, (0, 0.8, -2))]
+MOUNTS = [(place, (*lean, 0.8)) for place, lean in STANDS.values()]
 Pose = tuple[np.ndarray, np.ndarray]
 
 
@@ -102,7 +98,7 @@ def potential(urdf: str, q: np.ndarray) -> float:
     return total
 
 
-@pytest.mark.parametrize(("place", "rpy"), MOUNTS, ids=NAMES)
+@pytest.mark.parametrize(("place", "rpy"), MOUNTS, ids=STANDS)
 @pytest.mark.parametrize("base", ["world", "column", "wam_base"])
 def test_positions_directions_and_gravity_are_in_the_base_frame(
     base: str, place: tuple[float, ...], rpy: tuple[float, ...]
@@ -128,7 +124,7 @@ def test_positions_directions_and_gravity_are_in_the_base_frame(
 
 
 def test_an_arm_is_drawn_in_its_base_frame() -> None:
-    urdf, q = mounted(*MOUNTS[4]), np.full(7, 0.2)
+    urdf, q = mounted(*MOUNTS[1]), np.full(7, 0.2)
     shapes = {}
     for base in ("world", "wam_base"):
         drawn = Skeleton(urdf, JOINTS, base)
@@ -185,7 +181,7 @@ def test_every_frame_of_a_set_up_is_a_link(tmp_path: Path) -> None:
             overlay.setup([str(file)]).arm()
 
 
-@pytest.mark.parametrize(("place", "rpy"), MOUNTS[1::3], ids=NAMES[1::3])
+@pytest.mark.parametrize(("place", "rpy"), MOUNTS[1::2], ids=["wall", "slope"])
 def test_the_simulated_arm_hangs_as_its_model_says(
     place: tuple[float, ...], rpy: tuple[float, ...], tmp_path: Path
 ) -> None:

@@ -5,8 +5,6 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from wam_power_ros.control.state_checks import (
     IMPLAUSIBLE_Q,
@@ -34,15 +32,6 @@ def test_a_state_with_the_last_stamp_is_a_repetition() -> None:
     last = states.last
     assert states.take(0, Q + 1.0, ZERO, restart=True) is None
     assert states.last is last and states.counters["repeated"] == 1
-
-
-@given(st.sampled_from([math.nan, math.inf, -math.inf, 1e300, -1e9]), st.integers(0, 6))
-def test_one_impossible_value_makes_a_vector_implausible(value: float, i: int) -> None:
-    values = Q.tolist()
-    assert plausible(values, IMPLAUSIBLE_Q)
-    values[i] = value
-    assert not plausible(values, IMPLAUSIBLE_Q)
-    assert not plausible(values, IMPLAUSIBLE_QD)
 
 
 @pytest.mark.parametrize(
@@ -123,13 +112,6 @@ def test_a_driver_that_restarts_is_used_again_within_a_second(late: bool) -> Non
     assert taken == [not late or k >= 498 for k in range(600)]
 
 
-def test_a_driver_may_restart_every_second() -> None:
-    states = checks()
-    for _ in range(3):
-        taken = [states.take(k * 2 * MS, Q, ZERO, restart=True) for k in range(1, 502)]
-        assert None not in taken
-
-
 @pytest.mark.requirement("S-11")
 @pytest.mark.parametrize(
     ("q", "qd", "reason"),
@@ -149,26 +131,7 @@ def test_a_refused_state_says_why(q: object, qd: object, reason: str) -> None:
     assert states.refusal == reason
 
 
-def test_an_older_and_an_unreadable_state_say_why_too() -> None:
-    states = checks()
-    states.take(-6 * MS, Q, ZERO, restart=False)
-    assert states.refusal == "stamp is 6.0 ms older than the last one"
-    states.take(0.5, Q, ZERO, restart=False)
-    assert states.refusal == "stamp 0.5 is no number of nanoseconds"
-    states.refuse()
-    assert states.refusal == ""  # its reader knows
-
-
-def test_the_fifth_refusal_within_fifty_states_is_a_fault_and_a_slower_one_is_not() -> None:
-    for spacing, kind in ((12, FaultKind.STATES_REFUSED), (13, None)):
-        states = checks()
-        for k in range(1, 4 * spacing + 2):
-            bad = (k - 1) % spacing == 0
-            states.take(k * 2 * MS, Q * (math.nan if bad else 1.0), ZERO, restart=False)
-        assert states.counters["rejected"] == 5
-        assert (states.fault and states.fault.kind) == kind
-
-
+@pytest.mark.requirement("S-42")
 def test_a_gap_is_counted_and_a_long_one_a_fault() -> None:
     for stamp, gaps, kind in (
         (1, 0, None),
@@ -207,14 +170,6 @@ def test_a_missing_velocity_is_estimated_and_comes_to_rest_bit_for_bit() -> None
     for k in range(106, 206):
         states.take(2 * MS * k, end, None, restart=False)
     assert np.array_equal(states.last.qd, ZERO)
-
-
-def test_valid_states_are_accepted_and_counted() -> None:
-    states = checks()
-    assert states.refused_in_row == 0 and states.fault is None
-    for k in range(1, 5):
-        states.take(k * 2 * MS, Q, ZERO, restart=False)
-    assert states.counters == {"accepted": 5}
 
 
 def test_a_position_is_plausible_up_to_20_radians_and_a_speed_to_500() -> None:
@@ -270,12 +225,6 @@ def test_gaps_and_jumps_are_measured_from_the_last_state_at_any_stamp() -> None:
     assert states.fault is None  # 0.09 rad in less than a period
     states.take(later + 24 * MS, Q - 0.2, ZERO, restart=False)
     assert states.fault.text == "no joint state for 21 ms"
-
-
-def test_the_very_first_state_may_be_refused() -> None:
-    states = StateChecks(7, 0.002, 180.0, np.full(7, 100.0))
-    assert states.take(0, Q * math.nan, ZERO, restart=False) is None
-    assert (states.last, states.refused_in_row) == (None, 1)
 
 
 @pytest.mark.requirement("S-14")

@@ -39,10 +39,6 @@ def test_an_arm_that_does_not_move_under_a_large_torque_is_not_plausible() -> No
     for mode in (Mode.HOLD, Mode.MOVE_TO_START, Mode.REPLAY, Mode.ROLLOUT, Mode.FAULT):
         assert fault_kind(supervision(strong), mode) is FaultKind.EXTERNAL_TORQUE, mode
         assert fault_kind(supervision(), mode) is None, mode
-
-
-def test_a_person_may_push_with_any_force_while_teaching_and_before_activation() -> None:
-    strong = GRAVITY + 0.2 * MODEL.tau_max
     assert fault_kind(supervision(strong), Mode.GRAVITY_COMPENSATION) is None
     assert fault_kind(supervision(strong), Mode.INACTIVE) is None
 

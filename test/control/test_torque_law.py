@@ -7,7 +7,6 @@ import pytest
 
 from wam_power_ros.control import torque_law
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.params.resources import share
 
 NAMES = [f"wam_j{i}" for i in range(1, 8)]
@@ -63,11 +62,6 @@ def test_damping_keeps_the_torque_small_where_the_arm_is_singular(
         assert np.abs(damped).max() < 100.0
     monkeypatch.setattr(torque_law, "DAMPING", np.zeros((6, 6)))
     assert np.abs(torque("operational_space", arm, straight)).max() > 1e4
-
-
-def test_an_unknown_law_is_refused_by_name() -> None:
-    with pytest.raises(ValueError, match="law\n  Input should be"):
-        ControllerSettings(law="magic")
 
 
 def test_an_invalid_state_gets_no_finite_torque(arm: Arm) -> None:

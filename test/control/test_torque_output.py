@@ -26,6 +26,7 @@ def test_the_motor_torque_is_as_requested_whether_or_not_the_driver_adds_gravity
     np.testing.assert_allclose(out.motor_torque(HOME), wanted, atol=1e-12)
 
 
+@pytest.mark.requirement("S-04")
 def test_the_motors_of_a_driver_that_adds_gravity_stay_within_their_limit() -> None:
     out = output(compensated=True)
     beyond = 10.0 * LIMITS.torque * np.sign(GRAVITY + 1e-9)

@@ -46,32 +46,3 @@ def test_the_tool_is_compared_every_few_states_and_every_joint_in_each() -> None
     last = TOOL_STRIDE * (error.count // TOOL_STRIDE - 1)  # compared
     apart = ARM.tool_pose(Q + 0.001 * last)[0] - ARM.tool_pose(Q)[0]
     assert error.tool()[1] == pytest.approx(np.linalg.norm(apart))
-
-
-def test_errors_of_both_signs_count_equally_from_the_first_state_on() -> None:
-    for sign in (1.0, -1.0):
-        error = TrackingError(ARM)
-        error.add(Q, Q + 0.01 * sign)
-        apart = np.linalg.norm(ARM.tool_pose(Q)[0] - ARM.tool_pose(Q + 0.01 * sign)[0])
-        for _ in range(2):
-            np.testing.assert_allclose(error.largest, 0.01)
-            np.testing.assert_allclose(error.rms, 0.01)
-            assert error.tool() == pytest.approx((apart, apart))
-            for _ in range(20):
-                error.add(Q, Q + 0.01 * sign)
-
-
-def test_the_kinematics_are_computed_in_a_fifth_of_the_states() -> None:
-    asked = []
-
-    class Counting:
-        n = 7
-
-        def tool_pose(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            asked.append(q)
-            return ARM.tool_pose(q)
-
-    error = TrackingError(Counting())
-    for _ in range(50):
-        error.add(Q, Q)
-    assert len(asked) == 2 * 50 / 5

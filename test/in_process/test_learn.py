@@ -78,18 +78,6 @@ def test_a_demonstration_without_a_movement_is_left_out_and_the_others_keep_thei
     assert not Session.exists(tmp_path / "none")
 
 
-def test_the_demonstrations_are_those_of_the_stand_in_of_the_nodes(tmp_path: Path) -> None:
-    setup, settings = overlay.setup(task="flip"), preset("flip", budget=4)
-    begun = next(learn.run(tmp_path, setup, settings, 5, 2))
-    environment = Environment.of(setup)
-    for number, policy in enumerate(begun.candidates):
-        script = environment.world.scene.script(np.random.default_rng((5, number)))
-        recorded = environment.demonstrate(script, f"demonstration-{number}")
-        movement = Flip.demonstration_of(environment.arm, *recorded)
-        fitted = Flip.policy_of([movement], policy.id)
-        np.testing.assert_array_equal(policy.attractors, fitted.attractors)
-
-
 def test_a_demonstration_whose_reproduction_would_fault_is_not_learnt_from(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -107,15 +107,6 @@ def test_trimming_forgets_how_long_the_arm_rested(arm: Arm, before: float, after
     assert 0.5 * LENGTH < base.duration < LENGTH
 
 
-def test_the_trimmed_movement_is_a_stretch_of_the_whole(arm: Arm) -> None:
-    whole = from_joint_samples(arm, *recording(seed=3), WHOLE)
-    part = from_joint_samples(arm, *recording(seed=3))
-    first = int(np.argmin(np.linalg.norm(whole.q - part.q[0], axis=1)))
-    stretch = slice(first, first + len(part.t))
-    for name in ("q", "position", "velocity", "acceleration"):
-        assert getattr(whole, name)[stretch] == pytest.approx(getattr(part, name), abs=1e-9)
-
-
 def test_an_earlier_smaller_movement_is_left_out(arm: Arm) -> None:
     base = from_joint_samples(arm, *recording(3.0))
     stamps, q = recording(3.0)
@@ -176,31 +167,6 @@ def test_a_turn_that_is_too_slow_is_refused_with_both_limits(arm: Arm) -> None:
         from_joint_samples(arm, *turn(0.08))
 
 
-def test_a_turn_after_a_pause_is_left_out_too(arm: Arm) -> None:
-    stamps, q = recording(after=1.5)
-    _, turned = turn(1.2)
-    q[-len(turned) + 100 :, 6] += turned[:-100, 6] - turned[0, 6]
-    ((duration, pause, _, earlier),) = from_joint_samples(arm, stamps, q).left_out
-    assert not earlier and 0.4 < duration < LENGTH and 0.3 < pause < 0.9
-
-
-def test_late_and_lost_samples_change_little(arm: Arm) -> None:
-    rng = np.random.default_rng(0)
-    stamps, q = recording()
-    base = from_joint_samples(arm, stamps, q, WHOLE)
-    # Sampled at their stamps, but off the grid; a tenth of the samples is lost.
-    jitter = rng.integers(-400_000, 400_000, len(stamps))
-    late = stamps + jitter
-    q_late = joints((late - stamps[0]) * 1e-9 - 0.5)
-    kept = rng.uniform(size=len(stamps)) > 0.1
-    kept[[0, -1]] = True
-    late[[0, -1]] = stamps[[0, -1]]
-    other = from_joint_samples(arm, late[kept], q_late[kept], WHOLE)
-    assert len(other.t) == len(base.t)
-    assert np.abs(other.position - base.position).max() < 0.0005
-    assert np.abs(other.velocity - base.velocity).max() < 0.03
-
-
 def wrong(name: str) -> tuple[np.ndarray, np.ndarray]:
     stamps, q = recording()
     if name == "twice":
@@ -247,14 +213,6 @@ def wrong(name: str) -> tuple[np.ndarray, np.ndarray]:
 def test_a_wrong_recording_is_refused_and_the_fault_named(arm: Arm, name: str, words: str) -> None:
     with pytest.raises(ValueError, match=words):
         from_joint_samples(arm, *wrong(name))
-
-
-def test_nothing_given_is_modified(arm: Arm) -> None:
-    stamps, q = recording(seed=5)
-    kept = stamps.copy(), q.copy()
-    from_joint_samples(arm, stamps, q)
-    assert np.array_equal(stamps, kept[0])
-    assert np.array_equal(q, kept[1])
 
 
 def test_positions_alone_make_a_demonstration() -> None:

@@ -23,7 +23,7 @@ from wam_power_ros.learning.dmp import (
     reproduce_many,
     tabulate,
 )
-from wam_power_ros.learning.policy import Basis, Policy, from_json, to_json
+from wam_power_ros.learning.policy import Basis
 from wam_power_ros.tasks.flip.settings import FLIP_FIT
 from wam_power_ros.tasks.reach.settings import REACH_FIT
 
@@ -108,20 +108,6 @@ def test_tabulated_acceleration_is_equation_1() -> None:
         assert both[3:] == pytest.approx(turn, rel=1e-9, abs=1e-9)
 
 
-def test_the_last_row_holds_for_ever() -> None:
-    tables = tabulate(fit([toss()], FLIP_FIT, "p"))
-    assert len(tables.b) == 426
-    state = np.ones(3), np.ones(3), np.zeros(6)
-    end = dmp.acceleration(tables, len(tables.b) - 1, *state)
-    assert np.array_equal(dmp.acceleration(tables, len(tables.b), *state), end)
-    assert np.array_equal(dmp.acceleration(tables, 10**6, *state), end)
-
-
-def test_tables_cannot_be_written() -> None:
-    with pytest.raises(ValueError, match="read-only"):
-        tabulate(fit([toss()], FLIP_FIT, "p")).a[0, 0, 0] = 1.0
-
-
 def test_many_reproductions_are_the_acceleration_integrated_velocity_first() -> None:
     policies = [fit([toss(seed=seed)], FLIP_FIT, "p") for seed in range(5)]
     policies = [replace(policy, basis=policies[0].basis) for policy in policies]
@@ -159,9 +145,8 @@ def test_a_movement_made_by_equation_1_gives_back_its_attractors(
     assert found == pytest.approx(truth.attractors, abs=1e-6)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_a_reproduction_from_rest_stays_where_the_demonstration_ended(seed: int) -> None:
-    demonstration = reach(seed)
+def test_a_reproduction_from_rest_stays_where_the_demonstration_ended() -> None:
+    demonstration = reach(0)
     policy = fit([demonstration], replace(REACH_FIT, count=6), "p")
     start, end = demonstration.position[[0, -1]]
     x, xd = reproduce_many(
@@ -176,24 +161,6 @@ def test_a_reproduction_from_rest_stays_where_the_demonstration_ended(seed: int)
     )
     assert x[0, -1] == pytest.approx(end, abs=0.003)
     assert np.linalg.norm(xd[0, -1]) < 0.001
-
-
-def test_a_movement_in_half_the_time_is_reproduced_as_well() -> None:
-    demonstration, errors = toss(), []
-    for faster in (1.0, 2.0):
-        quick = replace(
-            demonstration,
-            t=demonstration.t / faster,
-            velocity=demonstration.velocity * faster,
-            acceleration=demonstration.acceleration * faster**2,
-            period=demonstration.period / faster,
-        )
-        policy = fit([quick], FLIP_FIT, "p")
-        x, _ = reproduced(policy, quick.position[0])
-        grid = np.linspace(0.0, quick.duration, len(x))
-        there = [np.interp(grid, quick.t, column) for column in quick.position.T]
-        errors.append(rmse(x, np.stack(there, axis=1)))
-    assert errors[1] < 1.5 * errors[0] < 0.006
 
 
 def test_the_toss_is_reproduced_to_millimetres_and_a_degree() -> None:
@@ -223,26 +190,6 @@ def test_a_reach_ends_turned_as_demonstrated(begin: float) -> None:
         policy.basis, springs, attractors, policy.rotation_damping, turn[0], turn[0], steps, DT
     )
     assert np.linalg.norm(r[0, -1] - turn[-1]) < math.radians(0.5)
-
-
-def test_solving_the_attractors_again_beats_the_plain_method() -> None:
-    demonstrations = [reach(seed) for seed in range(4)]
-    mean = 0.25 * sum(
-        np.array(
-            [
-                np.interp(np.linspace(0, 1, 200), np.linspace(0, 1, len(d.t)), c)
-                for c in d.position.T
-            ]
-        ).T
-        for d in demonstrations
-    )
-    found = {}
-    for refit in (True, False):
-        policy = fit(demonstrations, replace(REACH_FIT, count=6, width=0.5, refit=refit), "p")
-        path, _ = reproduced(policy, mean[0], dt=policy.basis.duration / 199)
-        found[refit] = rmse(path, mean)
-    assert found[True] < 0.5 * found[False]
-    assert found[True] < 0.02
 
 
 @pytest.mark.parametrize("refit", [True, False])
@@ -389,28 +336,6 @@ def test_the_plain_attractors_are_those_of_the_mean_stiffness() -> None:
     assert policy.attractors == pytest.approx(np.linalg.pinv(h) @ y, abs=1e-9)
 
 
-def test_the_directions_of_the_stiffness_follow_a_turned_demonstration() -> None:
-    demonstration = toss()
-    matrix = rotations.exp([0.2, -0.4, 1.0])
-    turned = replace(
-        demonstration,
-        position=demonstration.position @ matrix.T,
-        velocity=demonstration.velocity @ matrix.T,
-        acceleration=demonstration.acceleration @ matrix.T,
-    )
-    one, two = fit([demonstration], FLIP_FIT, "p"), fit([turned], FLIP_FIT, "p")
-    assert two.stiffness == pytest.approx(matrix @ one.stiffness @ matrix.T, abs=1e-6)
-    assert two.attractors == pytest.approx(one.attractors @ matrix.T, abs=1e-9)
-
-
-def test_demonstrations_of_different_length_share_one_duration() -> None:
-    demonstrations = [toss(n) for n in (400, 426, 452)]
-    policy = fit(demonstrations, FLIP_FIT, "p")
-    assert policy.basis.duration == pytest.approx(425 * DT)
-    x, _ = reproduced(policy, demonstrations[1].position[0])
-    assert rmse(x, demonstrations[1].position) < 0.01
-
-
 def test_start_and_orientation_reference_are_those_of_the_first_demonstration() -> None:
     first, other = toss(), toss(400)
     turn = rotations.quat_of_vector(np.array([0.3, 0.0, 0.0]))
@@ -434,15 +359,6 @@ def test_angular_accelerations_are_those_of_the_turning_up_to_both_ends() -> Non
 def test_a_demonstration_that_never_moves_still_gives_a_valid_policy() -> None:
     policy = fit([from_positions(np.tile([0.7, 0.0, 0.9], (100, 1)), DT)], FLIP_FIT, "p")
     assert policy.attractors == pytest.approx(np.tile([0.7, 0.0, 0.9], (8, 1)), abs=1e-9)
-
-
-def test_a_fitted_policy_survives_its_text_and_starts_where_the_demonstration_did() -> None:
-    demonstration = toss()
-    policy = fit([demonstration], FLIP_FIT, "trial-0000")
-    assert to_json(from_json(to_json(policy))) == to_json(policy)
-    assert np.array_equal(policy.q_start, demonstration.q[0])
-    assert np.array_equal(policy.orientation_reference, demonstration.quat_xyzw[0])
-    assert isinstance(policy, Policy)
 
 
 def test_clipping_leaves_good_matrices_alone_and_makes_bad_ones_good() -> None:

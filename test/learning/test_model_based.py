@@ -226,15 +226,6 @@ def test_where_a_rejected_plan_has_come_back_to_the_best_rollout_power_draws() -
     assert min(np.linalg.norm(z) for z in asked) > 0.3, "never the rollout again"
 
 
-def test_a_rejected_plan_is_moved_towards_the_best_rollout() -> None:
-    learner = learner_of(LinearModel())
-    practise(learner, 1)
-    plan = learner.mean
-    asked = np.stack([learner.ask() for _ in range(4)])
-    np.testing.assert_array_equal(asked[0], plan)
-    np.testing.assert_allclose(asked[1:], np.outer(0.8 ** np.arange(1, 4), plan))
-
-
 def test_the_same_rollouts_and_draws_give_the_same_plans() -> None:
     def bent(z: np.ndarray) -> np.ndarray:
         return error(z) + 3.0 * np.sin(z[:2])
@@ -253,29 +244,6 @@ def test_a_learner_without_error_model_is_refused() -> None:
 def tell(learner: ModelBased, z: np.ndarray, error: np.ndarray, ret: float = 0.5) -> None:
     learner.measure(z, error)
     learner.tell(z, ret)
-
-
-def test_the_settings_have_their_defaults_and_are_refused_beyond_their_range() -> None:
-    settings = ModelBased.Settings()
-    assert (settings.simulations, settings.length) == (40, 10.0)
-    assert (settings.patience, settings.planned) == (8, 24)
-    fallback = Power.Settings(sigma=6, weights="sharpened", decay=0.97)
-    assert settings.fallback == fallback
-    for name in ("simulations", "length", "patience", "planned"):
-        with pytest.raises(ValueError, match=name):
-            ModelBased.Settings(**{name: 0})
-    for name in ("simulations", "patience", "planned"):
-        assert getattr(ModelBased.Settings(**{name: 1}), name) == 1
-    with pytest.raises(ValueError, match="length"):
-        ModelBased.Settings(length=math.inf)
-
-
-def test_the_mean_is_a_copy_of_the_plan() -> None:
-    learner = learner_of(LinearModel())
-    practise(learner, 1)
-    plan = learner.mean
-    learner.mean[:] = learner.ask()[:] = 7.0
-    np.testing.assert_array_equal(learner.mean, plan)
 
 
 def test_after_as_many_rollouts_as_are_planned_power_decides() -> None:
@@ -378,7 +346,3 @@ def test_progress_is_measured_from_the_best_rollout_before_and_not_from_the_wors
     for k, size in enumerate((9.0, 3.0, 5.0, 5.0, 5.0, 5.0)):
         tell(learner, k * np.eye(SIZE)[-1], np.array([size, size]))
     assert learner.falls_back
-
-
-def test_a_prediction_assumes_nothing_unless_it_says_so() -> None:
-    assert Prediction(np.zeros(2), np.zeros(1)).uncertain.shape == (1, 0)

@@ -105,40 +105,12 @@ def test_an_update_refuses_what_it_cannot_weight(
         power_update(np.zeros(3), np.zeros((2, 3)), np.array(returns), sigma)
 
 
-@pytest.mark.parametrize("weights", ["return", "sharpened"])
-def test_power_climbs_a_hill_from_every_seed(weights: str) -> None:
-    size, top = 10, 2.0 * np.ones(10) / np.sqrt(10.0)  # two standard deviations away
-    final = []
-    for seed in range(20):
-        learner = Power(size, Power.Settings(weights=weights, sigma=5, decay=0.98), rng(seed))
-        for _ in range(150):
-            z = learner.ask()
-            learner.tell(z, float(np.exp(-np.sum((z - top) ** 2))))
-        final.append(np.linalg.norm(learner.mean - top))
-    assert max(final) < 1.2
-    assert np.mean(final) < 0.8
-
-
 def test_without_a_positive_return_the_mean_stays_at_zero() -> None:
     learner = Power(3, Power.Settings(), rng(0))
     learner.tell(np.ones(3), 0.0)
     assert not learner.mean.any()
     learner.tell(2.0 * np.ones(3), 1e-300)
     np.testing.assert_array_equal(learner.mean, 2.0 * np.ones(3))
-
-
-def test_noise_shrinks_with_every_rollout() -> None:
-    learner = Power(2, Power.Settings(decay=0.9), rng(0))
-    for _ in range(3):
-        learner.tell(learner.ask(), 1.0)
-    assert learner._noise == pytest.approx(0.9**3)
-    assert len(learner._rollouts) == 3
-
-
-def test_the_size_of_an_elite_is_a_positive_integer() -> None:
-    for sigma in (0, "auto", 2.5):
-        with pytest.raises(ValueError, match="sigma"):
-            Power.Settings(sigma=sigma)
 
 
 def test_weights_that_do_not_exist_are_refused() -> None:

@@ -126,9 +126,3 @@ def test_what_a_person_ended_is_no_overrun_and_not_run_again() -> None:
         records = [record(1, ret=0.4), refused]
         assert overruns(records) == 0 and ended_by_fault(records, "one") == [refused.z]
         assert best_without_fault(records, "one") is None
-
-
-def test_ratings_count_for_the_best_without_a_fault() -> None:
-    first, second = record(1, ret=0.4, z=PLACES[0]), record(2, ret=0.5)
-    assert best_without_fault([first, second], "one") == second
-    assert best_without_fault([first.with_rating(0.2), second], "one").number == 1

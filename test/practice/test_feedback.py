@@ -144,14 +144,6 @@ def test_ratings_add_up_and_no_return_falls_below_zero() -> None:
     assert practice.records[3].rated_return == 0.0 and practice.records[3].ret == 0.5
 
 
-def test_a_rating_says_the_return_before_and_after_it() -> None:
-    practice = started()
-    run(practice, 3, worth(0.5))
-    assert practice.rate(0.2).note.endswith("rewarded: return 0.500 -> 0.700")
-    assert practice.rate(-0.9).note.endswith("punished: return 0.700 -> 0.000")
-    assert practice.rate(0.3, 2).note.endswith("trial-0002 rewarded: return 0.500 -> 0.800")
-
-
 def test_a_person_has_a_say_in_which_demonstration_is_learnt_from() -> None:
     for liked, expected in ((1, "flick-1"), (2, "flick-2")):
         practice = started()
@@ -269,17 +261,6 @@ def test_demonstrations_that_do_not_fit_are_refused_with_a_reason() -> None:
     practice.add_demonstration(LATER)
     with pytest.raises(ValueError, match="'flick-9' already"):
         practice.add_demonstration(LATER)
-
-
-def test_events_out_of_place_are_refused() -> None:
-    practice = started()
-    run(practice, 3, worth(0.5))
-    rating = practice.rate(0.3)
-    fresh = started()
-    with pytest.raises(ValueError, match="rollout 3 is rated before it is recorded"):
-        fresh.apply(rating)
-    with pytest.raises(ValueError, match="takes effect after rollout 9 cannot follow rollout 3"):
-        practice.apply(rating.model_copy(update={"after": 9}))
 
 
 def session(folder: Path, rollouts: int) -> Path:

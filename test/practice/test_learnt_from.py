@@ -107,17 +107,6 @@ def test_errors_of_its_own_are_learnt_from_and_said(
             assert told == "the return" + (", corrected by height" if practised.gain else "")
 
 
-@pytest.mark.parametrize(("task", "name"), CASES)
-def test_what_the_tasks_themselves_learn_from_is_said(
-    task: type[Task], name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    told, practised = said(monkeypatch, task, name)
-    errors = ", ".join(error.name.replace("_", " ") for error in practised.learnt_errors())
-    plans = preset(task.name, name).learner in ("model_based", "corrections_only")
-    corrected = f"the return, corrected by {errors}" if practised.corrections else "the return"
-    assert told == (errors if plans else corrected)
-
-
 def test_the_example_of_a_return_of_its_own_learns_otherwise_than_the_flip(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

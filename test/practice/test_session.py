@@ -24,9 +24,8 @@ from toss_task import ANY_ARM, demonstrated_policy, practice_in, practice_of, to
 from wam_power_ros import durable_files
 from wam_power_ros.learning.policy import Policy, from_json, to_json
 from wam_power_ros.practice.practice import Practice
-from wam_power_ros.practice.session import ACKNOWLEDGED, Session, SessionHeader, read
+from wam_power_ros.practice.session import ACKNOWLEDGED, Session, read
 from wam_power_ros.practice.settings import preset
-from wam_power_ros.tasks.flip.assessment import Assessment
 
 CANDIDATES = [demonstrated_policy("flick-1", seed=1), demonstrated_policy("flick-2", seed=2)]
 SETTINGS = preset("flip", budget=24, retests=3)
@@ -123,15 +122,6 @@ def test_killed_at_any_boundary_or_within_a_line_it_goes_on_bit_identically(
             warned = [r for r in caplog.records if r.levelno == logging.WARNING]
             assert len(warned) == (length > 0)
             assert all(f"cut off {length} bytes after line {cut}" in r.message for r in warned)
-
-
-def test_a_resumed_session_writes_what_an_uninterrupted_one_writes(tmp_path: Path) -> None:
-    whole = begun(tmp_path / "whole", 99) / "rollouts.jsonl"
-    pieces = begun(tmp_path / "pieces", 2)
-    while not practice_in(pieces).finished:
-        with Session.open(pieces) as session:
-            go_on(session, session.practice(ANY_ARM), 5)
-    assert (pieces / "rollouts.jsonl").read_bytes() == whole.read_bytes()
 
 
 WRITER = """
@@ -302,13 +292,9 @@ def test_a_malformed_line_is_named_and_nothing_is_changed(tmp_path: Path) -> Non
     record = json.loads(lines[1])
     for damaged, reason in [
         (b"{broken\n", "line 2: the line is not JSON"),
-        (b"\n", "line 2: the line is not JSON"),
         (b"\xff\xfe\n", "line 2: 'utf-8' codec"),
         (b"[]\n", "line 2: Input should be"),
-        (b"NaN\n", "line 2: .* NaN is not a finite number"),
         (json.dumps({**record, "ret": -1.0}).encode() + b"\n", "line 2: ret = -1.0: Input"),
-        (json.dumps({**record, "ret": "high"}).encode() + b"\n", "line 2: ret = 'high': Input"),
-        (json.dumps({**record, "extra": 1}).encode() + b"\n", "line 2: extra = 1: "),
         (json.dumps({**record, "schema": "x/2"}).encode() + b"\n", "line 2: schema = 'x/2': "),
         (lines[0], "line 2: rollout 1 cannot follow rollout 1"),
     ]:
@@ -330,10 +316,7 @@ def test_a_malformed_line_is_named_and_nothing_is_changed(tmp_path: Path) -> Non
     ("change", "reason"),
     [
         ({"seed": -1}, "seed = -1: Input should be greater"),
-        ({"seed": None}, "seed = None: "),
         ({"schema": "wam_power_ros/session/9"}, "schema = 'wam_power_ros/session/9': "),
-        ({"candidates": []}, r"candidates = \[\]: "),
-        ({"surprise": 1}, "surprise = 1: Extra inputs"),
         ({"settings": {"task": "flip"}}, "settings.task_settings: Field required"),
         ({"settings": {"task": "fly", "learner": "power"}}, "settings: .*task 'fly' is not one of"),
         (
@@ -385,31 +368,6 @@ def test_a_reader_sees_the_old_policy_or_the_new_one(tmp_path: Path) -> None:
     assert sorted(path.name for path in folder.iterdir()) == [
         ".lock", "bags", "candidates", "policy.json", "rollouts.jsonl", "session.yaml", "task.json"
     ]  # fmt: skip
-
-
-def test_a_session_that_practice_would_refuse_is_not_begun(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="different ids"):
-        Session.begin(tmp_path / "s", SETTINGS, 0, [CANDIDATES[0]] * 2)
-    assert not (tmp_path / "s").exists()
-
-
-def test_every_setting_is_in_the_header(tmp_path: Path) -> None:
-    folder = begun(tmp_path / "s")
-    written = yaml.safe_load((folder / "session.yaml").read_text())
-    assert set(written["settings"]) == set(type(SETTINGS).model_fields)
-    assert SessionHeader.model_validate(written).settings == SETTINGS
-
-
-def test_an_aborted_rollout_is_logged_with_its_reason(tmp_path: Path) -> None:
-    folder = begun(tmp_path / "s")
-    with Session.open(folder) as session:
-        practice = session.practice(ANY_ARM)
-        trial = practice.next_trial()
-        session.append(
-            practice.learn_assessed(trial, Assessment(None, why="the pancake was never seen"))
-        )
-    (record,) = read(folder).records
-    assert not record.learnt and record.ret is None and record.why == "the pancake was never seen"
 
 
 @pytest.mark.requirement("S-69")

@@ -282,7 +282,7 @@ def test_sessions_of_a_policy_below_the_rate_are_rarely_confirmed_in_any_of_thei
     expected: float,
 ) -> None:
     """60 rollouts of a policy of 0.9 with three margins; scattering as expected, or 1.4 times."""
-    rng, wrong, runs = np.random.default_rng(3), 0, 500
+    rng, wrong, runs = np.random.default_rng(3), 0, 200
     for _ in range(runs):
         stopping = rule(29, scatter=(expected,) * 3)
         for margins in norm.ppf(0.9 ** (1.0 / 3.0)) + rng.standard_normal((60, 3)):
@@ -326,7 +326,7 @@ def test_policies_below_the_rate_are_rarely_confirmed_by_their_margins(
     """
     rng = np.random.default_rng(alike)
     scatter = () if expected is None else (expected,) * 3
-    wrong, runs = 0, 4000
+    wrong, runs = 0, 1000
     share = 0.9 ** (1.0 / alike)
     for _ in range(runs):
         rows = np.full((40, 3), 9.0) + rng.standard_normal((40, 3))

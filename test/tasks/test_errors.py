@@ -204,18 +204,6 @@ def test_errors_are_planned_on_only_where_what_moves_them_is_learnt() -> None:
     assert TASK.error_model(plain, lambda policy: None) is None
 
 
-def test_an_error_is_shown_in_millimetres_degrees_or_its_own_unit() -> None:
-    shown = [Error("miss_x", "m", 0.01).shown(0.0123), Error("a", "rad", 0.1).shown(0.1)]
-    shown += [Error("b", "s", 1.0).shown(1.5), Error("b", "s", 1.0).shown(None)]
-    assert shown == ["miss x 12.3 mm", "a 5.7°", "b 1.5 s", "b unknown"]
-
-
-@pytest.mark.parametrize("name", ["shift_x", "vigour", "tempo"])
-def test_a_known_effect_is_explored_with_a_fifth_of_its_step(name: str) -> None:
-    parametrization = Parametrization(POLICY, [Effect(name, 0.2, {}).direction(POLICY)])
-    np.testing.assert_allclose(parametrization.scale, [0.04])
-
-
 def test_an_error_is_told_from_its_target_in_tolerances_and_from_zero_without_one() -> None:
     errors = [Error("a", "m", 0.1, target=0.5), Error("b", "m", 0.1), Error("c", "m", 0.1)]
     np.testing.assert_allclose(told(errors, {"a": 0.6, "b": 0.3}), [1.0, 3.0, np.nan])

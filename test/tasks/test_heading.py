@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from toss_task import demonstrated_policy
 
 from hardware_sim.scenes import scene_type
 from hardware_sim.settings import WorldSettings
@@ -74,11 +73,6 @@ def test_the_heading_is_that_of_the_demonstration_rounded_to_a_step(
     assert math.cos(found - steps * STEP) == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_movement_in_the_x_z_plane_has_a_heading_of_zero(kind: type[Task]) -> None:
-    assert kind.context_of([SHOWN[kind]], None) == {"heading": 0.0}
-
-
 def assert_same(found: Policy, expected: Policy) -> None:
     for name in ("stiffness", "attractors", "rotation_attractors"):
         np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-9)
@@ -127,17 +121,6 @@ def test_what_goes_along_its_heading_is_seen_along_x_and_level() -> None:
     np.testing.assert_allclose(rotations.matrix(seen.quat_xyzw), [np.eye(3)] * 3, atol=1e-12)
 
 
-def test_what_is_turned_and_turned_back_is_the_same() -> None:
-    policy = demonstrated_policy()
-    assert_same(seen_from(seen_from(policy, 0.7), -0.7), policy)
-    assert seen_from(policy, 0.0).stiffness.tobytes() == policy.stiffness.tobytes()
-    environment = Environment(World(scene_type("flip"), WorldSettings(), 3))
-    rollout = environment.run(policy)[0]
-    back = turned(turned(rollout, 0.7), -0.7)
-    assert isinstance(back, Rollout) and turned(rollout, 0.0) is rollout
-    np.testing.assert_allclose(back.tool.position, rollout.tool.position, atol=1e-12)
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_demonstrations_in_different_directions_are_refused(kind: type[Task]) -> None:
     shown, aside = SHOWN[kind], about(SHOWN[kind], (0.0, 0.0, math.radians(70.0)))
@@ -174,29 +157,6 @@ def test_a_swing_in_no_plane_is_refused() -> None:
     round_about = shown.velocity + np.roll(shown.velocity[:, [1, 0, 2]], 200, axis=0)
     with pytest.raises(ValueError, match="across its plane"):
         heading([replace(shown, velocity=round_about)], forward_of_stroke)
-
-
-@pytest.mark.parametrize("heading", [math.radians(120.0), math.pi])
-def test_a_demonstrator_goes_where_the_scene_says(heading: float) -> None:
-    environment = Environment(World(scene_type("ball_in_cup"), WorldSettings(), 1))
-    scene = environment.world.scene
-    scene.heading = lambda position: heading
-    script = scene.script(np.random.default_rng(1))
-    recorded = environment.demonstrate(script, "taught")
-    shown = from_joint_samples(environment.arm, *recorded)
-    found = BallInCup.context_of([shown], None)["heading"]
-    assert math.cos(found - heading) == pytest.approx(1.0)
-
-
-@pytest.mark.parametrize("joint_1", [-90.0, 30.0])
-def test_a_toss_with_the_arm_turned_at_its_base_is_learnt(joint_1: float) -> None:
-    from reproduction.studies import flip_sessions, grounds
-
-    home = [math.radians(joint_1), *scene_type("flip")(WorldSettings()).home[1:]]
-    own = {**grounds.arguments("novice"), "condition": {"home": home}}
-    found = flip_sessions.session(5, "model_based", changes={"budget": 20, "retests": 5}, **own)
-    assert found["confirmed"]
-    assert sum(each["true_flip"] for each in found["retests"]) >= 4
 
 
 def test_frames_before_the_start_are_turned_with_the_others() -> None:

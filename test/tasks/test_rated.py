@@ -59,23 +59,6 @@ def test_without_a_rating_there_is_no_return_and_after_a_fault_of_the_policy_one
     assert task.assess(POLICY, rollout(POLICY.id, fault=fault)).ret == 0.0
 
 
-def test_ratings_of_a_person_who_errs_in_one_of_ten_lead_the_movement_where_it_should_go() -> None:
-    """The end of the movement is to be 7 cm elsewhere; a person sees that to a ninth."""
-    left = []
-    for seed in range(1000, 1007):
-        rng = np.random.default_rng(seed)
-        aside = rng.standard_normal(3)
-        wanted = POLICY.attractors[-1] + 0.07 * aside / np.linalg.norm(aside)
-        practice = Practice(preset("rated", budget=60), {}, [POLICY], seed, ANY_ARM)
-        while (trial := practice.next_trial()) is not None:
-            off = float(np.linalg.norm(trial.policy.attractors[-1] - wanted))
-            value = round(9.0 * max(0.0, 1.0 - off / 0.15)) / 9.0
-            value = float(rng.integers(10)) / 9.0 if rng.random() < 0.1 else value
-            practice.learn_assessed(trial, assessed(value))
-        left.append(np.linalg.norm(practice.best.policy.attractors[-1] - wanted) / 0.07)
-    assert np.median(left) < 0.4
-
-
 def test_a_session_without_a_person_is_refused(refusal: Callable[..., str]) -> None:
     said = refusal("learn", "--in-process", "--task", "rated", "--session", "s")
     assert "a person rates the task rated" in said

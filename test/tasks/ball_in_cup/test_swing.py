@@ -15,7 +15,6 @@ from wam_power_ros.tasks.ball_in_cup.swing import (
     GRAVITY,
     PLANE,
     STRING,
-    Swing,
     in_cup,
     landing,
     observe_swing,
@@ -124,12 +123,3 @@ def test_the_first_pass_that_touches_the_cup_counts_or_else_the_nearest(
     beside: tuple[float, ...], counts: int
 ) -> None:
     assert landing(passes(*beside)) == 2 * counts + 2
-
-
-def test_a_swing_below_the_rim_has_no_landing() -> None:
-    assert landing(passes()) is None
-
-
-def test_a_swing_survives_its_log() -> None:
-    for swing in (Swing(0.2, 2.1, (0.01, -0.02), True), Swing(-0.3, None, None, False)):
-        assert swing_of(swing.to_json()) == swing

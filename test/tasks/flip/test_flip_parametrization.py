@@ -26,28 +26,25 @@ def moved(group: str, value: float) -> tuple[Policy, Policy]:
     return p.policy0, p.policy(z, "a")[0]
 
 
-def test_the_catch_shift_moves_the_last_three_attractors_outward() -> None:
-    before, after = moved("catch_shift", 5.0)  # 0.1 m
-    shift = after.attractors - before.attractors
-    np.testing.assert_allclose(shift[:, 0], [0, 0, 0, 0, 0, 0.05, 0.1, 0.1], atol=1e-12)
-    assert not shift[:, 1:].any()
-    np.testing.assert_array_equal(after.rotation_attractors, before.rotation_attractors)
-
-
-def test_the_side_shift_moves_the_last_three_attractors_aside() -> None:
-    before, after = moved("side_shift", 5.0)  # 0.1 m
-    shift = after.attractors - before.attractors
-    np.testing.assert_allclose(shift[:, 1], [0, 0, 0, 0, 0, 0.05, 0.1, 0.1], atol=1e-12)
-    assert not shift[:, [0, 2]].any()
-    np.testing.assert_array_equal(after.rotation_attractors, before.rotation_attractors)
-
-
-def test_the_catch_pitch_lowers_the_front_of_the_pan_that_catches() -> None:
-    before, after = moved("catch_pitch", 2.0)  # 0.1 rad
-    turn = after.rotation_attractors - before.rotation_attractors
-    np.testing.assert_allclose(turn[:, 1], [0, 0, 0, 0, 0, 0.05, 0.1, 0.1], atol=1e-12)
-    assert not turn[:, [0, 2]].any()
-    np.testing.assert_array_equal(after.attractors, before.attractors)
+@pytest.mark.parametrize(
+    ("group", "sds", "name", "axis"),
+    [  # each moves by 0.1, outward, aside, or lowers the front of the pan that catches
+        ("catch_shift", 5.0, "attractors", 0),
+        ("side_shift", 5.0, "attractors", 1),
+        ("catch_pitch", 2.0, "rotation_attractors", 1),
+    ],
+)
+def test_what_moves_the_catch_moves_the_last_three_attractors_along_one_axis(
+    group: str, sds: float, name: str, axis: int
+) -> None:
+    before, after = moved(group, sds)
+    for other in ("attractors", "rotation_attractors"):
+        change = getattr(after, other) - getattr(before, other)
+        if other == name:
+            ramp = [0, 0, 0, 0, 0, 0.05, 0.1, 0.1]
+            np.testing.assert_allclose(change[:, axis], ramp, atol=1e-12)
+            change[:, axis] = 0.0
+        assert not change.any()
 
 
 def test_the_flick_enlarges_the_demonstrated_turn() -> None:

@@ -15,9 +15,6 @@ from wam_power_ros.tasks.flip.frames import (
     PANCAKE_RADIUS,
     Frames,
     frames_from_pan,
-    interpolate,
-    pan_normal,
-    unit,
 )
 
 PAN = np.array([0.6, 0.1, 0.9])
@@ -155,26 +152,6 @@ def test_a_pancake_beside_the_pan_or_on_edge_does_not_rest_in_it() -> None:
     quat = np.where(end[:, None], tilted, path.quat_xyzw)
     assert not resting(replace(path, quat_xyzw=quat))
     assert not resting(without(path, end))
-
-
-def test_positions_between_samples_are_interpolated_column_by_column() -> None:
-    times, values = np.array([0.0, 1.0]), np.array([[0.0, 1.0, 2.0], [2.0, 1.0, 0.0]])
-    assert interpolate(0.25, times, values) == pytest.approx([0.5, 1.0, 1.5])
-    assert interpolate(np.array([0.0, 0.5]), times, values) == pytest.approx(
-        np.array([[0.0, 1.0, 2.0], [1.0, 1.0, 1.0]])
-    )
-
-
-def test_the_normal_of_the_pan_is_its_third_axis_and_turns_between_samples() -> None:
-    vectors = np.array([[0.0, 0.0, 0.0], [0.0, 0.4, 0.0]])
-    pan = EndEffectorPath("t", [0.0, 1.0], np.zeros((2, 3)), rotations.quat_of_vector(vectors))
-    expected = [math.sin(0.2), 0.0, math.cos(0.2)]
-    assert pan_normal(pan, np.array([0.5]))[0] == pytest.approx(expected, abs=1e-9)
-
-
-def test_zeros_have_no_direction_and_stay_zeros() -> None:
-    assert unit(np.array([0.0, 3.0, 4.0])) == pytest.approx([0.0, 0.6, 0.8])
-    assert not unit(np.zeros(3)).any()
 
 
 def test_the_side_up_is_seen_before_the_start_and_never_after_the_flight() -> None:

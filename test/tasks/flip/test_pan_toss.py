@@ -146,12 +146,12 @@ def test_a_rim_that_is_drawn_back_brakes_the_spin_of_the_pancake_at_it() -> None
     assert braked["rotation"] + math.pi < 0.9 * (free["rotation"] + math.pi)
 
 
-@pytest.mark.parametrize("size", [0.9, 1.0, 1.3])
+@pytest.mark.parametrize("size", [1.0, 1.3])
 def test_the_toss_is_that_of_a_simulated_disc(size: float) -> None:
     """Pans are carried along the flicks of a hand, in MuJoCo and in the model."""
     pancake = Pancake(radius=size * PANCAKE_RADIUS, spin_decay=0.4 * size**3)
     turns, landings = [], []
-    for seed in range(4):
+    for seed in range(2):
         for pitch_rate in (6.0, 9.0):
             pan = _flick(seed, pitch_rate)
             toss, (angle, landing) = predict_toss(pan, pancake=pancake), _simulated(pan, size)

@@ -16,7 +16,7 @@ from wam_power_ros.tasks.errors import told
 from wam_power_ros.tasks.flip import task as flip_task
 from wam_power_ros.tasks.flip.pan_toss import PANCAKE, Pancake, predict_toss
 from wam_power_ros.tasks.flip.task import Flip
-from wam_power_ros.tasks.flip.toss_errors import ERRORS, SLOWED, measured_errors
+from wam_power_ros.tasks.flip.toss_errors import ERRORS, SLOWED
 
 TURN_TOLERANCE, LANDING_TOLERANCE, _, LEVEL_TOLERANCE = (error.tolerance for error in ERRORS[:4])
 SETTINGS = preset("flip").task_settings
@@ -37,14 +37,6 @@ def test_a_measured_error_is_in_tolerances_and_has_no_landing_without_a_toss() -
     assert task.error(None) is None
     turn, *catch = task.error({**flight, "tossed": False, "angle": 0.0})
     assert turn == pytest.approx(-math.pi / TURN_TOLERANCE) and np.isnan(catch).all()
-
-
-def test_an_error_that_was_not_seen_is_unknown_and_a_toss_that_was_not_made_lacks_its_turn() -> (
-    None
-):
-    assert measured_errors({"tossed": True, "seen": False}) is None
-    for seen in (True, False):
-        assert measured_errors({"tossed": False, "seen": seen}) == {"rotation": -math.pi}
 
 
 @pytest.mark.parametrize(("miss", "climb"), [(0.05, 0.01), (0.09, 0.01), (0.05, 0.03)])

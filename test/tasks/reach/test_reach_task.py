@@ -8,8 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from reproduction.studies.reaching_runs import generator, learn_many
-from reproduction.studies.reaching_scenario import Scenario, midpoint
+from reproduction.studies.reaching_scenario import midpoint
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.demonstration import Demonstration, from_positions
 from wam_power_ros.learning.rollout import EndEffectorPath, Rollout
@@ -132,23 +131,3 @@ def test_a_table_names_the_distance_and_the_contact() -> None:
     assert task().outcome(unseen) == "cut short"
     unseen.fault = "stopped"
     assert task().outcome(unseen) == "fault: stopped"
-
-
-def test_the_default_learns_to_pass_an_obstacle_at_which_nearly_all_rollouts_begin() -> None:
-    s = minimum_jerk(450)[60:440]  # as a recording is cut
-    arc = np.outer(np.sin(np.pi * s), [0.0, 0.0, 0.06])
-    demonstration = from_positions(arc + np.outer(s, [0.01, 0.5, 0.0]) + [0.7, -0.25, 0.6], 0.004)
-    obstacle = region_of("obstacle", [*midpoint(resampled([demonstration])), 0.09])
-    context = Reach.context_of([demonstration], obstacle)
-    policy = Reach.policy_of([demonstration], "trial-0001")
-    scenario = Scenario(resampled([demonstration]), policy, demonstration.position[0])
-    stuck = {}
-    for name in ("reach", "full"):
-        settings = preset("reach", name)
-        practised = Reach(settings.task_settings, context)
-        parameters = practised.parametrization(policy)
-        size, budget = parameters.size, settings.practice.budget
-        learners = [settings.make_learner(size, generator(seed)) for seed in range(40)]
-        runs = learn_many(learners, parameters, scenario, budget)
-        stuck[name] = np.mean([run.stuck for run in runs])
-    assert stuck["reach"] < 0.05 < stuck["full"]  # of PoWER as in the paper
