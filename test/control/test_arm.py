@@ -46,10 +46,6 @@ def test_the_tool_plate_agrees_with_barretts_kinematics(
     assert np.allclose(plate.tool_pose(q)[0], expected, atol=1e-7)
 
 
-def test_the_pan_is_level_at_home(arm: Arm) -> None:
-    assert np.allclose(arm.tool_pose(HOME)[1], np.eye(3), atol=1e-6)
-
-
 def test_the_jacobian_is_the_derivative_of_the_pose(arm: Arm) -> None:
     for q, qd in states(5):
         step = 1e-6

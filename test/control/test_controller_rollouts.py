@@ -17,7 +17,6 @@ from rigid_arm import (
     make,
     make_policy,
     run,
-    tool,
 )
 
 from wam_power_ros import rotations
@@ -95,43 +94,6 @@ def test_a_rollout_through_the_wrist_singularity_stays_calm() -> None:
     assert controller.mode is Mode.HOLD, controller.latched
     assert deviation(crossed, policy)[0] < 0.01
     assert controller.counters["limited"] < 150
-
-
-@pytest.mark.parametrize(("turn", "mode"), [(1.8, Mode.HOLD), (2.4, Mode.FAULT)])
-def test_the_pan_may_rotate_up_to_the_limit_of_its_law(turn: float, mode: Mode) -> None:
-    turning = np.zeros((8, 3))
-    turning[:, 0] = np.linspace(0.0, turn, 8)  # about the handle [rad]
-    still = make_policy(size=0.0)
-    policy = Policy(**{**vars(still), "rotation_attractors": turning})
-    controller, plant = begin(controller=make(policy))
-    result = rollout(controller, plant)
-    assert controller.mode is mode, controller.latched
-    if mode is Mode.HOLD:
-        assert plant.q[6] == pytest.approx(1.8, abs=0.05)
-        assert deviation(result, policy)[1] < 3.0
-    else:
-        assert "rotated by" in controller.latched.text
-
-
-def test_the_path_covers_movement_and_settling_and_is_returned_once() -> None:
-    controller, plant = begin()
-    stamp = plant.stamp
-    result = rollout(controller, plant)
-    assert result.path.id == "trial-0001"
-    assert np.allclose(result.path.t, np.arange(181) * 0.01)
-    assert np.allclose(result.path.position, result.position[::5][:181], atol=1e-12)
-    assert np.allclose(rotations.matrix(result.path.quat_xyzw[40]), result.rotation[200])
-    assert controller.rollout_stamp_ns == stamp
-    assert controller.take_finished() is None
-
-
-def test_the_pan_stays_where_the_rollout_ended() -> None:
-    controller, plant = begin(sensing=True, delay=2, friction=1.0)
-    rollout(controller, plant)
-    end = tool(plant)
-    torques = run(controller, plant, 1.0)
-    assert np.linalg.norm(tool(plant) - end) < 1e-3
-    assert np.abs(np.diff(torques, axis=0)).max() < 1.5  # no jump [N m per period]
 
 
 def test_an_aborted_rollout_leaves_a_shorter_path() -> None:

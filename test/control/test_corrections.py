@@ -64,20 +64,6 @@ def test_a_driver_that_adds_gravity_adds_that_of_the_urdf_and_the_rest_is_sent()
     assert np.allclose(held, wanted)
 
 
-@pytest.mark.parametrize(
-    "values",
-    [
-        {"zeros": [0.0, 0.05, 0.0, 0.0, 0.0, 0.0, 0.0]},
-        {"payload": [0.3, 0.0, 0.0, 0.0]},
-        {"base_tilt": [0.0, 0.05]},
-        {"link_masses": [1.0, 1.0, 1.0, 1.1, 1.0, 1.0, 1.0]},
-    ],
-    ids=str,
-)
-def test_no_correction_changes_what_a_driver_adds(values: dict[str, object]) -> None:
-    assert np.array_equal(arm(**values).driver_gravity(Q), PLAIN.gravity(Q))
-
-
 def test_friction_may_be_larger_in_one_direction_and_at_low_speed() -> None:
     uneven = arm(friction_asymmetry=[0.1] * 7, low_speed_friction=[0.2] * 7)
     fast = np.full(7, 2.0)

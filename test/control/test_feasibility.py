@@ -107,13 +107,6 @@ def test_the_whole_movement_is_simulated_whether_or_not_a_region_would_end_it(ar
     assert ended.fault is None and ended.tool_peak == whole.tool_peak > 0.1
 
 
-def test_the_margin_decides_what_is_too_fast(arm: Arm, free: Feasibility) -> None:
-    policy = lift(arm, 0.25)
-    share_used = float((free.qd_peak / arm.qd_max).max())
-    assert free.fault is None and share_used > 0.1
-    assert simulate_policy(arm, SETTINGS, policy, margin=0.8 * share_used).fault
-
-
 def test_each_overrun_lowers_the_usable_share_of_the_speed_limits() -> None:
     margins = [speed_margin(overruns) for overruns in range(10)]
     assert margins[0] == pytest.approx(0.9)

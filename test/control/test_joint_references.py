@@ -131,15 +131,6 @@ def test_a_recorded_movement_may_begin_at_any_stamp_and_take_ten_minutes() -> No
     assert interpolated(np.arange(5.0) * 150.0, np.zeros((5, 7)), 0.1).duration == 600.0
 
 
-@pytest.mark.parametrize("duration", [0.1029, 0.103, 0.1031])
-def test_a_movement_is_not_continued_beyond_its_last_sample(duration: float) -> None:
-    t = np.linspace(0.0, duration, 20)
-    q = HOME + np.outer(t, np.ones(7))
-    movement = interpolated(t, q, 0.002)
-    assert np.all(movement.q <= q[-1] + 1e-12)
-    np.testing.assert_allclose(movement.at(duration)[0], q[-1], atol=0.001 + 1e-9)
-
-
 @pytest.mark.parametrize("speed", [0.3, 0.7])
 def test_a_move_and_a_brake_end_bit_for_bit_at_rest_in_their_last_instant(speed: float) -> None:
     goal = HOME + np.linspace(-0.7, 0.9, 7) / 3.0

@@ -84,13 +84,6 @@ def test_an_invalid_speed_is_refused(speed: float) -> None:
         movement(*recording(), speed)
 
 
-def test_a_recording_with_a_gap_is_refused() -> None:
-    stamps_ns, q = recording()
-    kept = np.r_[0:400, 600:1001]
-    with pytest.raises(ValueError, match=r"gap of 0\.4"):
-        movement(stamps_ns[kept], q[kept], 1.0)
-
-
 def test_too_fast_a_replay_is_refused_with_the_largest_possible_speed() -> None:
     t, q = movement(*reader.read_demonstration(REACH, NAMES), 1.0)
     with pytest.raises(ControllerError, match="times a joint-speed limit") as refused:

@@ -126,13 +126,6 @@ def test_an_arm_that_nobody_touches_stays_under_the_torque_that_held_it(torque: 
     assert np.abs(plant.q - held).max() < 0.02
 
 
-def test_a_guided_arm_is_carried_by_its_model_where_that_is_right() -> None:
-    controller, plant = begin()
-    controller.set_gravity_compensation(True)
-    tau = run(controller, plant, 0.1)[-1]
-    np.testing.assert_allclose(tau, MODEL.gravity(HOME), atol=1e-6)
-
-
 @pytest.mark.parametrize(("way", "kept"), [(0.001, True), (0.01, False)])
 def test_an_arm_that_is_put_elsewhere_while_it_is_taught_is_carried_by_its_model(
     way: float, kept: bool

@@ -17,7 +17,6 @@ from wam_power_ros.learning.learner import (
     Rollouts,
     best_first,
     generator_state,
-    weighted_mean,
 )
 from wam_power_ros.learning.power import Power
 from wam_power_ros.learning.shaped_power import ShapedPower
@@ -163,16 +162,6 @@ def test_returns_that_are_all_zero_are_survived(
 
 
 @every_learner
-def test_the_scale_of_returns_does_not_matter(found: LearnerClass, values: dict[str, Any]) -> None:
-    learners = [started(found, values, 3) for _ in range(2)]
-    for _ in range(30):
-        for learner, factor in zip(learners, (1.0, 2.0**-30), strict=True):
-            z = learner.ask()
-            learner.tell(z, factor * hill(z))
-    np.testing.assert_allclose(learners[0].mean, learners[1].mean, rtol=1e-9, atol=1e-12)
-
-
-@every_learner
 def test_a_learner_without_parameters_or_with_an_unused_model_is_refused(
     found: LearnerClass, values: dict[str, Any]
 ) -> None:
@@ -218,12 +207,6 @@ def test_rollouts_that_were_given_out_neither_change_nor_can_be_changed() -> Non
 
 def test_of_equal_returns_the_later_rollout_comes_first() -> None:
     assert best_first(np.array([0.2, 0.9, 0.2, 0.9, 0.1])).tolist() == [3, 1, 2, 0, 4]
-
-
-def test_a_weighted_mean_is_that_of_numpy() -> None:
-    rows, weights = rng(0).standard_normal((5, 3)), rng(1).uniform(0.1, 1.0, 5)
-    expected = np.average(rows, axis=0, weights=weights)
-    np.testing.assert_allclose(weighted_mean(rows, weights), expected, rtol=1e-12)
 
 
 def test_the_state_of_a_generator_restores_it_and_other_generators_are_refused() -> None:

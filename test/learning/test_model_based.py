@@ -226,16 +226,6 @@ def test_where_a_rejected_plan_has_come_back_to_the_best_rollout_power_draws() -
     assert min(np.linalg.norm(z) for z in asked) > 0.3, "never the rollout again"
 
 
-def test_the_same_rollouts_and_draws_give_the_same_plans() -> None:
-    def bent(z: np.ndarray) -> np.ndarray:
-        return error(z) + 3.0 * np.sin(z[:2])
-
-    learners = [learner_of(LinearModel(limit=6.0)) for _ in range(2)]  # so near, it probes
-    practise(learners[0], 6, bent)
-    practise(learners[1], 6, bent)
-    np.testing.assert_array_equal(learners[0].mean, learners[1].mean)
-
-
 def test_a_learner_without_error_model_is_refused() -> None:
     with pytest.raises(ValueError, match="ModelBased needs a model"):
         ModelBased(SIZE, ModelBased.Settings(), rng(0))

@@ -46,17 +46,6 @@ def parametrization(variant: str, seed: int = 0) -> Parametrization:
     return of(variant, LIFT, TWIST, seed=seed)
 
 
-@pytest.mark.parametrize(
-    ("variant", "size"),
-    [("full", 98), ("diagonal", 50), ("symmetric", 74), ("attractors", 26), ("planar", 50)],
-)
-def test_each_variant_has_the_parameters_it_says(variant: str, size: int) -> None:
-    p = parametrization(variant)
-    assert p.size == size == len(p.theta0) == len(p.scale)
-    covered = np.concatenate([np.arange(size)[group] for group in p.groups.values()])
-    np.testing.assert_array_equal(np.sort(covered), np.arange(size))
-
-
 @variants
 def test_zero_is_the_demonstrated_policy_bit_for_bit(variant: str) -> None:
     p = parametrization(variant)

@@ -111,8 +111,3 @@ def test_without_a_positive_return_the_mean_stays_at_zero() -> None:
     assert not learner.mean.any()
     learner.tell(2.0 * np.ones(3), 1e-300)
     np.testing.assert_array_equal(learner.mean, 2.0 * np.ones(3))
-
-
-def test_weights_that_do_not_exist_are_refused() -> None:
-    with pytest.raises(ValueError, match="'rank' is not one of return, sharpened"):
-        power_update(np.zeros(5), *history(0), 6, "rank")

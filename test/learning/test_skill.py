@@ -46,25 +46,6 @@ def test_practice_improves_the_return_and_the_same_seed_gives_the_same(make: obj
     assert near(last.mean) > 1.2 * first.ret
 
 
-def test_the_learner_that_is_given_is_asked_and_told() -> None:
-    told = []
-
-    class Still:
-        def __init__(self, size: int) -> None:
-            self.mean = np.zeros(size)
-
-        def ask(self) -> np.ndarray:
-            return self.mean
-
-        def tell(self, z: np.ndarray, ret: float) -> None:
-            told.append((z, ret))
-
-    rng, policy = np.random.default_rng(0), power.fit(T, X)
-    tried = power.practise(near, policy, rng, rollouts=3, learner=lambda n, _: Still(n))
-    assert [attempt.ret for attempt in tried] == [ret for _, ret in told]
-    assert len({ret for _, ret in told}) == 1
-
-
 @pytest.mark.parametrize(
     ("t", "x", "why"),
     [

@@ -6,7 +6,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from toss_task import demonstrated_policy
@@ -16,7 +15,6 @@ from wam_power_ros.practice.best_policy import (
     best_without_fault,
     choose_best,
     ended_by_fault,
-    lower_bound,
     overruns,
 )
 from wam_power_ros.practice.session_log import Record
@@ -54,21 +52,6 @@ def several(*runs: tuple[list[float], list[float]]) -> list[Record]:
     """Records of the means at some coordinates, with their returns."""
     each = [(z, ret) for z, returns in runs for ret in returns]
     return [record(number, z=z, ret=ret) for number, (z, ret) in enumerate(each, start=1)]
-
-
-@pytest.mark.parametrize(
-    ("returns", "noise", "bound"),
-    [
-        ([0.6], 0.2, 0.4),
-        ([0.5, 0.7, 0.6, 0.6], 0.2, 0.5),  # 0.2 / sqrt(4)
-        ([0.3] * 100, 0.5, 0.25),
-        ([0.2, 0.4], 0.0, 0.3),
-    ],
-)
-def test_the_lower_bound_is_the_mean_minus_its_standard_error(
-    returns: list[float], noise: float, bound: float
-) -> None:
-    assert lower_bound(returns, noise) == pytest.approx(bound)
 
 
 def test_more_runs_count_more_than_one_that_was_lucky_and_the_later_policy_wins_a_tie() -> None:

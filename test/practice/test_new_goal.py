@@ -54,14 +54,6 @@ def test_a_goal_that_was_never_tried_is_attained_by_the_first_rollout_and_confir
     assert all(record.success for record in practice.records)
 
 
-def test_what_made_the_answer_succeed_is_kept(origin: Practice) -> None:
-    policy, answer = predicted(origin, GOALS[0])[0], origin.best.policy
-    np.testing.assert_array_equal(policy.stiffness, answer.stiffness)
-    np.testing.assert_array_equal(policy.attractors[:-1], answer.attractors[:-1])
-    moved = policy.attractors[-1] - answer.attractors[-1]
-    assert np.abs(moved).argmax() == 1 and moved[1] == pytest.approx(0.1, abs=0.03)
-
-
 def test_a_goal_that_the_arm_cannot_reach_is_approached(origin: Practice) -> None:
     def too_far(policy: Policy) -> str:
         return "too far" * bool(policy.attractors[-1, 1] > 0.33)

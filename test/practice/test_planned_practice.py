@@ -13,7 +13,7 @@ from reproduction.rivals.learners import RIVALS
 from wam_power_ros.learning.learner import Prediction
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session_log import Line
-from wam_power_ros.practice.settings import SessionSettings, preset
+from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks import task as task_module
 from wam_power_ros.tasks.flip.parametrization import TURN_OF_FLICK, TURN_OF_TEMPO, TURN_OF_VIGOUR
 from wam_power_ros.tasks.flip.toss_errors import ERRORS
@@ -98,9 +98,3 @@ def test_a_task_without_a_vector_error_is_refused_by_name_before_anything_moves(
     refusal = f"learner '{name}' needs a model of the vector error, which task 'flip' with"
     with pytest.raises(ValueError, match=refusal):
         practice_of(CANDIDATES, settings, 0)
-
-
-def test_the_settings_of_the_session_keep_those_of_the_fallback() -> None:
-    changed = preset("flip", "model_based", learner={"fallback": {"sigma": 4}})
-    assert changed.learner_settings.fallback.sigma == 4
-    assert SessionSettings.model_validate(changed.model_dump(mode="json")) == changed

@@ -277,20 +277,6 @@ def test_a_row_that_would_be_much_longer_than_that_of_a_better_mean_ends() -> No
     assert ended == math.ceil((needed - 1 - ROW_MIN) / stopping_rule.SEARCH) - 1 > 0
 
 
-@pytest.mark.parametrize("expected", [1.0, 0.7])
-def test_sessions_of_a_policy_below_the_rate_are_rarely_confirmed_in_any_of_their_rows(
-    expected: float,
-) -> None:
-    """60 rollouts of a policy of 0.9 with three margins; scattering as expected, or 1.4 times."""
-    rng, wrong, runs = np.random.default_rng(3), 0, 200
-    for _ in range(runs):
-        stopping = rule(29, scatter=(expected,) * 3)
-        for margins in norm.ppf(0.9 ** (1.0 / 3.0)) + rng.standard_normal((60, 3)):
-            stopping.add(rollout(bool(margins.min() > 0.0), margins=margins.tolist()))
-        wrong += bool(stopping.complete)
-    assert wrong / runs < (0.06 if expected == 1.0 else 0.16)
-
-
 @pytest.mark.parametrize("unit", [0.01, 100.0])
 @pytest.mark.parametrize("scatter", [(), (1.0, 1.0)])
 def test_the_unit_of_the_margins_does_not_matter(unit: float, scatter: Sequence[float]) -> None:

@@ -31,9 +31,6 @@ class BrakeWithoutModel:
     which the computation failed, and its speed decays at `safety.FAULT_DAMPING`. Near the posture M
     decouples the joints, as in `JointControl`; the spring replaces the change of gravity while
     braking, which alone would let the arm creep away.
-
-    Args:
-        period: Sampling period of the states [s].
     """
 
     def __init__(self, arm: Arm, driver_compensates_gravity: bool, period: float = PERIOD) -> None:

@@ -34,9 +34,6 @@ class PayloadCheck:
     Attributes:
         refuted: True once a mass that was recognized turned out to be none: while its weight was
             carried, the estimate of the mass changed by more than half.
-
-    Args:
-        period: Sampling period of the states [s].
     """
 
     def __init__(self, arm: Arm, period: float = PERIOD) -> None:

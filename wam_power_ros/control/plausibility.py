@@ -73,11 +73,7 @@ class Interval(NamedTuple):
 
 
 class VelocityCheck:
-    """Compares the change of every position with its velocity.
-
-    Args:
-        period: Sampling period of the states [s].
-    """
+    """Compares the change of every position with its velocity."""
 
     def __init__(self, n: int, period: float = PERIOD) -> None:
         self._n = n

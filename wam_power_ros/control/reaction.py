@@ -117,9 +117,6 @@ class Reaction:
         known: Torque [N m] within which friction and model explain a difference. Shape (n,).
         alone: True while the model alone tells the motion, and no reported speed corrects it.
         was_held: True if the fault was found in a hold, so that `carried` has held the arm at rest.
-
-    Args:
-        period: Sampling period of the states [s].
     """
 
     def __init__(self, arm: Arm, motor_torque: MotorTorque, period: float = PERIOD) -> None:

@@ -337,11 +337,7 @@ def plane_fault(points: Mapping[str, Sequence[float]], limits: Limits) -> Fault 
 
 
 class MotionCheck:
-    """Compares every state with the motion limits of its mode.
-
-    Args:
-        period: Sampling period of the states [s].
-    """
+    """Compares every state with the motion limits of its mode."""
 
     def __init__(self, limits: Limits, guarded: Sequence[str], period: float = PERIOD) -> None:
         self._limits, self._guarded = limits, guarded

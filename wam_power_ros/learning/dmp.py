@@ -198,9 +198,6 @@ class FitSettings:
     k_min: float
     k_max: float
     damping: float  # kappa_V [1/s]
-    # Whether to solve the attractors again for the fitted K_i; if not, as in the paper's reference
-    # [21], they are those of the mean stiffness
-    refit: bool = True
     # Whether the rotation attractors hold the orientation of the end; with few spring-dampers they
     # otherwise trade it for the way there
     turn_to_end: bool = False
@@ -232,7 +229,7 @@ def fit(demonstrations: Sequence[Demonstration], settings: FitSettings, policy_i
        the subspace in which the demonstrations move. Orthogonal to it they contain no information
        on the stiffness, which is the geometric mean there; otherwise the axis of least variance
        would take the whole range.
-    4. With `refit`: all attractors are solved jointly for these K_i, so that Eq. 1, started at rest
+    4. All attractors are solved jointly for these K_i, so that Eq. 1, started at rest
        at the start of the demonstrations, follows them and stays at their end.
     5. With an `error`: the same again with twice as many spring-dampers, to at most `REFINED_MAX`,
        until Eq. 1 is that near the demonstrations.
@@ -283,8 +280,7 @@ def _fit(demonstrations: Sequence[Demonstration], settings: FitSettings, policy_
     y = xdd / mean_stiffness + xd * (settings.damping / mean_stiffness) + x
     attractors = np.linalg.lstsq(h, y, rcond=None)[0]  # (n, 3)
     stiffness = _fitted_stiffness(h, y, attractors, x, settings)
-    if settings.refit:
-        attractors = _fitted_attractors(basis, stiffness, settings.damping, demonstrations)
+    attractors = _fitted_attractors(basis, stiffness, settings.damping, demonstrations)
     target = omegad + ROTATION_DAMPING * omega + ROTATION_STIFFNESS * r
     target /= ROTATION_STIFFNESS
     if settings.turn_to_end:

@@ -82,17 +82,14 @@ def sample(
 
 
 def shrink(
-    z: np.ndarray,
-    ran: np.ndarray,
-    is_feasible: Callable[[np.ndarray], bool],
-    halvings: int | None = None,
+    z: np.ndarray, ran: np.ndarray, is_feasible: Callable[[np.ndarray], bool]
 ) -> tuple[np.ndarray, int]:
     """Halve the distance from `ran`, which ran without a fault, to z until z is feasible.
 
     Returns:
         Coordinates (size,), `ran` as the last resort, and the number of halvings.
     """
-    return _first(_halved(z, lambda: ran), is_feasible, halvings)
+    return _first(_halved(z, lambda: ran), is_feasible, None)
 
 
 def _halved(z: np.ndarray, ran: Callable[[], np.ndarray]) -> Iterator[np.ndarray]:

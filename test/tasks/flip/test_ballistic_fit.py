@@ -57,16 +57,6 @@ def test_the_arc_passes_through_the_true_path_whatever_the_air(air: float) -> No
         assert distance.max() < 0.0025
 
 
-def test_the_arc_uses_the_frames_in_the_air_and_no_others() -> None:
-    rng = np.random.default_rng(15)
-    truth = toss(rng, vz=2.4, half_turns=1.0)
-    path = capture(truth, rng)
-    arc = arc_through(truth, path)
-    assert np.array_equal(arc.t, path.t[arc.used])
-    assert arc.t[0] > truth.release
-    assert len(arc.t) >= 30.0 * (truth.t_f - truth.release) - 3.0
-
-
 def test_there_is_no_arc_through_fewer_than_two_frames_or_one_never_at_rest() -> None:
     rng = np.random.default_rng(15)
     truth = toss(rng, vz=2.4, half_turns=1.0)

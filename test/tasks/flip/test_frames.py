@@ -96,33 +96,6 @@ def test_the_normal_is_the_true_one_whatever_the_axes_of_the_tracked_body() -> N
     assert frames.normal == pytest.approx(true, abs=1e-4)
 
 
-def test_the_frames_at_rest_before_the_toss_end_where_the_pancake_turns_in_the_pan() -> None:
-    rng = np.random.default_rng(4)
-    truth = toss(rng, vz=2.3, half_turns=1.0)
-    path = capture(truth, rng)
-    frames = frames_from_pan(truth.pan, path)
-    before = int(np.sum(path.t < truth.release))
-    assert before - 2 <= frames.resting_frames <= before + 1
-    assert len(path.t) > 2 * before  # at the end it rests on its other side
-
-
-def test_one_bad_frame_before_the_toss_spoils_nothing() -> None:
-    rng = np.random.default_rng(18)
-    truth = toss(rng, vz=2.3, half_turns=1.0)
-    path = capture(truth, rng)
-    frames = frames_from_pan(truth.pan, path)
-    others = np.arange(len(path.t))
-    for k in range(4):
-        for shift in (0.0, 0.3):
-            position, quat = path.position.copy(), path.quat_xyzw.copy()
-            position[k, 0] += shift
-            quat[k] = [1.0, 0.0, 0.0, 0.0]
-            spoilt = frames_from_pan(truth.pan, replace(path, position=position, quat_xyzw=quat))
-            rest = others != k
-            assert spoilt.normal[rest] == pytest.approx(frames.normal[rest], abs=0.01)
-            assert np.array_equal(spoilt.flying[rest], frames.flying[rest])
-
-
 @pytest.mark.parametrize(("half_turns", "flipped"), [(0.1, False), (1.0, True), (1.9, False)])
 def test_what_lies_in_the_pan_at_the_end_is_seen(half_turns: float, flipped: bool) -> None:
     rng = np.random.default_rng(7)
