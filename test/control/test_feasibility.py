@@ -269,6 +269,15 @@ def test_motors_that_are_known_to_be_weak_change_what_is_sent_and_not_the_motion
     assert np.allclose(found.qd_peak, plain.qd_peak, rtol=1e-6)
 
 
+def test_an_arm_that_takes_positions_is_foreseen_behind_them_by_its_servo(arm: Arm) -> None:
+    policy, told = lift(arm, 0.1), {"set_point_period": 0.002, "servo_delay": 0.04}
+    ahead, late = (
+        foresee(arm, SETTINGS.model_copy(update=update), policy).tool.position
+        for update in ({}, told)
+    )
+    np.testing.assert_allclose(late[20:], ahead[:-20], atol=1e-9)
+
+
 def test_a_measured_delay_of_the_loop_is_simulated(arm: Arm) -> None:
     def peaks(delay: float) -> np.ndarray:
         settings = ControllerSettings(loop_delay=delay)

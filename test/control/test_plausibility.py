@@ -251,8 +251,7 @@ def test_a_contact_of_30_newtons_stops_a_replay_within_60_milliseconds(
 
 
 @pytest.mark.requirement("S-93")
-@pytest.mark.parametrize("friction", [0.5, 2.0])
-@pytest.mark.parametrize("delay", [0, 4])
+@pytest.mark.parametrize(("friction", "delay"), [(0.5, 4), (2.0, 0)])
 def test_model_errors_are_no_fault(friction: float, delay: int) -> None:
     controller, plant = begin(START, friction=friction, delay=delay, sensing=True)
     scale = np.array([1.05, 0.95, 1.05, 0.95, 1.05, 0.95, 1.05])
@@ -358,7 +357,6 @@ def test_the_state_before_a_gap_is_not_compared_with() -> None:
 
 
 HONEST: dict[str, dict[str, float]] = {
-    "stamps that jitter by 0.3 ms": {"jitter": 3e-4},
     "stamps that jitter by 0.6 ms": {"jitter": 6e-4},
     "velocities behind a filter of 10 ms": {"lag": 0.01},
     "each measurement published twice": {"repeats": 2},
@@ -393,10 +391,9 @@ class HonestDriver:
 
 
 @pytest.mark.requirement("S-124")
-@pytest.mark.parametrize("delay", [2, 4])
 @pytest.mark.parametrize("name", HONEST)
-def test_an_honest_driver_is_never_called_false(name: str, delay: int) -> None:
-    for seed in range(3):
+def test_an_honest_driver_is_never_called_false(name: str) -> None:
+    for seed, delay in enumerate((2, 4)):
         controller, plant = begin(START, friction=1.0, delay=delay, sensing=True)
         driver = HonestDriver(**HONEST[name], seed=seed)  # type: ignore[arg-type]
         tell = plant.state

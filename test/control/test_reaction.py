@@ -147,8 +147,7 @@ def test_a_mass_that_does_not_answer_to_being_carried_is_none() -> None:
 
 
 @pytest.mark.requirement("S-122")
-@pytest.mark.parametrize("torque", [-8.0, 8.0])
-@pytest.mark.parametrize("delay", [0, 4])
+@pytest.mark.parametrize(("torque", "delay"), [(-8.0, 0), (8.0, 4)])
 def test_a_fault_holds_an_arm_whose_model_is_wrong_and_can_be_reset(
     torque: float, delay: int
 ) -> None:

@@ -125,7 +125,7 @@ def test_a_rollout_by_positions_is_the_simulated_one_at_any_rate_and_delay(
 
 
 @pytest.mark.requirement("S-150")
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(st.data())
 def test_no_reference_is_a_step_whatever_is_asked_reported_or_lost(data: st.DataObject) -> None:
     period = data.draw(st.sampled_from((0.002, 0.008)), "period")

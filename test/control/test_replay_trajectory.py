@@ -28,7 +28,7 @@ def recording(noise: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     return 1_700_000_000_000_000_000 + TICK * np.arange(1001), q
 
 
-@pytest.mark.parametrize("speed", [0.25, 0.5, 1.0, 2.0])
+@pytest.mark.parametrize("speed", [0.5, 2.0])
 def test_a_replay_goes_from_rest_to_rest_through_what_was_recorded(speed: float) -> None:
     stamps_ns, q = recording()
     t, followed = movement(stamps_ns, q, speed)

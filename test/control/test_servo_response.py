@@ -6,10 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from reproduction.studies.flip_sessions import teach
 from wam_power_ros.control.servo_response import followed, servo_of
-from wam_power_ros.in_process.environment import Environment
-from wam_power_ros.params import overlay
 
 T = np.arange(0.0, 6.0, 0.002)
 Q = np.stack([0.4 * np.sin(2.0 * T) ** 3, 0.2 * np.sin(5.0 * T)], axis=1)
@@ -50,21 +47,3 @@ def test_an_arm_that_follows_otherwise_has_no_delay(reached: np.ndarray, words: 
 def test_an_arm_that_did_not_move_tells_nothing() -> None:
     with pytest.raises(ValueError, match=r"no joint was moved by 0\.1 rad"):
         servo_of(T, 0.1 * Q, T, 0.1 * Q)
-
-
-def test_what_is_foreseen_of_an_arm_with_a_known_servo_is_what_it_does() -> None:
-    setup = overlay.setup(["position"], simulated=True, task="flip")
-    setup = setup.changed({"wam_sim": {"command_delay_ticks": 20, "servo_lag": 0.02}})
-    known = {"servo_delay": 0.04, "servo_lag": 0.02}
-    policy = teach(Environment.of(setup), 21, 1)[0]
-    errors = []
-    for told in ({}, known):
-        environment = Environment.of(setup.changed({"torque_controller": told}))
-        rollout, _ = environment.run(policy)
-        assert rollout.fault is None
-        foreseen = environment.foresee(policy)
-        assert foreseen is not None
-        tool, path = rollout.tool, foreseen.tool
-        ways = [np.interp(tool.t, path.t, way) for way in path.position.T]
-        errors.append(float(np.abs(tool.position - np.stack(ways, axis=1)).max()))
-    assert errors[1] < 0.25 * errors[0], errors
