@@ -15,12 +15,12 @@ from reproduction import figures, filmstrip
 from reproduction.chapter import Study
 from reproduction.flights import flights as draw_flights
 from reproduction.jobs import Results
+from reproduction.paper_curves import FIG5, K33
 from reproduction.studies import flip_sessions
 from reproduction.studies.flip_sessions import ABLATION, HINDSIGHT, LONG, PAPER
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
 from wam_power_ros.reporting.figures import stiffness
 from wam_power_ros.reporting.terminal import counted
-from wam_power_ros.tasks.flip.paper import FIG5, K33, STIFFNESS
 
 Row = Mapping[str, Any]  # a rollout in a result of the study
 RELIABLE = 0.9  # share of the re-tests of a final policy
@@ -186,7 +186,7 @@ def _stiffness(hindsight: Sessions, paper: Sessions) -> dict[str, Any]:
             "hindsight": ours,
             "paper": paper_like,
         },
-        "profiles": stiffness(profiles, STIFFNESS),
+        "profiles": stiffness(profiles, K33),
     }
 
 

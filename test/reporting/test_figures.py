@@ -10,16 +10,12 @@ from PIL import Image
 from wam_power_ros import plotting
 from wam_power_ros.reporting import figures
 from wam_power_ros.tasks.errors import Error
-from wam_power_ros.tasks.task import Curve
-
-PUBLISHED = Curve("published", np.array([[1.0, 0.2], [2.0, 0.4]]), "A remark.")
 
 
-def test_a_learning_curve_holds_every_usable_return_and_the_published_ones() -> None:
+def test_a_learning_curve_holds_every_usable_return() -> None:
     returns = np.array([0.5, np.nan, 0.7, 0.8])
-    axes = figures.learning_curve(returns, marks={3: "first flip"}, published=PUBLISHED).axes[0]
-    paper, dots, mean = (line.get_ydata() for line in axes.lines[:3])
-    np.testing.assert_array_equal(paper, [0.2, 0.4])
+    axes = figures.learning_curve(returns, marks={3: "first flip"}).axes[0]
+    dots, mean = (line.get_ydata() for line in axes.lines[:2])
     np.testing.assert_array_equal(dots, returns)
     np.testing.assert_allclose(mean, [0.5, 0.5, 0.6, 2.0 / 3.0])
     assert [text.get_text() for text in axes.texts] == ["first flip"]
@@ -65,7 +61,8 @@ def test_stiffness_about_its_own_mean_is_in_percent() -> None:
     part = np.linspace(0.0, 1.0, 11)
     profile = 300.0 + 30.0 * (part - 0.5)
     figure = figures.stiffness(
-        {"level": np.full(5, 450.0), "learnt": profile * np.ones((3, 1))}, PUBLISHED
+        {"level": np.full(5, 450.0), "learnt": profile * np.ones((3, 1))},
+        np.array([[1.0, 0.2], [2.0, 0.4]]),
     )
     absolute, relative = figure.axes
     np.testing.assert_allclose(absolute.lines[1].get_ydata(), 450.0)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from reproduction import figures as study_figures
-from wam_power_ros.tasks.flip.paper import FIG5
+from reproduction.paper_curves import FIG5
 
 
 def test_figure_5_has_our_mean_and_the_gain_from_the_first_five_to_the_last() -> None:

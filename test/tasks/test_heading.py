@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hardware_sim.scenes import scene_type
@@ -79,6 +79,7 @@ def assert_same(found: Policy, expected: Policy) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
+@settings(max_examples=15)
 @given(steps=STEPS, seed=st.integers(0, 1000))
 def test_exploration_of_a_turned_movement_is_the_turned_exploration(
     kind: type[Task], steps: int, seed: int

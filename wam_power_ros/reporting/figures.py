@@ -25,7 +25,6 @@ from wam_power_ros.plotting import (
     side_by_side,
 )
 from wam_power_ros.tasks.errors import SHOWN_IN, Error
-from wam_power_ros.tasks.task import Curve
 
 Limits = tuple[np.ndarray, np.ndarray, np.ndarray]  # lowest, highest [rad], fastest [rad/s]
 POINTS = {  # kind of a rollout -> label, marker and colour
@@ -40,7 +39,6 @@ def learning_curve(
     returns: Sequence[float],
     kinds: Sequence[str] = (),
     marks: Mapping[int, str] | None = None,
-    published: Curve | None = None,
 ) -> Figure:
     """Return over the rollouts of a session by their kind, with an average of explorations.
 
@@ -51,7 +49,6 @@ def learning_curve(
         returns: Return of each rollout, NaN where it was not usable. Length n.
         kinds: Kind of each rollout, see `session_log.Kind`; all explorations if omitted.
         marks: Rollout number -> text above it, such as "first success".
-        published: Published returns by rollout, drawn behind the data.
     """
     figure, (axes,) = side_by_side(7.2, 3.8, 1.0)
     values = np.asarray(returns, dtype=float)
@@ -60,8 +57,6 @@ def learning_curve(
     tests = rollout[rollout_kinds == "retest"]
     if len(tests):
         axes.axvspan(tests[0] - 0.5, tests[-1] + 0.5, color=GRID, alpha=0.6, lw=0)
-    if published is not None:
-        axes.plot(*published.values.T, color=GREY, lw=1.2, label=published.label)
     first = values[(rollout_kinds == "reproduction") & np.isfinite(values)][:1]
     for level in first:
         axes.axhline(level, color=STEEL, lw=1.0, ls="--", label="first reproduction")
@@ -128,20 +123,20 @@ def errors(
     return figure
 
 
-def stiffness(profiles: Mapping[str, np.ndarray], published: Curve | None = None) -> Figure:
+def stiffness(profiles: Mapping[str, np.ndarray], published: np.ndarray | None = None) -> Figure:
     """Vertical stiffness K33 over the movement, absolute and relative to its mean.
 
     Args:
         profiles: Name -> K33 at evenly spaced times [1/s^2], of one policy, shape (T,), or several,
             shape (n, T), of which the median and the middle 80 % are drawn.
-        published: Published K33 by time, drawn behind the data.
+        published: The paper's times [s] and K33 [1/s^2], drawn behind the data. Shape (m, 2).
     """
     figure, (absolute, relative) = side_by_side(9.4, 3.6, 1.0, 1.0)
     if published is not None:
-        time, k33 = published.values.T
+        time, k33 = published.T
         part = time / time[-1]
         own = np.interp(np.linspace(0.0, 1.0, 101), part, k33).mean()  # not evenly sampled
-        absolute.plot(part, k33, "s--", ms=3, lw=1.2, color=GREY, label=published.label)
+        absolute.plot(part, k33, "s--", ms=3, lw=1.2, color=GREY, label="paper, learnt")
         relative.plot(part, 100.0 * (k33 / own - 1.0), "s--", ms=3, lw=1.2, color=GREY)
     for color, (name, given) in zip(CYCLE, profiles.items(), strict=False):
         rows = np.atleast_2d(np.asarray(given, dtype=float))

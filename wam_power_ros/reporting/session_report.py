@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -40,7 +40,7 @@ from wam_power_ros.reporting.terminal import (
     returned,
     term_names,
 )
-from wam_power_ros.tasks.task import Curve, Task
+from wam_power_ros.tasks.task import Task
 
 
 @dataclass(frozen=True)
@@ -75,10 +75,7 @@ def render(
         profiles = {} if start is None else {"start": vertical_stiffness(start)}
         profiles[answer.id] = vertical_stiffness(answer)
         text = f"Vertical stiffness over the movement: the demonstration's and that of {answer.id}."
-        published = None if task.published is None else task.published.stiffness
-        if published is not None:
-            text += f" {published.remark}"
-        drawn = figures.stiffness(profiles, published)
+        drawn = figures.stiffness(profiles)
         parts.append(html_page.section("Stiffness", [text], _svg(drawn, text)))
     parts += [_table(task, records), _settings(header)]
     return html_page.page(f"Session of seed {header.seed}, task {task.name}", parts)
@@ -199,34 +196,11 @@ def _curves(task: Task, records: Sequence[Record]) -> Markup:
     kinds = [record.kind for record in records]
     own = [math.nan if record.ret is None else record.ret for record in records]
     text = "The session's return of every rollout, without ratings."
-    if (published := task.published) is None:
-        return _curve("Learning curve", text, own, kinds, marks)
-    theirs = [published.ret(record) for record in records]
-    if np.array_equal(own, theirs, equal_nan=True):
-        html = _curve("Learning curve", text, own, kinds, marks, published.returns)
-    else:
-        html = _curve("Learning curve", text, own, kinds, marks)
-        title = f"Return of the paper, {published.name}"
-        text = f"{published.name} of every rollout; this session did not learn from it."
-        html += _curve(title, text, theirs, kinds, marks, published.returns)
-    return html
-
-
-def _curve(
-    title: str,
-    text: str,
-    returns: Sequence[float],
-    kinds: Sequence[str],
-    marks: Mapping[int, str],
-    published: Curve | None = None,
-) -> Markup:
-    drawn = figures.learning_curve(returns, kinds, marks, published)
-    if published is not None:
-        text = f"{text} {published.remark}"
-    known = [each for each in returns if math.isfinite(each)]
+    drawn = figures.learning_curve(own, kinds, marks)
+    known = [each for each in own if math.isfinite(each)]
     reached = f" From {known[0]:.3f} to {known[-1]:.3f}, at most {max(known):.3f}." if known else ""
-    alt = f"{title} of {counted(len(returns), 'rollout')}.{reached}"
-    return html_page.section(title, [text], _svg(drawn, alt))
+    alt = f"Learning curve of {counted(len(own), 'rollout')}.{reached}"
+    return html_page.section("Learning curve", [text], _svg(drawn, alt))
 
 
 def _errors(task: Task, records: Sequence[Record]) -> Markup:

@@ -90,24 +90,6 @@ class Goal:
     true: str = ""  # key of its answer in the ground truth of a rollout
 
 
-class Curve(NamedTuple):
-    """Published curve, which a figure shows behind a session's own."""
-
-    label: str
-    values: np.ndarray  # its points, shape (n, 2)
-    remark: str  # a sentence
-
-
-@dataclass(frozen=True, eq=False)
-class Published:
-    """What a publication reports on a task."""
-
-    name: str  # of its return, such as "Eq. 5"
-    ret: Callable[[LoggedRollout], float]  # its return, whatever is learnt from; NaN if unknown
-    returns: Curve  # return by rollout
-    stiffness: Curve  # K33 [1/s^2] by time [s] of the learnt policy
-
-
 class Task:
     """One skill under one set of settings; derive from it.
 
@@ -134,7 +116,6 @@ class Task:
             does not count unless the goal states one.
         rest_time: Time for which the body must have been `ready` before a rollout [s].
         goal: What is to be achieved, in the words of the reports.
-        published: What a publication reports on the task, None for nothing.
         settle_time: Time that a rollout continues after the movement [s].
         gain: Share of a measured error by which a rollout is corrected in hindsight; 0 for none.
         region: Guarded region at which the controller ends its rollouts, None for none.
@@ -156,7 +137,6 @@ class Task:
     targets: Mapping[str, float] = MappingProxyType({})
     rest_time: float = 0.0
     goal: ClassVar[Goal] = Goal()
-    published: ClassVar[Published | None] = None
     gain: float = 0.5
     region: Region | None = None
 

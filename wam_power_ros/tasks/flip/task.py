@@ -17,7 +17,6 @@ from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Foreseen, Rollout
 from wam_power_ros.regions import Region
 from wam_power_ros.tasks.flip import assessment as flip_assessment
-from wam_power_ros.tasks.flip import paper
 from wam_power_ros.tasks.flip.flight import DELTA_H
 from wam_power_ros.tasks.flip.frames import REST_HEIGHT_MAX
 from wam_power_ros.tasks.flip.pan_toss import PANCAKE, predict_toss
@@ -39,7 +38,6 @@ from wam_power_ros.tasks.task import (
     Goal,
     LoggedRollout,
     Pose,
-    Published,
     Task,
 )
 
@@ -48,13 +46,6 @@ _RIM_OFFSET_MIN = 0.06  # from which on one above the floor lies on the rim [m]
 _MISPLACED_MAX = 0.15  # height up to which a body at rest is in the pan, seen wrongly [m]
 _REST_SPEED_MAX = 0.05  # largest speed at rest [m/s]
 _TURN_NOISE = 1e-9  # of an angular velocity or speed: less is not measured [rad/s, m/s]
-
-
-def equation_5(record: LoggedRollout) -> float:
-    """Eq. 5 of a rollout, regardless of the session's return; NaN if no pancake was observed."""
-    seen = None if record.ret is None else record.observation
-    flight = None if seen is None else flip_assessment.flight_of(seen)
-    return math.nan if flight is None else pancake_return(flight).total
 
 
 class Flip(Task):
@@ -76,7 +67,6 @@ class Flip(Task):
         observed="resting",
         true="caught",
     )
-    published = Published("Eq. 5", equation_5, paper.RETURNS, paper.STIFFNESS)
 
     def __init__(self, settings: FlipSettings, context: Mapping[str, Any]) -> None:
         """See `Task`."""

@@ -3,7 +3,7 @@
 
 import pytest
 
-from wam_power_ros.tasks.flip.paper import FIG5, K33
+from reproduction.paper_curves import FIG5, K33
 
 
 def test_the_papers_tables_hold_its_anchors() -> None:

@@ -5,8 +5,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from wam_power_ros.tasks.task import Curve
-
 # Rollout and mean return (Eq. 5) of six sessions (Fig. 5). Shape (50, 2).
 _MEANS = [
     [0.644, 0.728, 0.643, 0.714, 0.684, 0.686, 0.696, 0.757, 0.705, 0.772],
@@ -23,9 +21,3 @@ K33 = np.column_stack(
         [322.6, 317.5, 311.5, 306.2, 302.6, 300.5, 303.2, 305.3, 311.3, 312.4, 312.0],
     ]
 )
-RETURNS = Curve(
-    "paper, Fig. 5 (mean of 6 sessions)",
-    FIG5,
-    "The paper's curve is the mean of six sessions; it has no re-tests.",
-)
-STIFFNESS = Curve("paper, learnt", K33, "The paper's policy changed by a few percent.")
