@@ -3,13 +3,18 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, InstanceOf
 
 from wam_power_ros.arm_identity import ArmIdentity
 from wam_power_ros.control.safety import Limits
 from wam_power_ros.regions import Region
+
+
+def _within(default: float, least: float, most: float, why: str) -> Any:  # noqa: ANN401 - as Field
+    """Field from `least` to `most`, which `why` explains to who is refused."""
+    return Field(default=default, ge=least, le=most, description=why)
 
 
 class MotionSettings(BaseModel):
@@ -45,26 +50,17 @@ class MotionSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
-    period: float = Field(
-        default=0.002,
-        ge=0.0005,
-        le=0.02,
-        description="in s: below, Python is too slow; above, control is unstable",
+    period: float = _within(
+        0.002, 0.0005, 0.02, "in s: below, Python is too slow; above, control is unstable"
     )
     driver_compensates_gravity: bool = False
     hold_to_run: bool = False
     law: Literal["operational_space", "virtual_mass"] = "operational_space"
-    move_speed: float = Field(
-        default=0.3,
-        ge=0.01,
-        le=1.0,
-        description="in rad/s: below, a move takes minutes; at 1 an outstretched tool has 1 m/s",
+    move_speed: float = _within(
+        0.3, 0.01, 1.0, "in rad/s: below, a move takes minutes; at 1 an outstretched tool has 1 m/s"
     )
-    start_tolerance: float = Field(
-        default=0.05,
-        ge=0.001,
-        le=0.2,
-        description="in rad: above encoder noise; beyond 0.2, another posture",
+    start_tolerance: float = _within(
+        0.05, 0.001, 0.2, "in rad: above encoder noise; beyond 0.2, another posture"
     )
     settle_time: float = Field(
         default=1.0,
@@ -72,50 +68,32 @@ class MotionSettings(BaseModel):
         le=10.0,
         description="in s: an arm that is not at rest by then will not be",
     )
-    velocity_cutoff: float = Field(
-        default=180.0,
-        ge=10.0,
-        le=1500.0,
-        description="in rad/s: below, damping lags too much; above, it is near half of 500 Hz",
+    velocity_cutoff: float = _within(
+        180.0,
+        10.0,
+        1500.0,
+        "in rad/s: below, damping lags too much; above, it is near half of 500 Hz",
     )
-    stiffness_max: float = Field(
-        default=2500.0,
-        ge=10.0,
-        le=4800.0,
-        description="in 1/s^2: below, no policy is accepted; 4800 is stable with 4 ms of delay",
+    stiffness_max: float = _within(
+        2500.0,
+        10.0,
+        4800.0,
+        "in 1/s^2: below, no policy is accepted; 4800 is stable with 4 ms of delay",
     )
-    damping_max: float = Field(
-        default=100.0,
-        ge=1.0,
-        le=150.0,
-        description="in 1/s: from 196 on a loop with 8 ms of delay is unstable",
+    damping_max: float = _within(
+        100.0, 1.0, 150.0, "in 1/s: from 196 on a loop with 8 ms of delay is unstable"
     )
-    teaching_friction: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=0.8,
-        description="a share; with all of it and 20 % the arm runs away",
+    teaching_friction: float = _within(
+        0.0, 0.0, 0.8, "a share; with all of it and 20 % the arm runs away"
     )
-    loop_delay: float = Field(
-        default=0.0, ge=0.0, le=0.03, description="in s: 0 if not measured; beyond, unstable"
+    loop_delay: float = _within(0.0, 0.0, 0.03, "in s: 0 if not measured; beyond, unstable")
+    servo_delay: float = _within(0.0, 0.0, 0.2, "in s: 0 if not measured; beyond, a fault")
+    servo_lag: float = _within(0.0, 0.0, 0.1, "in s: 0 if not measured; beyond, a fault")
+    contact_share: float = _within(
+        0.05, 0.02, 0.5, "of a torque limit: above encoder noise, below a harmful push"
     )
-    servo_delay: float = Field(
-        default=0.0, ge=0.0, le=0.2, description="in s: 0 if not measured; beyond, a fault"
-    )
-    servo_lag: float = Field(
-        default=0.0, ge=0.0, le=0.1, description="in s: 0 if not measured; beyond, a fault"
-    )
-    contact_share: float = Field(
-        default=0.05,
-        ge=0.02,
-        le=0.5,
-        description="of a torque limit: above encoder noise, below a harmful push",
-    )
-    unexplained_share: float = Field(
-        default=0.25,
-        ge=0.1,
-        le=0.5,
-        description="of a torque limit: above model errors, below a harmful push",
+    unexplained_share: float = _within(
+        0.25, 0.1, 0.5, "of a torque limit: above model errors, below a harmful push"
     )
 
 
