@@ -3,16 +3,17 @@
 
 import numpy as np
 import pytest
+from rigid_arm import HOME, LIMITS, NAMES
+from rigid_arm import MODEL as ARM
 
-from wam_power_ros.control import safety
-from wam_power_ros.control.arm import Arm
-from wam_power_ros.control.joint_control import JointControl, TrackingLost
+from wam_power_ros.control.joint_control import (
+    TOOL_STRIDE,
+    JointControl,
+    TrackingError,
+    TrackingLost,
+)
 from wam_power_ros.control.joint_references import interpolated
-from wam_power_ros.params.resources import share
 
-ARM = Arm(share("urdf/wam7.urdf").read_text(), [f"wam_j{i}" for i in range(1, 8)])
-LIMITS = safety.limits_of(ARM)
-HOME = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
 STILL = np.zeros(7)
 MS = 1_000_000
 AWAY = np.array([0.1, -0.05, 0.02, 0.0, -0.1, 0.2, 0.1])
@@ -114,3 +115,38 @@ def test_only_the_states_of_a_replay_count_for_its_error() -> None:
     assert first.count == 50 and first.largest.max() == pytest.approx(0.01)
     control.move(replay.q[0], 0.3, replay)
     assert control.replay_error is not first and control.replay_error.count == 0
+
+
+def test_the_error_of_joints_and_tool_is_reported() -> None:
+    error = TrackingError(ARM)
+    for k in range(100):
+        off = 0.01 * np.eye(7)[0] * (1.0 if k < 50 else 0.0)
+        error.add(HOME + off, HOME)
+    assert error.count == 100
+    assert error.largest[0] == pytest.approx(0.01)
+    assert error.rms[0] == pytest.approx(0.01 / np.sqrt(2.0))
+    assert not error.rms[1:].any() and not error.largest[1:].any()
+    reach = np.linalg.norm(ARM.tool_pose(HOME)[0][:2])  # from joint 1's axis
+    rms, largest = error.tool()
+    assert largest == pytest.approx(0.01 * reach, rel=0.01)
+    assert rms == pytest.approx(0.01 * reach / np.sqrt(2.0), rel=0.05)
+    lines = error.text(NAMES).splitlines()
+    assert lines[0] == "rms error 0.0071 rad in the worst joint, wam_j1"
+    assert len(lines) == 9
+
+
+def test_before_any_state_all_errors_are_zero() -> None:
+    error = TrackingError(ARM)
+    assert error.tool() == (0.0, 0.0)
+    assert not error.rms.any()
+
+
+def test_the_tool_is_compared_every_few_states_and_every_joint_in_each() -> None:
+    error = TrackingError(ARM)
+    for k in range(10 * TOOL_STRIDE):
+        error.add(HOME + 0.001 * k, HOME)
+    assert error.count == 10 * TOOL_STRIDE
+    assert error.largest[3] == pytest.approx(0.001 * (error.count - 1))
+    last = TOOL_STRIDE * (error.count // TOOL_STRIDE - 1)  # compared
+    apart = ARM.tool_pose(HOME + 0.001 * last)[0] - ARM.tool_pose(HOME)[0]
+    assert error.tool()[1] == pytest.approx(np.linalg.norm(apart))

@@ -3,23 +3,19 @@
 
 import numpy as np
 import pytest
+from rigid_arm import HOME, LIMITS, PERIOD_NS
+from rigid_arm import MODEL as ARM
 
 from wam_power_ros import rotations
-from wam_power_ros.control import safety
-from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.joint_control import TrackingLost
 from wam_power_ros.control.policy_execution import Execution, prepare
 from wam_power_ros.control.state_checks import JointState
 from wam_power_ros.learning.policy import Basis, Policy
 from wam_power_ros.learning.rollout import EndEffectorPath
-from wam_power_ros.params.resources import share
 from wam_power_ros.regions import Region
 
-ARM = Arm(share("urdf/wam7.urdf").read_text(), [f"wam_j{i}" for i in range(1, 8)])
-LIMITS = safety.limits_of(ARM)
 SETTINGS = ControllerSettings(settle_time=0.1)
-HOME = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
 STILL = np.zeros(7)
 POSITION, ROTATION = ARM.tool_pose(HOME)
 REGION = Region("box", tuple(POSITION), 0.05)
@@ -35,7 +31,7 @@ POLICY = Policy(
     rotation_damping=36.0,
     q_start=HOME,
 )
-START_NS, PERIOD_NS = 10**12, 2_000_000
+START_NS = 10**12
 
 
 def execution(policy: Policy = POLICY, settings: ControllerSettings = SETTINGS) -> Execution:

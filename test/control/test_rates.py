@@ -7,17 +7,16 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from rigid_arm import HOME as Q
+from rigid_arm import MODEL as ARM
 
 from wam_power_ros.control import safety
-from wam_power_ros.control.arm import Arm, Speeds
+from wam_power_ros.control.arm import Speeds
 from wam_power_ros.control.modes import Mode
 from wam_power_ros.control.plausibility import Bound, Interval, TorqueCheck, VelocityCheck
 from wam_power_ros.control.state_checks import JointState, StateChecks, at_rate
-from wam_power_ros.params.resources import share
 
-NAMES = [f"wam_j{number}" for number in range(1, 8)]
-ARM = Arm(share("urdf/wam7.urdf").read_text(), NAMES)
-Q, STILL = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0]), np.zeros(7)
+STILL = np.zeros(7)
 PERIODS = (0.002, 0.001)  # [s]
 
 

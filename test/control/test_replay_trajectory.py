@@ -5,17 +5,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from rigid_arm import LIMITS, NAMES
 from scipy.interpolate import CubicSpline
 
 from wam_power_ros.bags import reader
-from wam_power_ros.control import safety
-from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.modes import ControllerError, Refusal
 from wam_power_ros.control.replay_trajectory import EASE_TIME, movement, sampled
 from wam_power_ros.params.resources import share
 
-NAMES = [f"wam_j{number}" for number in range(1, 8)]
-LIMITS = safety.limits_of(Arm(share("urdf/wam7.urdf").read_text(), NAMES))
 REACH = min(share("bags").glob("reach_*"))
 TICK = 2_000_000  # [ns]
 

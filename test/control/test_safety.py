@@ -8,20 +8,18 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rigid_arm import HOME as Q
+from rigid_arm import LIMITS
+from rigid_arm import MODEL as ARM
 
 from wam_power_ros.control import safety
-from wam_power_ros.control.arm import Arm, Motion, Speeds
+from wam_power_ros.control.arm import Motion, Speeds
 from wam_power_ros.control.modes import Mode
 from wam_power_ros.control.safety import Limits
 from wam_power_ros.control.state_checks import JointState
 from wam_power_ros.control.urdf_checks import Approach
 from wam_power_ros.faults import Fault, FaultKind
-from wam_power_ros.params.resources import share
 
-NAMES = [f"wam_j{i}" for i in range(1, 8)]
-ARM = Arm(share("urdf/wam7.urdf").read_text(), NAMES)
-LIMITS = safety.limits_of(ARM)
-Q = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
 torques = st.lists(st.floats(-1e6, 1e6), min_size=7, max_size=7).map(np.array)
 
 
