@@ -109,11 +109,7 @@ def collect(samples: Sequence[StateSample], joint_names: Sequence[str]) -> tuple
 
 
 def with_velocity(record: ArmRecord, received_ns: np.ndarray, qd: np.ndarray) -> ArmRecord:
-    """Add velocities from a separate topic: the last ones received before each state.
-
-    Args:
-        received_ns: Times of arrival of the velocities [ns], shape (k,).
-    """
+    """Add velocities from a separate topic: the last received [ns] before each state."""
     if len(received_ns) == 0 or len(record.q) == 0:
         return replace(record, qd=None)
     last = np.searchsorted(received_ns, record.received_ns, side="right") - 1
@@ -165,11 +161,7 @@ def _within(q: np.ndarray, arm: Arm) -> np.ndarray:
 
 
 def velocity(record: ArmRecord, topic: str = "") -> Row:
-    """Whether velocities arrive, and agree with the derivative of the positions.
-
-    Args:
-        topic: Topic of the velocities, empty when the joint states contain them.
-    """
+    """Whether velocities, of a topic or the states, agree with the positions' derivative."""
     row = partial(Row, "velocity", f"rad/s on {topic}" if topic else "rad/s in every state")
     qd = record.qd
     advice = "set velocity_topic if the driver has one; else the controller differentiates"
@@ -403,11 +395,7 @@ def hand_movement(record: ArmRecord, joint: int) -> Row:
 
 
 def tool_direction(arm: Arm, q: np.ndarray, joint: int) -> str:
-    """Direction in which the tool moves when a joint increases, for a person facing the arm.
-
-    Args:
-        q: Joint positions [rad], shape (n,).
-    """
+    """Direction in which the tool moves when a joint increases, for a person facing the arm."""
     column = arm.jacobian(q)[:, joint]
     words = (("forward", "back"), ("to its left", "to its right"), ("up", "down"))
     axis = int(np.argmax(np.abs(column[:3])))

@@ -97,11 +97,7 @@ def marker_poses(
 def frame_quality(
     frames: Sequence[FrameSample], settings: TrackerSettings, refused: Mapping[str, int]
 ) -> list[Row]:
-    """Rows about frozen poses, and about the share of frames that the tracker accepts.
-
-    Args:
-        refused: Number of unreadable messages, by reason.
-    """
+    """Rows about frozen poses, and the share of frames that the tracker takes or has `refused`."""
     expected = f"at least {USABLE_SHARE:.0%} of frames usable by the tracker"
     row, frozen = partial(Row, "mocap poses", expected), _frozen(frames)
     tracker = Tracker(settings)
@@ -173,11 +169,7 @@ def latency(
 def body_position(
     frames: Sequence[FrameSample], settings: TrackerSettings, tool: np.ndarray | None
 ) -> Row:
-    """Position of the body in the arm's base frame, and its distance from the tool.
-
-    Args:
-        tool: Position of the tool in the base frame [m], shape (3,); None when unknown.
-    """
+    """Position of the body in the arm's base frame, and its distance [m] from the tool's."""
     row = partial(Row, "mocap frame", "a body in the tool is measured in the tool")
     if not frames:
         return row("no frame", UNCHECKED)

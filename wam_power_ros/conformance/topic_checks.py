@@ -99,13 +99,7 @@ def reception(
     ends: Sequence[Endpoint],
     unmatched: Sequence[str],
 ) -> Row:
-    """Whether messages arrive on a topic: `count` of them in `seconds` [s].
-
-    Args:
-        seconds: Duration [s].
-        ends: Publishers of the topic.
-        unmatched: Sentence on each of them from which nothing can be received.
-    """
+    """Whether `count` messages arrive in `seconds` [s]; `unmatched` says why from some none do."""
     found = f"{count} messages in {seconds:.1f} s from {_nodes(ends)}"
     advice = "start the driver, or configure the topic it publishes; is it on this ROS_DOMAIN_ID? "
     advice += "check ROS_AUTOMATIC_DISCOVERY_RANGE and firewalls if it is on another machine"
@@ -206,12 +200,7 @@ def clock(name: str, received_ns: np.ndarray, stamp_ns: np.ndarray) -> Row:
 
 
 def publishers(name: str, kind: str, ends: Sequence[Endpoint], unmatched: Sequence[str]) -> Row:
-    """Whether our best-effort subscription of a message type matches the publishers.
-
-    Args:
-        ends: Publishers of the topic.
-        unmatched: Sentence on each of them from which nothing can be received.
-    """
+    """Whether our subscription matches all publishers; `unmatched` says why some it does not."""
     row = partial(Row, name, f"{kind}, any reliability")
     text = ", ".join(sorted(f"{end.node}: {_qos(end)}" for end in ends)) or "no publisher"
     if not ends:
