@@ -25,12 +25,13 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from wam_power_ros.bags import layout
 from wam_power_ros.bags.bag import Bag
 from wam_power_ros.bags.reader import read_demonstration
-from wam_power_ros.bags.recovery import HEADER, recover
+from wam_power_ros.bags.recovery import recover
 from wam_power_ros.bags.writer import BagWriter
 from wam_power_ros.params.resources import share
 
 SHIPPED = sorted(path.parent for path in share("bags").glob("*/metadata.yaml"))
 CHUNK = Opcode.CHUNK
+HEADER = struct.Struct("<BQ")  # opcode and size of a record
 CHUNK_HEADER = struct.Struct("<QQQI")  # first and last stamp, unpacked size, checksum
 MEMORY = 400_000_000  # [byte] that a reader of a small bag may take
 DISK = 200_000_000  # [byte] that it may write into one file

@@ -130,10 +130,8 @@ def test_a_bag_cut_after_it_was_closed_keeps_what_was_noted(tmp_path: Path) -> N
     assert noted(made.path)["joint_names"] == notes
     assert noted(made.path)["recovered"] == "true"
     assert 0 < made.messages["/joint_states"] < 100
-    np.testing.assert_array_equal(
-        read_demonstration(made.path, NAMES)[1],
-        random_q(50)[: len(read_demonstration(made.path, NAMES)[1])],
-    )
+    back = read_demonstration(made.path, NAMES)[1]
+    np.testing.assert_array_equal(back, random_q(50)[: len(back)])
 
 
 def noted(path: Path) -> dict[str, str]:

@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from conftest import ROOT, Probe, Processes
 from sensor_msgs.msg import JointState
@@ -16,7 +17,6 @@ from stand_ins import CONFIGS, NAMES
 from std_msgs.msg import Float64MultiArray, String
 
 from hardware_sim import driver_watch
-from hardware_sim.wam import FOLDED
 from wam_power_ros.ros import interface, joint_messages
 
 SIM = "hardware_sim.main"
@@ -139,7 +139,7 @@ def test_a_plot_may_listen_when_it_is_named(probe: Probe, processes: Processes) 
     probe.until(lambda: len(states) > 2, "states")
     publisher = probe.publisher(Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND)
     write = joint_messages.TorqueWriter(NAMES, "multiarray")
-    publisher.publish(write(0, "hold", FOLDED))
+    publisher.publish(write(0, "hold", np.zeros(7)))
     probe.until(lambda: torques, "a torque at the plot")
 
 

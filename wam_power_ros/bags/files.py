@@ -179,7 +179,7 @@ class McapFile:
             try:
                 for record in reader.records:
                     if not ended:
-                        yield _contents(record) if isinstance(record, Chunk) else [record]
+                        yield contents(record) if isinstance(record, Chunk) else [record]
                     ended |= isinstance(record, DataEnd)
             except EndOfFile:
                 raise ValueError(
@@ -194,7 +194,7 @@ class McapFile:
         return found if isinstance(found, dict) else {}
 
 
-def _contents(chunk: Chunk) -> list[McapRecord]:
+def contents(chunk: Chunk) -> list[McapRecord]:
     """Records in a chunk, verified if it has a checksum."""
     raw = unpacked(chunk.data, chunk.compression)
     if len(raw) != chunk.uncompressed_size:
