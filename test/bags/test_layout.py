@@ -28,9 +28,7 @@ from wam_power_ros.bags import layout
 from wam_power_ros.bags.layout import TYPES, decoded
 
 PLACEHOLDER = "structure_needs_at_least_one_member"  # of types without a field, in rosbags alone
-DRAWN = 6  # messages of each type, beside one with every sequence empty and one with all filled
-# Every subset of empty sequences is drawn of what this package reads or records.
-OURS = {
+OURS = {  # what this package reads or records
     "diagnostic_msgs/msg/DiagnosticArray",
     "geometry_msgs/msg/PoseStamped",
     "nav_msgs/msg/Odometry",
@@ -44,20 +42,6 @@ OURS = {
     "visualization_msgs/msg/MarkerArray",
     *(f"wam_power_interfaces/msg/{name}" for name in layout.OWN),
 }
-
-
-def installed() -> Iterator[str]:
-    for name in sorted(TYPES.fielddefs):
-        package, _, short = name.split("/")
-        try:
-            module = importlib.import_module(f"{package}.msg")
-        except ImportError:
-            continue
-        if hasattr(module, short):
-            yield name
-
-
-INSTALLED = list(installed())
 
 
 def class_of(msgtype: str) -> type:
@@ -142,14 +126,11 @@ def messages(msgtype: str) -> Iterator[object]:
     count = sequences(message_type)
     yield drawn(message_type, rng, itertools.repeat(False))
     yield drawn(message_type, rng, itertools.repeat(True))
-    if msgtype in OURS:
-        for choice in itertools.product((False, True), repeat=min(count, 8)):
-            yield drawn(message_type, rng, itertools.cycle(choice or (True,)))
-    for _ in range(DRAWN if count else 1):
-        yield drawn(message_type, rng, iter(lambda: bool(rng.integers(2)), None))
+    for choice in itertools.product((False, True), repeat=min(count, 8)):
+        yield drawn(message_type, rng, itertools.cycle(choice or (True,)))
 
 
-@pytest.mark.parametrize("msgtype", INSTALLED)
+@pytest.mark.parametrize("msgtype", sorted(OURS))
 def test_what_ros_writes_is_read_and_what_is_written_is_read_by_ros(msgtype: str) -> None:
     for message in messages(msgtype):
         theirs = serialize_message(message)
@@ -160,11 +141,6 @@ def test_what_ros_writes_is_read_and_what_is_written_is_read_by_ros(msgtype: str
         # Alike but for padding, which ROS does not clear, and for what follows the message.
         differ = [ours[k] for k in range(len(ours)) if ours[k] != theirs[k]]
         assert not any(differ)
-
-
-def test_every_type_of_this_package_is_among_those_that_were_tried() -> None:
-    assert OURS < set(INSTALLED)
-    assert len(INSTALLED) > 100
 
 
 @pytest.mark.parametrize("name", layout.OWN)

@@ -69,8 +69,10 @@ def test_what_comes_near_a_limit_is_named(limits: Limits, grade: Grade, said: st
     assert (found.grade, found.text) == (grade, said)
 
 
-def test_without_limits_none_is_asked() -> None:
-    assert remarks(10.0 * reach(), None) == []
+def test_angles_in_degrees_are_asked_about_where_limits_are_known() -> None:
+    with pytest.raises(ValueError, match=r"j1 is at 40 rad.*degrees"):
+        remarks(40.0 * reach())
+    assert remarks(40.0 * reach(), None) == []
 
 
 def test_missing_messages_are_named_from_a_share_on() -> None:

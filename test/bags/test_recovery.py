@@ -231,7 +231,7 @@ def test_bytes_that_are_damaged_recover_what_is_before_them_or_are_refused(tmp_p
     file = path / "demo.mcap"
     whole = file.read_bytes()
     rng = np.random.default_rng(0)
-    for number in range(25):
+    for number in range(12):
         damaged = bytearray(whole)
         for place in rng.integers(8, len(whole), 3):
             damaged[place] = rng.integers(256)
@@ -242,4 +242,4 @@ def test_bytes_that_are_damaged_recover_what_is_before_them_or_are_refused(tmp_p
             assert str(path) in str(error)
         else:
             made.rename(tmp_path / f"made_{number}")
-    assert len(list(tmp_path.glob("made_*"))) > 10
+    assert len(list(tmp_path.glob("made_*"))) > 4

@@ -37,10 +37,10 @@ def a_rollout(id: str, angle: float) -> Rollout:
     return Rollout(pan, BodyPath(id, frames, position, quat))
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A session of six rollouts that turn the pancake further and further."""
-    return session_of(tmp_path, TURNS)
+    return session_of(tmp_path_factory.mktemp("report"), TURNS)
 
 
 def session_of(tmp_path: Path, turns: list[float]) -> Path:
@@ -58,15 +58,11 @@ def session_of(tmp_path: Path, turns: list[float]) -> Path:
     return tmp_path / "session"
 
 
-def test_a_report_needs_no_other_file_and_no_network(folder: Path) -> None:
+def test_a_report_lists_every_rollout_with_its_angle_and_needs_no_other_file(folder: Path) -> None:
     html = session_report.write(folder).read_text()
     assert not re.search(r'(src|href)="(?!data:)', html)
     assert "<script" not in html
-    assert html.count("data:image/svg+xml;base64,") == 4  # Eq. 5, own return, errors, stiffness
-
-
-def test_a_report_lists_every_rollout_with_its_angle(folder: Path) -> None:
-    html = session_report.write(folder).read_text()
+    assert f"Before learning: return {session.read(folder).records[0].ret:.3f}" in html
     rows = re.findall(r"<tr(?: class=\"good\")?><td.*?</tr>", html)
     assert len(rows) == len(TURNS)
     angles = [int(re.search(r">(\d+)° ", row).group(1)) for row in rows]
@@ -100,20 +96,6 @@ def test_a_report_says_what_is_learnt_from(folder: Path) -> None:
         settings = preset("flip", name)
         header = found.header.model_copy(update={"settings": settings})
         assert told in session_report.render(header, settings.make_task({}), None, None, ())
-
-
-def test_a_report_has_the_reproduction_beside_the_answer(folder: Path) -> None:
-    html = session_report.write(folder).read_text()
-    first = session.read(folder).records[0]
-    assert f"Before learning: return {first.ret:.3f}" in html
-    assert "return of the reproduction, before learning" in html
-
-
-def test_what_was_learnt_from_comes_before_the_papers_return(folder: Path) -> None:
-    html = session_report.write(folder).read_text()
-    titles = re.findall(r"<h2>(.*?)</h2>", html)
-    assert titles.index("Learning curve") < titles.index("Return of the paper, Eq. 5")
-    assert html.count('class="drawn"') == html.count("<img")  # readable in the dark
 
 
 def test_every_picture_is_described_and_what_is_too_wide_says_that_it_scrolls(folder: Path) -> None:
@@ -203,11 +185,6 @@ def test_a_session_without_rollouts_has_a_report(tmp_path: Path) -> None:
     candidates = [demonstrated_policy("demonstration-1")]
     Session.begin(tmp_path, preset("flip", "paper"), 0, candidates).close()
     assert "session.yaml" in session_report.write(tmp_path).read_text()
-
-
-def test_a_folder_without_a_session_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"no session\.yaml"):
-        session_report.write(tmp_path)
 
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "docs/extending.md"

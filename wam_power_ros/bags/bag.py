@@ -113,8 +113,7 @@ class Bag:
             paths = [path / name for name in names]
         folder = None
         for number, file in enumerate(paths):
-            packed = str(described.get("compression_mode")).lower() == "file"
-            if packed or file.suffix == PACKED:
+            if file.suffix == PACKED:
                 if folder is None:
                     folder = Path(tempfile.mkdtemp())  # removed with this value
                     weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)

@@ -26,7 +26,7 @@ from backports import zstd
 from mcap.exceptions import EndOfFile
 from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
-from rosbags.interfaces import Qos, QosDurability
+from rosbags.interfaces import Qos
 
 from wam_power_ros import plain_yaml
 from wam_power_ros.bags import layout
@@ -58,13 +58,6 @@ class Topic:
     def foreign(self) -> bool:
         """Whether its messages are not of one type of ROS 2, and are not read."""
         return " " in self.msgtype
-
-    @property
-    def latched(self) -> bool:
-        """Whether late subscribers receive the last messages."""
-        return bool(self.offered) and all(
-            qos.durability == QosDurability.TRANSIENT_LOCAL for qos in self.offered
-        )
 
 
 def add_topic(topics: dict[str, Topic], name: str, topic: Topic) -> None:

@@ -11,8 +11,7 @@ from simulated import LEVEL, holding_torque, run
 from hardware_sim.contact import body_contact
 from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth
 from hardware_sim.scenes import Scene, scene_type
-from hardware_sim.scenes.flip import Flip, add_pan, wrist_flick
-from hardware_sim.scenes.reach import Reach
+from hardware_sim.scenes.flip import add_pan, wrist_flick
 from hardware_sim.settings import WorldSettings
 from hardware_sim.world import DROP_HEIGHT, World
 
@@ -85,16 +84,6 @@ def test_a_scene_leaves_out_what_it_lacks() -> None:
     assert empty.truth().keys() == {"id", *empty._log.arm_truth(empty.motors)}
     with pytest.raises(ValueError, match="the scene Scene has no demonstrations"):
         empty.scene.script(np.random.default_rng(0))
-
-
-def test_the_scenes_of_this_package_are_found_by_name() -> None:
-    assert scene_type("flip") is Flip
-    assert scene_type("reach") is Reach
-
-
-def test_an_unknown_scene_is_refused_with_the_available_names() -> None:
-    with pytest.raises(ValueError, match=r"'pour' is not one of .*flip, .*reach"):
-        scene_type("pour")
 
 
 def test_the_body_of_a_scene_is_tracked_and_comes_to_rest_before_a_rollout(world: World) -> None:
