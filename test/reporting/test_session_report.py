@@ -71,18 +71,10 @@ def test_a_report_lists_every_rollout_with_its_angle_and_needs_no_other_file(fol
     assert angles[-1] == pytest.approx(180.0 * 0.93, abs=6.0)
 
 
-def test_a_report_has_the_first_flip_and_the_speeds_that_were_needed(folder: Path) -> None:
+def test_a_report_has_the_first_flip(folder: Path) -> None:
     html = session_report.write(folder).read_text()
     assert "Rollout 4 was the first that flipped the pancake" in html  # 100 degrees topple over
     assert "° turned over, caught" in html
-    known = session.read(folder)
-    truth = {"peak_qd": [1.0, 2.0], "beyond_no_load": False, "peak_pan_speed": 2.5}
-    tests = [
-        r.model_copy(update={"kind": "retest", "truth": {**r.truth, **truth}})
-        for r in known.records
-    ]
-    html = session_report.render(known.header, known.task, None, None, tests)
-    assert "Peak speeds: first guarded point 0.40 m/s, last guarded point 1.37 m/s" in html
 
 
 def test_a_report_says_what_is_learnt_from(folder: Path) -> None:

@@ -79,9 +79,7 @@ def test_a_guided_arm_reaches_the_goal_with_a_level_pan_within_its_limits() -> N
     assert (truth["touched"], truth["clearance"]) == (False, None)  # there is no obstacle
 
 
-def test_the_obstacle_is_touched_exactly_when_the_centre_of_the_tool_comes_within_a_millimetre() -> (
-    None
-):
+def test_the_obstacle_is_touched_exactly_within_a_millimetre_of_the_tools_centre() -> None:
     _, path = guide(world_with())
     centre = path[len(path) // 2] + [0.05, 0.0, -0.02]
     nearest = float(np.linalg.norm(path - centre, axis=1).min())
