@@ -107,17 +107,6 @@ def test_a_part_without_a_state_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "part").exists()
 
 
-def test_the_parts_of_a_take_together_are_the_take_in_any_order(tmp_path: Path) -> None:
-    q = random_q(200)
-    path = demonstration(tmp_path / "take", q)
-    parts = [
-        importing.import_bag(Bag(path), tmp_path / str(part[0]), NAMES, part=part)[0]
-        for part in ((0.2, 0.4), (0.0, 0.199))
-    ]
-    whole, _ = importing.import_bag(Bag(*parts), tmp_path / "whole", NAMES)
-    np.testing.assert_array_equal(reader.read_demonstration(whole, NAMES)[1], q)
-
-
 def test_an_import_keeps_the_identity_of_the_arm_and_joins_no_two_arms(tmp_path: Path) -> None:
     bags, arm = [], ArmIdentity("wam", NAMES, "0" * 64, "1" * 64)
     for name, notes in (("a", {"arm": to_json(arm)}), ("b", {})):

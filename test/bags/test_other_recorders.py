@@ -277,14 +277,6 @@ def test_states_without_a_stamp_among_others_are_left_out(tmp_path: Path) -> Non
     np.testing.assert_array_equal(found.stamps, STAMPS + MS)
 
 
-def test_the_same_joints_under_a_prefix_are_those_of_another_publisher(tmp_path: Path) -> None:
-    other = tuple(f"UR2024_{name}" for name in NAMES)
-    twice = [state for one in ARM for state in (one, (one[0] + 1, one[1], other, one[3] + 1.0))]
-    found = read_states(Bag(of_states(tmp_path / "twice", twice)), NAMES)
-    whole(found)
-    assert remarks(found) == []
-
-
 def test_joints_that_change_their_order_within_a_bag_are_matched_by_name(tmp_path: Path) -> None:
     changed = ARM[:30] + [(r, s, names[::-1], row[::-1]) for r, s, names, row in ARM[30:]]
     whole(read_states(Bag(of_states(tmp_path / "changed", changed)), NAMES))

@@ -80,10 +80,8 @@ def test_an_exported_bag_comes_back_bit_for_bit(tmp_path: Path) -> None:
         ({"t": T}, "a column of angles"),
         ({"t": T, "observation.state": ["[0.1 0.2]"] * 60}, r"others: \['observation.state'\]"),
         ({"t": [*T[:30], *T[:30]], **angles()}, "row 32 is 0.0 and follows 0.116.*file of its own"),
-        ({"t": [*T[:-1], ""], **angles()}, "row 61 is nan"),
         ({"t": [*T[:-1], "inf"], **angles()}, "row 61 is inf"),
         ({"t": [*T[:-1], 1e40], **angles()}, "no time of ROS"),
-        ({"t": [*T[:-1], "x"], **angles()}, "t of row 61 is 'x', which is no number"),
         ({"stamp_ns": [*range(59), 70.5], **angles()}, "stamp_ns of row 61 is '70.5'"),
         ({"t": T, **angles(), "wam_j1": [*[0.0] * 30, *["lost"] * 30]}, "row 32 is 'lost'"),
     ],
@@ -97,9 +95,7 @@ def test_what_is_no_movement_is_refused_by_row_and_column(
     assert str(refusal.value).startswith(f"{file}: ")
 
 
-@pytest.mark.parametrize(
-    "content", [b"", b"\n", b"t,a\n", b"t,a\n1\n", b"\xff\xfe\0t", b't,"a\n1,2\n', b"\0" * 300]
-)
+@pytest.mark.parametrize("content", [b"", b"t,a\n", b"t,a\n1\n", b"\xff\xfe\0t", b"\0" * 300])
 def test_a_file_that_is_no_table_is_refused(content: bytes, tmp_path: Path) -> None:
     (file := tmp_path / "t.csv").write_bytes(content)
     with pytest.raises(ValueError, match=str(file)):

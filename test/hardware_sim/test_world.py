@@ -97,21 +97,6 @@ def test_without_commands_the_arm_holds_the_last_one_for_10_ms_and_then_compensa
     assert (calm.joint_state().tau == pushed).all()
 
 
-def test_the_gravity_compensation_of_the_watchdog_is_damped(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    speeds = []
-    for damping in (0.0, 5.0):
-        monkeypatch.setattr("hardware_sim.world.WATCHDOG_DAMPING", damping)
-        world = World(Flip, CALM)
-        begin(world)
-        run(world, None, 10)
-        world.data.qvel[3] = 2.0
-        run(world, None, 50)
-        speeds.append(world.data.qvel[3])
-    assert speeds[1] < 0.75 * speeds[0]
-
-
 def test_an_external_force_acts_at_the_centre_of_the_pan(calm: World, arm: Arm) -> None:
     """A torque of -J^T times the wrench balances it."""
     pull = np.array([20.0, 5.0, 40.0, 0.0, 2.0, 1.0])

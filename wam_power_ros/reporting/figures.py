@@ -45,13 +45,9 @@ def learning_curve(
     """Return over the rollouts of a session by their kind, with an average of explorations.
 
     The first reproduction, before any learning, is a horizontal line; re-tests, which repeat one
-    policy, are shaded and excluded from the average.
-
-    Args:
-        returns: Return of each rollout, NaN where it was not usable. Length n.
-        kinds: Kind of each rollout, see `session_log.Kind`; all explorations if omitted.
-        marks: Rollout number -> text above it, such as "first success".
-        published: Published returns by rollout, drawn behind the data.
+    policy, are shaded and excluded from the average. A return is NaN where it was not usable; all
+    rollouts are explorations if `kinds` are omitted. A mark is a text above a rollout's number;
+    `published` are returns by rollout.
     """
     figure, (axes,) = side_by_side(7.2, 3.8, 1.0)
     values = np.asarray(returns, dtype=float)
@@ -91,12 +87,8 @@ def errors(
 ) -> Figure:
     """Measured errors over the rollouts of a session, each in its unit.
 
-    What is far outside is drawn hollow at the edge; what is unknown is not drawn.
-
-    Args:
-        wanted: The errors, see `Task.wanted_errors`; at least one.
-        values: Their values by name in each rollout, in their units. Length n.
-        kinds: Kind of each rollout, see `session_log.Kind`. Length n.
+    What is far outside is drawn hollow at the edge; what is unknown is not drawn. `wanted` are the
+    errors, see `Task.wanted_errors`; `values` by name and `kinds` are those of each rollout.
     """
     columns, rows = min(len(wanted), 2), math.ceil(len(wanted) / 2)
     figure = Figure(figsize=(7.2, 1.7 * rows + 0.4), layout="constrained")
@@ -131,10 +123,8 @@ def errors(
 def stiffness(profiles: Mapping[str, np.ndarray], published: Curve | None = None) -> Figure:
     """Vertical stiffness K33 over the movement, absolute and relative to its mean.
 
-    Args:
-        profiles: Name -> K33 at evenly spaced times [1/s^2], of one policy, shape (T,), or several,
-            shape (n, T), of which the median and the middle 80 % are drawn.
-        published: Published K33 by time, drawn behind the data.
+    A profile is K33 at evenly spaced times [1/s^2], of one policy, shape (T,), or several, shape
+    (n, T), of which the median and the middle 80 % are drawn. Published is K33 by time.
     """
     figure, (absolute, relative) = side_by_side(9.4, 3.6, 1.0, 1.0)
     if published is not None:
@@ -167,9 +157,8 @@ def joints(
 ) -> Figure:
     """Joint angles and speeds of takes over time, a row for each joint.
 
-    Args:
-        movements: Name -> times [s] (N,) and smooth joint angles [rad] (N, n).
-        limits: Limits of the arm, drawn dashed if within view; None if unknown.
+    A movement has times [s] (N,) and smooth joint angles [rad] (N, n). Limits of the arm, if they
+    are known, are drawn dashed where they are within view.
     """
     count = len(joint_names)
     figure = Figure(figsize=(9.4, 1.3 * count + 0.9), layout="constrained")
@@ -197,19 +186,9 @@ def joints(
 
 
 def save_film(frames: Sequence[np.ndarray], path: Path, rate: float) -> None:
-    """Write frames as an animated .webp image.
-
-    Args:
-        frames: RGB images. Shapes (h, w, 3), uint8.
-        rate: Frames per second.
-
-    Raises:
-        ValueError: There are no frames.
-    """
+    """Write RGB frames (h, w, 3), uint8, as an animated .webp image at a rate [1/s]."""
     from PIL import Image
 
-    if not frames:
-        raise ValueError("a film must have at least one frame, got none")
     first, *others = (Image.fromarray(np.ascontiguousarray(frame)) for frame in frames)
     settings = {"duration": round(1000 / rate), "loop": 0, "quality": 70, "method": 4}
     with durable_files.naming(path):

@@ -121,12 +121,9 @@ class Page:
         rgb: tuple[int, int, int],
         thickness: float = PATH_THICKNESS,
     ) -> None:
-        """Draw a path; it replaces the last one with that name.
+        """Draw a path of points (T, 3) [m], fewer than two draw nothing, with a thickness [m].
 
-        Args:
-            name: Group and name, such as "executed/trail".
-            points: Points of the path [m]; fewer than two draw nothing. Shape (T, 3).
-            thickness: Thickness [m].
+        It replaces the last one with that name: group and name, such as "executed/trail".
         """
         if len(points) < 2:
             points = np.zeros((2, 3))
@@ -171,10 +168,9 @@ class Page:
     def add_buttons(
         self, buttons: Mapping[str, tuple[str, str, Callable[[], object]]]
     ) -> dict[str, viser.GuiButtonHandle]:
-        """Add the panel of buttons; returns the buttons by label.
+        """Add the panel of buttons; returns them by label.
 
-        Args:
-            buttons: Label -> colour, hint and function that a thread calls on a click.
+        A button has a colour, a hint and a function that a thread calls on a click.
         """
         handles = {}
         with self.server.gui.add_folder("Practice"):
@@ -192,13 +188,9 @@ class Page:
             )
 
     def add_curve(self, kinds: Sequence[str]) -> viser.GuiUplotHandle:
-        """Add a panel with the learning curve.
+        """Add a panel with the learning curve, with a series for each kind of rollout.
 
-        Args:
-            kinds: Kinds of rollouts, one series each; the series of the best return is added last.
-
-        Returns:
-            Chart, whose `data` are the columns: rollout numbers, returns of each kind, best return.
+        The `data` of the chart are columns: rollout numbers, returns of each kind, best return.
         """
         series = [uplot.Series(label="rollout")]
         for kind in kinds:
