@@ -277,11 +277,6 @@ def test_states_without_a_stamp_among_others_are_left_out(tmp_path: Path) -> Non
     np.testing.assert_array_equal(found.stamps, STAMPS + MS)
 
 
-def test_joints_that_change_their_order_within_a_bag_are_matched_by_name(tmp_path: Path) -> None:
-    changed = ARM[:30] + [(r, s, names[::-1], row[::-1]) for r, s, names, row in ARM[30:]]
-    whole(read_states(Bag(of_states(tmp_path / "changed", changed)), NAMES))
-
-
 def test_a_joint_that_is_there_twice_is_read_if_its_angles_are_equal(tmp_path: Path) -> None:
     twice = [(r, s, (*names, *names), [*row, *row]) for r, s, names, row in ARM]
     whole(read_states(Bag(of_states(tmp_path / "equal", twice)), NAMES))

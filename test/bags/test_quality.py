@@ -33,11 +33,6 @@ def test_a_smooth_movement_within_the_limits_is_good() -> None:
     assert quality.grade([]) is Grade.GOOD
 
 
-@pytest.mark.parametrize("size", [0.1, 0.5])
-def test_smoothness_does_not_depend_on_the_size_of_the_movement(size: float) -> None:
-    assert arc(reach(size)) == pytest.approx(arc(reach()), abs=1e-6)
-
-
 def test_the_more_a_hand_trembles_the_less_smooth_the_movement() -> None:
     arcs = [arc(reach() + a * np.sin(2 * np.pi * 5 * T)[:, None]) for a in (0.0, 0.02, 0.04)]
     assert arcs == sorted(arcs, reverse=True)

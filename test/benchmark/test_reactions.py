@@ -17,10 +17,7 @@ from wam_power_ros.faults import FaultKind
 @pytest.mark.requirement("S-121")
 @pytest.mark.parametrize(
     ("name", "phase"),
-    [
-        *(("swap", phase) for phase in ("upwards", "late", "teaching")),
-        *(("sign", phase) for phase in ("upwards", "late")),
-    ],
+    [("swap", "upwards"), ("swap", "teaching"), ("sign", "late")],
 )
 def test_states_that_agree_with_each_other_and_are_false_end_in_a_stop(
     name: str, phase: str
@@ -34,7 +31,7 @@ def test_states_that_agree_with_each_other_and_are_false_end_in_a_stop(
 
 
 @pytest.mark.requirement("S-44", "S-121")
-@pytest.mark.parametrize(("joint", "size"), [(1, 0.2), (1, 1.0), (1, -0.5), (3, 2.0 * np.pi)])
+@pytest.mark.parametrize(("joint", "size"), [(1, 0.2), (1, -0.5), (3, 2.0 * np.pi)])
 def test_a_jump_of_an_arm_that_nobody_holds_moves_nothing(joint: int, size: float) -> None:
     loop = held()
     loop.controller.set_gravity_compensation(True)
@@ -46,7 +43,7 @@ def test_a_jump_of_an_arm_that_nobody_holds_moves_nothing(joint: int, size: floa
 
 
 @pytest.mark.requirement("S-122")
-@pytest.mark.parametrize("arm", [*KNOWN, 9100, 9101], ids=str)
+@pytest.mark.parametrize("arm", ["payload of 0.5 kg", "motor 2 at 70 %", 9100], ids=str)
 @pytest.mark.parametrize("phase", ["upwards", "hold"])
 def test_an_arm_that_is_not_its_model_stays_where_a_fault_stopped_it(
     arm: str | int, phase: str
@@ -60,7 +57,7 @@ def test_an_arm_that_is_not_its_model_stays_where_a_fault_stopped_it(
 
 
 @pytest.mark.requirement("S-126")
-@pytest.mark.parametrize("arm", ["base tilted 10 degrees", 9100, 9101, 9102], ids=str)
+@pytest.mark.parametrize("arm", ["base tilted 10 degrees", 9100], ids=str)
 def test_an_arm_that_is_not_its_model_stays_under_gravity_compensation(arm: str | int) -> None:
     loop = held(drawn(arm) if isinstance(arm, int) else KNOWN[arm])
     loop.play(1.0)
@@ -72,7 +69,7 @@ def test_an_arm_that_is_not_its_model_stays_under_gravity_compensation(arm: str 
 
 
 @pytest.mark.requirement("S-121")
-@pytest.mark.parametrize("seconds", [0.0, 0.004, 0.02, 0.1, 0.3])
+@pytest.mark.parametrize("seconds", [0.0, 0.02, 0.3])
 def test_a_zero_that_jumps_back_after_the_reset_of_its_fault_moves_nothing(seconds: float) -> None:
     loop = held()
     loop.falsify = OF_JOINT["smooth bump"](1)

@@ -58,7 +58,7 @@ def test_every_posture_is_reached_from_below_and_from_above() -> None:
     assert np.allclose(spline(below), spline(above), atol=1e-6)
 
 
-@pytest.mark.parametrize("arm", ["libbarrett", "franka", "openarm"])
+@pytest.mark.parametrize("arm", ["libbarrett", "franka"])
 def test_every_arm_of_a_set_up_has_room_for_its_movement(arm: str) -> None:
     setup = overlay.setup([arm], simulated=True)
     params = TorqueControllerParams.of_setup(setup)

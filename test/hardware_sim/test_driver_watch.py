@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 import time
 from pathlib import Path
@@ -116,19 +115,6 @@ def test_a_domain_that_another_session_holds_is_refused_at_once(
     assert refused.wait(60.0) == 2
     held = f"DDS domain {free} is in use on this machine by another session"
     assert held in processes.output(refused)
-
-
-@pytest.mark.requirement("S-55")
-def test_a_killed_simulation_does_not_keep_its_successor_from_running(
-    probe: Probe, processes: Processes
-) -> None:
-    states = probe.listen(JointState, interface.JOINT_STATES, interface.STATE_RECORD)
-    killed = processes.node(SIM, *CONFIGS)
-    probe.until(lambda: states, "a state")
-    processes.end(killed, signal.SIGKILL)
-    states.clear()
-    processes.node(SIM, *CONFIGS)
-    probe.until(lambda: states, "a state of its successor")
 
 
 @pytest.mark.requirement("S-55")

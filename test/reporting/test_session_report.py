@@ -43,6 +43,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return session_of(tmp_path_factory.mktemp("report"), TURNS)
 
 
+@pytest.fixture(scope="module")
+def html(folder: Path) -> str:
+    """Its report."""
+    return session_report.write(folder).read_text()
+
+
 def session_of(tmp_path: Path, turns: list[float]) -> Path:
     settings = preset("flip", budget=len(turns), confirm=0, retests=0)
     candidates = [demonstrated_policy("demonstration-1")]
@@ -58,8 +64,9 @@ def session_of(tmp_path: Path, turns: list[float]) -> Path:
     return tmp_path / "session"
 
 
-def test_a_report_lists_every_rollout_with_its_angle_and_needs_no_other_file(folder: Path) -> None:
-    html = session_report.write(folder).read_text()
+def test_a_report_lists_every_rollout_with_its_angle_and_needs_no_other_file(
+    folder: Path, html: str
+) -> None:
     assert not re.search(r'(src|href)="(?!data:)', html)
     assert "<script" not in html
     assert f"Before learning: return {session.read(folder).records[0].ret:.3f}" in html
@@ -71,8 +78,7 @@ def test_a_report_lists_every_rollout_with_its_angle_and_needs_no_other_file(fol
     assert angles[-1] == pytest.approx(180.0 * 0.93, abs=6.0)
 
 
-def test_a_report_has_the_first_flip(folder: Path) -> None:
-    html = session_report.write(folder).read_text()
+def test_a_report_has_the_first_flip(html: str) -> None:
     assert "Rollout 4 was the first that flipped the pancake" in html  # 100 degrees topple over
     assert "° turned over, caught" in html
 
@@ -112,9 +118,9 @@ def test_page_and_terminal_say_the_same_of_the_retests(folder: Path) -> None:
 
 
 def test_terminal_and_report_say_why_a_session_failed(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    html: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert "hy it failed" not in session_report.write(folder).read_text()
+    assert "hy it failed" not in html
     other = session_of(tmp_path / "other", TURNS[:2] * 3)
     why = "t failed: PoWER chose 4 of 6 rollouts, because no plan on the measured errors"
     assert why in session_report.write(other).read_text()
@@ -122,8 +128,8 @@ def test_terminal_and_report_say_why_a_session_failed(
     assert why in " ".join(capsys.readouterr().out.split())  # whatever the width of the terminal
 
 
-def test_the_same_session_gives_the_same_report(folder: Path) -> None:
-    assert session_report.write(folder).read_bytes() == session_report.write(folder).read_bytes()
+def test_the_same_session_gives_the_same_report(folder: Path, html: str) -> None:
+    assert session_report.write(folder).read_text() == html
 
 
 def test_a_shown_rollout_without_a_film_gives_the_reason(folder: Path) -> None:
@@ -199,6 +205,6 @@ def test_a_task_derived_from_the_flip_keeps_its_figure_its_eq_5_and_every_senten
 
     flip = found.task
     high = derived["HighFlip"](flip.settings, {})
-    assert of(high) == of(flip)
-    assert any("Return of the paper, Eq. 5" in line for line in of(high))
+    assert (lines := of(high)) == of(flip)
+    assert any("Return of the paper, Eq. 5" in line for line in lines)
     assert terminal.summary(tests, high) == terminal.summary(tests, flip)

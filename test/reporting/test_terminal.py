@@ -151,13 +151,6 @@ def test_rollouts_of_the_budget_and_re_tests_are_counted_apart(practice: Practic
     assert "re-test 2 of 10" in text.getvalue() and "of 14" not in text.getvalue()
 
 
-def test_lines_are_broken_between_words(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("COLUMNS", "40")
-    text = "22 rollouts; return 0.945 over the last 5, best 0.963 in rollout 18"
-    lines = terminal.wrapped(text).splitlines()
-    assert max(map(len, lines)) <= 40 and " ".join(map(str.strip, lines)) == text
-
-
 def test_one_of_a_thing_is_told_in_the_singular(practice: Practice) -> None:
     told = [terminal.counted(number, "take") for number in (0, 1, 2)]
     assert told == ["0 takes", "1 take", "2 takes"]

@@ -107,7 +107,7 @@ def test_a_digest_changes_with_code_that_numbers_depend_on_and_not_with_words(
     (package / "reporting").mkdir(parents=True)
     (package / "__init__.py").touch()
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(job_cache, "PACKAGES", (*job_cache.PACKAGES, "made_up"))
+    monkeypatch.setattr(job_cache, "PACKAGES", ("made_up",))
     monkeypatch.setattr(job_cache, "NOT_HASHED", (*job_cache.NOT_HASHED, "made_up/reporting"))
     model, report = package / "model.py", package / "reporting/report.py"
     seen = []
@@ -117,8 +117,6 @@ def test_a_digest_changes_with_code_that_numbers_depend_on_and_not_with_words(
     assert seen[0] == seen[1] != seen[2]  # comments, docstrings and layout are no change
     report.write_text("B = 1\n")
     assert digest_of(job) == seen[2]
-    monkeypatch.undo()
-    assert digest_of(job) not in seen
 
 
 def test_whatever_the_studies_import_is_hashed() -> None:

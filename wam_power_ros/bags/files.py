@@ -69,20 +69,20 @@ def add_topic(topics: dict[str, Topic], name: str, topic: Topic) -> None:
     topics[name] = replace(known, msgtype=" and ".join(kinds), offered=offered, found=found)
 
 
-def unpacked(data: bytes, compression: str, size_max: int = UNPACKED_MAX) -> bytes:
+def unpacked(data: bytes, compression: str) -> bytes:
     """Decompressed data, whatever size they declare; as they are if they are not compressed.
 
     Raises:
-        ValueError: They are larger than `size_max` [byte], damaged, or of unknown compression.
+        ValueError: They are larger than UNPACKED_MAX, damaged, or of unknown compression.
     """
     if not compression:
         return data
     if compression not in OPENERS:
         raise ValueError(f"compression {compression!r} is not one of {', '.join(OPENERS)}")
     with OPENERS[compression](BytesIO(data)) as packed:
-        raw: bytes = packed.read(size_max + 1)
-    if len(raw) > size_max:
-        raise ValueError(f"a chunk or message unpacks to more than {size_max} bytes")
+        raw: bytes = packed.read(UNPACKED_MAX + 1)
+    if len(raw) > UNPACKED_MAX:
+        raise ValueError(f"a chunk or message unpacks to more than {UNPACKED_MAX} bytes")
     return raw
 
 
