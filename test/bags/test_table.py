@@ -81,6 +81,7 @@ def test_an_exported_bag_comes_back_bit_for_bit(tmp_path: Path) -> None:
         ({"t": T, "observation.state": ["[0.1 0.2]"] * 60}, r"others: \['observation.state'\]"),
         ({"t": [*T[:30], *T[:30]], **angles()}, "row 32 is 0.0 and follows 0.116.*file of its own"),
         ({"t": [*T[:-1], "inf"], **angles()}, "row 61 is inf"),
+        ({"t": [*T[:-1], T[-2]], **angles()}, "row 61 is 0.232 and follows 0.232"),
         ({"t": [*T[:-1], 1e40], **angles()}, "no time of ROS"),
         ({"stamp_ns": [*range(59), 70.5], **angles()}, "stamp_ns of row 61 is '70.5'"),
         ({"t": T, **angles(), "wam_j1": [*[0.0] * 30, *["lost"] * 30]}, "row 32 is 'lost'"),

@@ -32,6 +32,7 @@ def test_zeros_and_frame_are_those_of_the_arm(found: Commissioned) -> None:
     frame, truth = cameras.world_to_base, true_arm.CAMERAS.inverse()
     assert np.allclose(frame.position, truth.position, atol=2e-3)
     assert np.allclose(frame.rotation, truth.rotation, atol=5e-3)
+    assert cameras.upright == pytest.approx(np.hypot(0.01, 0.012), abs=2e-3)
     assert 0.0 < found.cameras.check_position < 2e-3
     assert 0.0 < found.cameras.check_rotation < np.deg2rad(0.2)
     assert 0.0 < found.cameras.sweep_position < 1e-3
