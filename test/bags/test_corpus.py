@@ -28,17 +28,13 @@ def changed(array: np.ndarray, place: object, value: object) -> None:
 SPOILT: dict[str, Spoil] = {
     "degrees": lambda r, t, q: np.multiply(q, 57.3, out=q),
     "clock set back an hour": lambda r, t, q: changed(t, MIDST, t[600:] - 3600 * 10**9),
-    "clock set on an hour": lambda r, t, q: changed(t, MIDST, t[600:] + 3600 * 10**9),
     "a state of yesterday": lambda r, t, q: changed(t, 0, t[0] - 86400 * 10**9),
     "states lost": lambda r, t, q: changed(t, MIDST, t[600:] + 60_000_000),
-    "a state NaN": lambda r, t, q: changed(q, 600, np.nan),
     "states NaN": lambda r, t, q: changed(q, slice(600, 620), np.nan),
     "a joint turns": lambda r, t, q: changed(q, (MIDST, 3), q[600:, 3] + 6.2832),
     "reception at the end of time": lambda r, t, q: changed(r, slice(600, 603), 2**63 - 5),
     "no stamps": lambda r, t, q: changed(t, slice(None), 0),
-    "one stamp": lambda r, t, q: changed(t, slice(None), t[0]),
     "standstill": lambda r, t, q: changed(q, slice(None), q[0]),
-    "stamps in reverse": lambda r, t, q: changed(t, slice(None), t[::-1].copy()),
 }
 
 

@@ -49,6 +49,12 @@ def html(folder: Path) -> str:
     return session_report.write(folder).read_text()
 
 
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reports whose figures are not drawn, which takes seconds each."""
+    monkeypatch.setattr(session_report.plotting, "svg", lambda figure: b"<svg/>")
+
+
 def session_of(tmp_path: Path, turns: list[float]) -> Path:
     settings = preset("flip", budget=len(turns), confirm=0, retests=0)
     candidates = [demonstrated_policy("demonstration-1")]
@@ -83,6 +89,7 @@ def test_a_report_has_the_first_flip(html: str) -> None:
     assert "° turned over, caught" in html
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_report_says_what_is_learnt_from(folder: Path) -> None:
     found = session.read(folder)
     for name, told in (
@@ -96,6 +103,7 @@ def test_a_report_says_what_is_learnt_from(folder: Path) -> None:
         assert told in session_report.render(header, settings.make_task({}), None, None, ())
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_every_picture_is_described_and_what_is_too_wide_says_that_it_scrolls(folder: Path) -> None:
     shown = session_report.ShownRollout("caught.", a_rollout("trial-0006", TURNS[5]), b"film")
     html = session_report.write(folder, shown).read_text()
@@ -106,6 +114,7 @@ def test_every_picture_is_described_and_what_is_too_wide_says_that_it_scrolls(fo
     assert len(pictures) == 5 and "scroll sideways" in html
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_page_and_terminal_say_the_same_of_the_retests(folder: Path) -> None:
     found = session.read(folder)
     records, task = found.records, found.task
@@ -117,6 +126,7 @@ def test_page_and_terminal_say_the_same_of_the_retests(folder: Path) -> None:
     assert f"{label} {shown.group(1)}" in terminal.summary(tests, task)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_terminal_and_report_say_why_a_session_failed(
     html: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -132,6 +142,7 @@ def test_the_same_session_gives_the_same_report(folder: Path, html: str) -> None
     assert session_report.write(folder).read_text() == html
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_shown_rollout_without_a_film_gives_the_reason(folder: Path) -> None:
     shown = session_report.ShownRollout("caught.", a_rollout("trial-0006", TURNS[5]))
     html = session_report.write(folder, shown, "no <OpenGL> here").read_text()
@@ -163,6 +174,7 @@ def reach(tmp_path: Path) -> Path:
     return tmp_path / "r"
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_report_of_a_reach_speaks_of_the_obstacle_and_of_no_pancake(reach: Path) -> None:
     rollout = Rollout(
         EndEffectorPath("trial-0003", [0.0, 1.0], [[0.4, -0.2, 0.5]] * 2, [[0, 0, 0, 1.0]] * 2)
@@ -188,6 +200,7 @@ def test_a_session_without_rollouts_has_a_report(tmp_path: Path) -> None:
 EXAMPLE = Path(__file__).resolve().parents[2] / "docs/extending.md"
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_task_derived_from_the_flip_keeps_its_figure_its_eq_5_and_every_sentence(
     folder: Path,
 ) -> None:

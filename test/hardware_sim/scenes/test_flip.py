@@ -29,7 +29,7 @@ from wam_power_ros import rotations
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.tasks.flip.flight import DELTA_H
 
-SEEDS = range(6)
+SEEDS = range(3)
 POSITION, ROTATION = np.array([0.8, 0.0, 0.6]), rotations.exp(np.array([0.0, 0.4, 0.0]))
 
 
