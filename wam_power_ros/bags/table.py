@@ -17,7 +17,6 @@ import numpy as np
 
 from wam_power_ros import durable_files
 from wam_power_ros.bags.bag import Bag
-from wam_power_ros.bags.files import TABLE
 from wam_power_ros.bags.layout import JOINT_STATE, STAMP_END, STATES, TYPES, decoded, qos
 from wam_power_ros.bags.quality import Grade, Remark
 from wam_power_ros.bags.reader import States
@@ -27,6 +26,7 @@ ODOMETRY = "nav_msgs/msg/Odometry"
 STATE = "/state"  # topic of a body below its name
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")  # [m], quaternion
 STAMP = "stamp_ns"
+TABLE = ".csv"  # suffix
 TIMES = ("t", "time", "timestamp", "__time")  # columns of a time [s], if there is no STAMP
 # Column of a joint's angle: its name, alone or as `bags export`, LeRobot or PlotJuggler write it
 JOINT = re.compile(r"(?:q\.)?(?P<name>[^/]+?)(?:\.pos)?|.*/(?P<last>[^/]+)/position")
