@@ -158,8 +158,3 @@ FALSE_STATES: dict[str, Callable[[], Falsifier]] = {
     # Every other state is that of an arm 0.02 rad away.
     "two drivers": lambda: from_past(lambda p: p[-1]._replace(q=p[-1].q + 0.02 * (len(p) % 2))),
 }
-ALL_FALSE_STATES = FALSE_STATES | {
-    "joint 6 frozen": lambda: frozen(5),
-    "stamps at three times the speed": lambda: stamps(3.0),
-    "stamps at half the speed": lambda: stamps(0.5),
-}

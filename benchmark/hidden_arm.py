@@ -15,7 +15,6 @@ from hardware_sim.hidden_arm import HiddenArm
 from hardware_sim.scenes import scene_type
 from hardware_sim.scenes.flip import wrist_flick
 from hardware_sim.settings import WorldSettings
-from hardware_sim.wam import N
 from hardware_sim.world import World
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller import Controller
@@ -30,23 +29,6 @@ KNOWN = {  # single deviations, each far larger than what a laboratory should ac
     "motor 2 at 70 %": HiddenArm(motors=np.array([1.0, 0.7, 1.0, 1.0, 1.0, 1.0, 1.0])),
     "base tilted 10 degrees": HiddenArm(tilt=np.deg2rad([0.0, 10.0])),
 }
-PAN_MASS = 0.6  # [kg] of the tool, which a drawn payload is a share of
-
-
-def draw(seed: int) -> HiddenArm:
-    """Draw the deviations of an arm on a laboratory's first day.
-
-    Payload within 20 % of the tool, links within 5 %, friction halved to doubled, torque constants
-    within 5 %, zeros of 1 to 3 degrees.
-    """
-    rng = np.random.default_rng([seed, 0xA12])
-    return HiddenArm(
-        payload=PAN_MASS * rng.uniform(-0.2, 0.2),
-        links=rng.uniform(0.95, 1.05, N),
-        friction=2.0 ** rng.uniform(-1.0, 1.0, N),
-        motors=rng.uniform(0.95, 1.05, N),
-        zeros=np.deg2rad(rng.uniform(1.0, 3.0, N)) * rng.choice([-1.0, 1.0], N),
-    )
 
 
 class StandIn:

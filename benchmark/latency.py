@@ -1,39 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
 """Latency from state to torque in real time: the controller compared with a bare echo node.
 
-    python -m benchmark.latency [--seconds 60] [--load 0] [--view] [--period 0.001]
+    python -m benchmark.latency [--seconds 60] [--load 0] [--period 0.001]
 
 The stand-in publishes 500 states a second, or one each --period, on the wall clock. The controller
 answers each with a torque. The echo, a bare rclpy node in a separate process, answers with the same
 message holding zeros. The stand-in's process times both, in the same run and with the same
 scheduling, so machine and middleware cancel in the ratio. Each topic has one reader. With --load,
-as many busy processes run beside it; with --view, the page of `wam-power view` follows the arm.
+as many busy processes run beside it.
 """
 
 from __future__ import annotations
 
-import fcntl
-import re
 import subprocess
 import sys
 import tempfile
 import time
-from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from benchmark.nodes import JOINTS, PERIOD_NS, environment, ros_arguments, taught
+from benchmark.nodes import JOINTS, PERIOD_NS, environment, ros_arguments
 from benchmark.terminal import options, table_head, table_row
 from wam_power_ros.cli.processes import Processes
-from wam_power_ros.learning.policy import with_id
-from wam_power_ros.practice.session import Session
-from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import interface, joint_messages, node_runner, scheduling
 from wam_power_ros.ros.domain import private_domain
 from wam_power_ros.ros.stamps import nanoseconds
@@ -107,40 +100,7 @@ def stand_in(report: Path) -> int:
     return status
 
 
-def start_page(processes: Processes, folder: Path, domain: int) -> IO[str]:
-    """Start the page of a session and a reader in place of a browser; return the session's lock.
-
-    A browser without a graphics card would draw on the processor, and be measured instead.
-    """
-    session = folder / "session"
-    Session.begin(session, preset("flip"), 0, [with_id(taught(), "demonstration-1")]).close()
-    (session / "logs").mkdir()
-    (session / "logs/ros_domain_id").write_text(f"{domain}\n")
-    held = (session / "logs/.lock").open("a")
-    fcntl.flock(held, fcntl.LOCK_EX)
-    view = processes.start("view", [*MODULE, "wam_power_ros.cli", "view", str(session)])
-    while not (found := re.search(r"http(://\S+)", view.log.read_text())):
-        processes.check()
-        time.sleep(0.1)
-    role = f"browser ws{found[1]}"
-    processes.start("browser", [*MODULE, "benchmark.latency", ROLE, role])
-    return held
-
-
-def read_all(url: str) -> int:
-    """Receive everything the page sends, indefinitely."""
-    import viser
-    from websockets.sync.client import connect
-
-    with connect(url, subprotocols=[f"viser-v{viser.__version__}"], max_size=None) as socket:
-        for _ in socket:
-            pass
-    return 0
-
-
-def measure(
-    seconds: float, fifo: bool, load: int, view: bool, period: float
-) -> dict[str, dict[str, float]]:
+def measure(seconds: float, fifo: bool, load: int, period: float) -> dict[str, dict[str, float]]:
     """Periods met [%] and quantiles of the latency [us] of controller and echo in one run."""
     own = [*MODULE, "benchmark.latency", ROLE]
     with tempfile.TemporaryDirectory() as folder, private_domain() as domain:
@@ -150,13 +110,11 @@ def measure(
         of_loop = {"period": period, "realtime_priority": priority["controller"]}
         arm_words = ros_arguments("wam_sim", "optitrack_sim", pace="real_time", **of_arm)
         words = ros_arguments("torque_controller", "simulation", **of_loop)
-        with Processes(Path(folder), environment(domain)) as processes, ExitStack() as stack:
+        with Processes(Path(folder), environment(domain)) as processes:
             start, loop = processes.start, [*MODULE, "wam_power_ros.nodes.torque_controller"]
             start("stand-in", [*own, str(report), *arm_words])
             start("controller", [*loop, *words])
             start("echo", [*own, f"echo {priority['echo']}"])
-            if view:
-                stack.enter_context(start_page(processes, Path(folder), domain))
             for i in range(load):
                 start(f"load {i}", [sys.executable, "-c", "while True: pass"])
             time.sleep(10.0)  # for imports and discovery
@@ -200,14 +158,14 @@ def main() -> int:
         role, _, value = sys.argv[sys.argv.index(ROLE) + 1].partition(" ")
         if role == "echo":
             return node_runner.run(lambda: Echo(int(value)))
-        return read_all(value) if role == "browser" else stand_in(Path(role))
+        return stand_in(Path(role))
     period = PERIOD_NS * 1e-9
-    given = options(__doc__, seconds=60.0, load=0, view=False, period=period)
+    given = options(__doc__, seconds=60.0, load=0, period=period)
     for title, fifo in (("SCHED_FIFO", True), ("plain scheduling", False)):
         if fifo and not may_schedule():
             print(f"{title}: skipped, not permitted here (rtprio in /etc/security/limits.d)")
             continue
-        found = measure(given.seconds, fifo, given.load, given.view, given.period)
+        found = measure(given.seconds, fifo, given.load, given.period)
         print_table(title, found)
     return 0
 

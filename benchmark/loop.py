@@ -52,7 +52,6 @@ class Outcome(NamedTuple):
     travel: float  # distance from where it was 0.5 s after the fault, or at the beginning
     stop: float  # distance from where it was at the fault
     reset: bool = True  # a fault could be reset after the observation, or there was none
-    after: float = 0.0  # speed after true states have returned
     nominal: float = 0.0  # speed without the cause
     before: float = 0.0  # distance from the nominal path until the fault
     way: float = 0.0  # way after the fault beyond that of a stop from true states

@@ -126,14 +126,11 @@ def _slipped_encoder(lab: Laboratory, rng: Rng) -> Laboratory:
     return replace(lab, recorded=replace(lab.recorded, q=q))
 
 
-def _tilted(low: float, high: float, mounted: float = 0.3) -> Spoil:
-    """A plate 3 degrees off flat, about a drawn axis from the last joint's on [degrees].
-
-    `mounted` is the angle of the body on the tool [rad].
-    """
+def _tilted(low: float, high: float) -> Spoil:
+    """A plate 3 degrees off flat, about a drawn axis from the last joint's on [degrees]."""
 
     def spoil(lab: Laboratory, rng: Rng) -> Laboratory:
-        angle = np.deg2rad(rng.uniform(low, high)) - mounted
+        angle = np.deg2rad(rng.uniform(low, high)) - 0.3  # of the body on the tool
         axis = rng.choice([-1.0, 1.0]) * np.array([np.cos(angle), np.sin(angle), 0.0])
         vector = np.tile(np.deg2rad(3.0) * axis, (len(lab.t), 1))
         return lab.with_body(0.0 * vector, vector)

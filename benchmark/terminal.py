@@ -6,13 +6,11 @@ from __future__ import annotations
 import argparse
 
 
-def options(
-    doc: str | None, **wanted: str | float | list[str] | tuple[str, ...] | type
-) -> argparse.Namespace:
+def options(doc: str | None, **wanted: float | list[str]) -> argparse.Namespace:
     """Read the options of a benchmark from the command line; `doc` is the text of `--help`.
 
     `wanted` has the default of each option. False makes it a switch; of a list the user may name
-    some words, of a tuple one, the first by default; an option that is a type may be None.
+    some words.
     """
     kind = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=doc, formatter_class=kind)
@@ -21,10 +19,6 @@ def options(
             parser.add_argument(f"--{name}", action="store_true")
         elif isinstance(default, list):
             parser.add_argument(f"--{name}", nargs="+", choices=default, default=default)
-        elif isinstance(default, tuple):
-            parser.add_argument(f"--{name}", choices=default, default=default[0])
-        elif isinstance(default, type):
-            parser.add_argument(f"--{name}", type=default)
         else:
             parser.add_argument(f"--{name}", type=type(default), default=default)
     return parser.parse_args()

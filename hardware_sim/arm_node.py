@@ -67,7 +67,7 @@ class ArmSim(Node):
         # in real time the stamps are of the system clock, like those of a real driver
         self.stamp_offset_ns = 0 if self.params.lockstep else time.time_ns() - world.time_ns
         self._barrett = BarrettServices(self, world, self.params)
-        self._scene = SceneServices(self, world, self.params, self._barrett.control)
+        self._scene = SceneServices(self, world, self.params)
         self._description.publish(String(data=world.urdf))
 
     def _connect(self) -> None:
@@ -123,10 +123,8 @@ class ArmSim(Node):
             self._scene.change(reading.label, self.stamp_ns)
         world.guided = self._scene.label == "gravity_compensation"  # its button is held
         world.step(self._barrett.torque(None if reading is None else reading.tau))
-        self._barrett.update()
         self._scene.update()
-        busy = self._scene.busy or self._barrett.control.engaged
-        moves = busy or world.moving or self._scene.label not in IDLE_LABELS
+        moves = self._scene.busy or world.moving or self._scene.label not in IDLE_LABELS
         self._still_ticks = 0 if moves else self._still_ticks + 1
         for frame in world.mocap_frames():
             self._on_frame(frame, self.stamp_offset_ns, world.time_ns)
@@ -179,8 +177,7 @@ class ArmSim(Node):
     def report(self, values: dict[str, object]) -> None:
         """Publish diagnostics with the `values` of the loop; called once a second."""
         world = self.world
-        own = self._barrett.control.engaged
-        state = "idle" if world.idle else "own motion" if own else "commanded"
+        state = "idle" if world.idle else "commanded"
         state = "deactivated" if self._barrett.deactivated else state
         values |= {"frozen": world.frozen, "label": self._scene.label, **self.counters}
         values["stamp of the last [ns]"] = self.stamp_ns

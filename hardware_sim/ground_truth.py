@@ -40,14 +40,9 @@ class RolloutLog:
 
     The model has a site at every guarded point and at the tool; `body` are the columns of the
     tracked body in qpos and qvel, empty without one.
-
-    Attributes:
-        start: Body and tool at the release.
-        rows: Number of logged ticks.
-        period: Time between two ticks [s].
     """
 
-    start: Snapshot
+    start: Snapshot  # at the release
 
     def __init__(
         self,

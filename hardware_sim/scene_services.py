@@ -14,7 +14,6 @@ import numpy as np
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from hardware_sim.barrett_services import PositionControl
 from hardware_sim.settings import ArmSimParams
 from hardware_sim.world import World
 from wam_power_interfaces.action import Demonstrate, ResetScene
@@ -38,11 +37,9 @@ class SceneServices:
         label: Activity of the controller, the label of its torques; "" before the first.
     """
 
-    def __init__(
-        self, node: Node, world: World, params: ArmSimParams, control: PositionControl
-    ) -> None:
+    def __init__(self, node: Node, world: World, params: ArmSimParams) -> None:
         self.label = ""
-        self._world, self._seed, self._control = world, params.seed, control
+        self._world, self._seed = world, params.seed
         self._lockstep = params.lockstep
         self._demonstrations = 0  # completed
         self._wait_ticks = world.settings.ticks(WAIT_TIME)
@@ -171,7 +168,7 @@ class SceneServices:
     def _until_guided(self) -> Steps:
         """Wait until the arm can be guided; refuse if that takes long."""
         for _ in range(self._wait_ticks + 1):
-            if self.label == "gravity_compensation" and not self._control.engaged:
+            if self.label == "gravity_compensation":
                 return
             yield None
         yield Answer(Code.BUSY, f"the arm is not free to be guided (mode {self.label!r})")

@@ -36,10 +36,3 @@ BUS_VOLTAGE_MIN, BUS_VOLTAGE_MAX = 36.0, 90.0  # [V]
 # Encoders, and libbarrett's low-pass of the velocity
 ENCODER_COUNTS = 4096  # per turn of a motor
 VELOCITY_CUTOFF = 180.0  # [rad/s]
-
-# Position control as libbarrett ships it (config/wam7w.conf), without the integral
-POSITION_KP = np.array([900.0, 2500.0, 600.0, 500.0, 50.0, 50.0, 8.0])  # [N m/rad]
-POSITION_KD = np.array([10.0, 20.0, 5.0, 2.0, 0.5, 0.5, 0.05])  # [N m s/rad]
-POSITION_TAU_MAX = np.array([25.0, 20.0, 15.0, 15.0, 5.0, 5.0, 5.0])  # [N m]
-HOME_SPEED = 0.5  # [rad/s] of a move home
-FOLDED = np.array([0.0, -1.95, 0.0, 3.05, 0.0, 0.0, 0.0])  # [rad] home; just inside the limits

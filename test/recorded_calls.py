@@ -15,10 +15,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmark.false_states import ALL_FALSE_STATES, PERIOD, Falsifier
-from benchmark.hidden_arm import KNOWN, NOMINAL, begin, draw, held
+from benchmark.false_states import FALSE_STATES, PERIOD, Falsifier
+from benchmark.hidden_arm import KNOWN, NOMINAL, begin, held
 from benchmark.loop import PHASES, Loop
 from benchmark.nodes import JOINTS, taught
+from benchmark.reaction_matrix import drawn
 from hardware_sim.hidden_arm import HiddenArm
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller import Controller
@@ -185,7 +186,7 @@ def drives(every: int = 1) -> Iterator[Drive]:
     rows: list[tuple[Callable[[Loop], None], dict[str, Any], HiddenArm]] = [
         (whole, {}, NOMINAL),
         (partial(begin, phase="hold"), {}, KNOWN["payload of 0.5 kg"]),
-        (whole, {}, draw(9001)),
+        (whole, {}, drawn(9001)),
         (rollout, {"law": "virtual_mass"}, NOMINAL),
         (pulled, {"driver_compensates_gravity": True}, NOMINAL),
         (rollout, {"limits": near}, NOMINAL),
@@ -198,7 +199,7 @@ def drives(every: int = 1) -> Iterator[Drive]:
         (lambda state: state._replace(qd=None), "upwards"),
         (lambda state: state._replace(q=np.full(7, np.nan)), "hold"),
         (lambda state: state._replace(q=state.q + 0.5 * np.eye(7)[1]), "teaching"),
-        *zip((make() for make in ALL_FALSE_STATES.values()), cycle(PHASES)),
+        *zip((make() for make in FALSE_STATES.values()), cycle(PHASES)),
     ]
     rows += [
         (partial(recovered, falsify=each, phase=phase), {}, NOMINAL) for each, phase in falsified

@@ -1,24 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A camera that films a hand-held plate with tags; prints what it measures, or publishes images.
-
-A process of its own, because OpenGL is chosen when MuJoCo is imported.
-"""
+"""A camera that films a hand-held plate with tags, through a lens with distortion, with noise."""
 
 from __future__ import annotations
 
-import json
-import os
-import sys
 import time
 
-os.environ.setdefault("MUJOCO_GL", "egl")
-
-import mujoco
+import cv2
 import numpy as np
 
-from hardware_sim.tag_images import WEBCAM, TagImages, add_tags
 from wam_power_ros import rotations
 from wam_power_ros.nodes.tag_detector import TagDetector
+
+WIDTH, HEIGHT = 640, 480
+K = np.array([[610.0, 0.0, 322.0], [0.0, 610.0, 236.0], [0.0, 0.0, 1.0]])  # as in CameraInfo
+D = np.array([-0.28, 0.09, 0.0006, -0.0004, 0.0])
+LARGER, CELL, NOISE = 2, 32, 3.0  # ideal image over the real one, pixels of a module, grey values
 
 ONE = "36h11", (3,), 0.06, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 TWO = "36h11", (3, 7), 0.05, (-0.04, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0,
@@ -37,18 +33,40 @@ class Film:
     """The plate in front of the camera."""
 
     def __init__(self, tags: tuple) -> None:
-        spec = mujoco.MjSpec()
-        plate = spec.worldbody.add_body(name="plate", mocap=True)
-        add_tags(spec, plate, *tags)
-        spec.worldbody.add_light(pos=[0.5, -1.0, 3.0], dir=[0.0, 0.3, -1.0], castshadow=False)
-        self._images, self._rng = TagImages(spec, WEBCAM, *CAMERA), np.random.default_rng(0)
+        family, numbers, size, poses = tags
+        name = getattr(cv2.aruco, f"DICT_APRILTAG_{family}")
+        known = cv2.aruco.getPredefinedDictionary(name)
+        self._tags = []
+        for number, pose in zip(numbers, np.reshape(poses, (-1, 7)), strict=True):
+            printed = np.full((10, 10), 255, np.uint8)  # with its white margin
+            printed[1:-1, 1:-1] = cv2.aruco.generateImageMarker(known, number, 8)
+            self._tags.append((np.kron(printed, np.ones((CELL, CELL), np.uint8)), pose))
+        step, half = size / 8 / CELL, 0.5 * (10 * CELL - 1)
+        self._plane = step * np.array(
+            [[1.0, 0.0, -half], [0.0, -1.0, half], [0.0, 0.0, 1.0 / step]]
+        )
+        centre = 0.65 * LARGER * np.array([WIDTH, HEIGHT])  # the ideal image has room for the lens
+        self._ideal = np.diag([LARGER * K[0, 0], LARGER * K[1, 1], 1.0])
+        self._ideal[:2, 2] = centre
+        pixels = np.stack(np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT)), axis=-1)
+        rays = cv2.undistortPoints(pixels.reshape(-1, 1, 2).astype(float), K, D)
+        self._map = (LARGER * K[1, 1] * rays.reshape(HEIGHT, WIDTH, 2) + centre).astype(np.float32)
+        self._size = tuple((2 * centre).astype(int).tolist())
+        self._rng = np.random.default_rng(0)
 
     def image(self, place: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-        """Image of the plate at a pose in the optical frame."""
-        data, (position, axes) = self._images.data, CAMERA
-        data.mocap_pos[0] = position + axes @ place
-        data.mocap_quat[0] = rotations.quat_xyzw(axes @ rotation)[[3, 0, 1, 2]]
-        return self._images.image(self._rng)
+        """Image of the plate at a pose in the optical frame, a tag after the other."""
+        ideal = np.full(self._size[::-1], 128, np.uint8)
+        for printed, pose in self._tags:
+            turned = rotation @ rotations.matrix(pose[3:])
+            to_image = np.column_stack([turned[:, :2], place + rotation @ pose[:3]])
+            to_image = self._ideal @ to_image @ self._plane
+            border = cv2.BORDER_TRANSPARENT
+            cv2.warpPerspective(printed, to_image, self._size, ideal, cv2.INTER_LINEAR, border)
+        ideal = cv2.GaussianBlur(ideal, (0, 0), 0.5 * LARGER)
+        seen = cv2.remap(ideal, self._map, None, cv2.INTER_LINEAR).astype(float)
+        noisy = seen + NOISE * self._rng.standard_normal(seen.shape)
+        return np.clip(noisy, 0, 255).astype(np.uint8)
 
 
 def measure(tags: tuple, count: int = 60) -> dict[str, object]:
@@ -63,7 +81,7 @@ def measure(tags: tuple, count: int = 60) -> dict[str, object]:
         rotation = rotation @ rotations.exp(np.array([0.0, 0.0, rng.uniform(-3.0, 3.0)]))
         image = film.image(place, rotation)
         try:
-            found = detector.pose((number + 1) * 10**9, image, WEBCAM.k, WEBCAM.d)
+            found = detector.pose((number + 1) * 10**9, image, K, D)
         except ValueError as error:
             lost.append(str(error))
             continue
@@ -92,7 +110,7 @@ def publish(tags: tuple) -> None:
         message = Image(height=height, width=width, step=width, encoding="mono8")
         message.data = grey.tobytes()
         info = CameraInfo(height=height, width=width, distortion_model="plumb_bob")
-        info.k, info.d = WEBCAM.k.ravel().tolist(), WEBCAM.d.tolist()
+        info.k, info.d = K.ravel().tolist(), D.tolist()
         for each, to in ((info, infos), (message, images)):
             each.header.stamp, each.header.frame_id = time_message(stamp_ns), "camera_optical"
             to.publish(each)
@@ -100,11 +118,4 @@ def publish(tags: tuple) -> None:
 
 
 if __name__ == "__main__":
-    try:
-        Film(ONE)
-    except (RuntimeError, AttributeError) as error:  # how MuJoCo says that there is no OpenGL
-        sys.exit(f"OpenGL: {error}")
-    if sys.argv[1:] == ["publish"]:
-        publish(TWO)
-    else:
-        sys.stdout.write(json.dumps({"one": measure(ONE), "two": measure(TWO)}))
+    publish(TWO)

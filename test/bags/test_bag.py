@@ -13,8 +13,7 @@ from typing import Any
 import pytest
 from bag_samples import NAMES, demonstration, random_q
 
-from wam_power_ros.bags import files, takes
-from wam_power_ros.bags.bag import Bag
+from wam_power_ros.bags import files
 from wam_power_ros.bags.reader import read_demonstration
 from wam_power_ros.cli import main
 from wam_power_ros.params.resources import share
@@ -64,17 +63,6 @@ def test_reading_a_demonstration_opens_its_metadata_and_verifies_its_file_once(
     read_demonstration(path, NAMES)
     assert verified == {"demo.mcap": 1}
     assert opened == {"metadata.yaml": 1, "demo.mcap": 2}  # to verify, to read
-
-
-def test_whatever_is_read_of_an_opened_bag_it_is_verified_once(
-    tmp_path: Path, opened: Counter[str], verified: Counter[str]
-) -> None:
-    bag = Bag(demonstration(tmp_path / "demo", random_q(50)))
-    opened.clear()
-    take = takes.read(bag, NAMES)
-    assert (bag.kind, bag.arm) == ("demo", None)
-    assert take.counts == {"/joint_states": 100, "/robot_description": 1}
-    assert verified == {"demo.mcap": 1} and not opened["metadata.yaml"]
 
 
 def test_listing_opens_no_bag_and_grading_verifies_each_once(

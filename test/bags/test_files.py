@@ -10,8 +10,7 @@ import sqlite3
 import struct
 import subprocess
 import sys
-import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import lz4.frame
@@ -25,12 +24,13 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from wam_power_ros.bags import layout
 from wam_power_ros.bags.bag import Bag
 from wam_power_ros.bags.reader import read_demonstration
-from wam_power_ros.bags.recovery import HEADER, recover
+from wam_power_ros.bags.recovery import recover
 from wam_power_ros.bags.writer import BagWriter
 from wam_power_ros.params.resources import share
 
 SHIPPED = sorted(path.parent for path in share("bags").glob("*/metadata.yaml"))
 CHUNK = Opcode.CHUNK
+HEADER = struct.Struct("<BQ")  # opcode and size of a record
 CHUNK_HEADER = struct.Struct("<QQQI")  # first and last stamp, unpacked size, checksum
 MEMORY = 400_000_000  # [byte] that a reader of a small bag may take
 DISK = 200_000_000  # [byte] that it may write into one file
@@ -80,7 +80,7 @@ def test_no_flipped_bit_of_a_bag_is_read_as_another_movement(bag: Path) -> None:
     rng = np.random.default_rng()  # other bytes each time
     for file in (bag / "demo.mcap", bag / "metadata.yaml"):
         whole = file.read_bytes()
-        places = rng.integers(0, len(whole), 300).tolist()
+        places = rng.integers(0, len(whole), 100).tolist()
         if file.suffix == ".mcap":
             places += [at for at, *_ in records(whole)]  # each opcode
             (end,) = (at for at, opcode, _ in records(whole) if opcode == Opcode.DATA_END)
@@ -131,17 +131,6 @@ def test_recovery_leaves_a_damaged_chunk_out_and_names_it(bag: Path) -> None:
             shutil.rmtree(made.path)
 
 
-def test_another_reader_of_the_format_agrees_with_the_checksums(bag: Path) -> None:
-    mcap_reader = pytest.importorskip("mcap.stream_reader")
-    whole = (bag / "demo.mcap").read_bytes()
-    with (bag / "demo.mcap").open("rb") as file:
-        found = list(mcap_reader.StreamReader(file, validate_crcs=True).records)
-    ends = [item for item in found if type(item).__name__ in ("DataEnd", "Footer")]
-    assert ends[0].data_section_crc and ends[1].summary_crc
-    (at,) = [at for at, opcode, _ in records(whole) if opcode == Opcode.DATA_END]
-    assert zlib.crc32(whole[:at]) == ends[0].data_section_crc
-
-
 @pytest.mark.requirement("S-57")
 @pytest.mark.parametrize("shipped", SHIPPED, ids=lambda path: path.name)
 def test_a_shipped_bag_has_checksums_and_a_flipped_byte_in_it_is_refused_by_name(
@@ -178,17 +167,9 @@ def test_metadata_that_differ_from_the_copy_in_the_file_are_refused(bag: Path, n
         read_demonstration(bag, NAMES)
 
 
-@pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
-@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
-def test_a_compressed_bag_reads_the_same(
-    tmp_path: Path, mode: CompressionMode, storage: StoragePlugin
-) -> None:
-    path = compressed(tmp_path / "lab", mode, storage, random_q(30))
-    np.testing.assert_array_equal(read_demonstration(path, NAMES)[1], random_q(30))
-
-
-def test_a_bag_with_compressed_chunks_reads_the_same(tmp_path: Path) -> None:
-    path = compressed(tmp_path / "lab", CompressionMode.STORAGE, StoragePlugin.MCAP, random_q(30))
+@pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.STORAGE])
+def test_a_compressed_bag_reads_the_same(tmp_path: Path, mode: CompressionMode) -> None:
+    path = compressed(tmp_path / "lab", mode, StoragePlugin.MCAP, random_q(30))
     np.testing.assert_array_equal(read_demonstration(path, NAMES)[1], random_q(30))
 
 
@@ -276,23 +257,25 @@ def computed_rows(path: Path) -> None:
         database.execute("INSERT INTO messages(topic_id, timestamp) SELECT 1, 1 FROM old")
 
 
-BOMBS = [
-    (zstd_chunk_of_a_declared_size, "unpacks to more than 64000000 bytes"),
-    (zstd_chunk_that_declares_less, "unpacks to more than 64000000 bytes"),
-    (lz4_chunk_that_declares_less, "unpacks to more than 64000000 bytes"),
-    (many_chunks, "cannot be read as a bag"),
-    (file_bomb, "File too large"),
-    (message_bomb, "unpacks to more than 64000000 bytes"),
-    (computed_rows, "a message on /joint_states has more than 64000000 bytes"),
-]
+BOMBS = {
+    zstd_chunk_of_a_declared_size: "unpacks to more than 64000000 bytes",
+    zstd_chunk_that_declares_less: "unpacks to more than 64000000 bytes",
+    lz4_chunk_that_declares_less: "unpacks to more than 64000000 bytes",
+    many_chunks: "cannot be read as a bag",
+    file_bomb: "File too large",
+    message_bomb: "unpacks to more than 64000000 bytes",
+    computed_rows: "a message on /joint_states has more than 64000000 bytes",
+}
 
 
 @pytest.mark.requirement("S-58")
-@pytest.mark.parametrize(("make", "why"), BOMBS, ids=lambda item: getattr(item, "__name__", ""))
 def test_a_small_bag_that_unpacks_to_a_large_one_is_refused_in_bounded_memory_and_disk(
-    tmp_path: Path, make: Callable[[Path], None], why: str
+    tmp_path: Path,
 ) -> None:
-    make(tmp_path / "demo")
+    bags = [tmp_path / make.__name__ / "demo" for make in BOMBS]
+    for make, bag in zip(BOMBS, bags, strict=True):
+        bag.parent.mkdir()
+        make(bag)
     script = f"""
 import resource, sys
 sys.path[:0] = {sys.path!r}
@@ -302,16 +285,21 @@ pages = int(Path("/proc/self/statm").read_text().split()[0])
 most = pages * resource.getpagesize() + {MEMORY}
 resource.setrlimit(resource.RLIMIT_AS, (most, most))
 resource.setrlimit(resource.RLIMIT_FSIZE, ({DISK}, {DISK}))
-try:
-    read_demonstration(Path({str(tmp_path / "demo")!r}), {NAMES!r})
-except ValueError as error:
-    print(error)
+for bag in {[*map(str, bags)]!r}:
+    try:
+        read_demonstration(Path(bag), {NAMES!r})
+        print("read")
+    except ValueError as error:
+        print(error)
 """
-    environment = os.environ | {"TMPDIR": str(tmp_path), "OPENBLAS_NUM_THREADS": "1"}
+    scratch = tmp_path / "scratch"
+    scratch.mkdir()
+    environment = os.environ | {"TMPDIR": str(scratch), "OPENBLAS_NUM_THREADS": "1"}
     command = [sys.executable, "-c", script]
     ended = subprocess.run(
-        command, capture_output=True, text=True, timeout=120, env=environment, check=False
+        command, capture_output=True, text=True, timeout=300, env=environment, check=False
     )
     assert ended.returncode == 0, ended.stderr
-    assert why in ended.stdout and len(ended.stdout.splitlines()) == 1
-    assert [left.name for left in tmp_path.iterdir()] == ["demo"]
+    for why, said in zip(BOMBS.values(), ended.stdout.splitlines(), strict=True):
+        assert why in said
+    assert list(scratch.iterdir()) == []

@@ -100,16 +100,6 @@ def test_a_topic_without_a_message_is_none_of_several(tmp_path: Path) -> None:
         importing.import_bag(Bag(writer.close({})), tmp_path / "no", NAMES)
 
 
-def test_a_part_of_a_take_has_its_states_alone(tmp_path: Path) -> None:
-    q = random_q(500)
-    path = demonstration(tmp_path / "take", q)
-    made, _ = importing.import_bag(Bag(path), tmp_path / "part", NAMES, part=(0.2, 0.4))
-    stamps, angles = reader.read_demonstration(made, NAMES)
-    np.testing.assert_array_equal(angles, q[100:201])
-    assert stamps[0] == START + 200_000_000
-    np.testing.assert_array_equal(reader.read_demonstration(path, NAMES)[1], q)
-
-
 def test_a_part_without_a_state_is_refused(tmp_path: Path) -> None:
     path = demonstration(tmp_path / "take", random_q(50))
     with pytest.raises(ValueError, match="no state from 5"):
@@ -117,30 +107,15 @@ def test_a_part_without_a_state_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "part").exists()
 
 
-def test_the_parts_of_a_take_together_are_the_take_in_any_order(tmp_path: Path) -> None:
-    q = random_q(200)
-    path = demonstration(tmp_path / "take", q)
-    parts = [
-        importing.import_bag(Bag(path), tmp_path / str(part[0]), NAMES, part=part)[0]
-        for part in ((0.2, 0.4), (0.0, 0.199))
-    ]
-    whole, _ = importing.import_bag(Bag(*parts), tmp_path / "whole", NAMES)
-    np.testing.assert_array_equal(reader.read_demonstration(whole, NAMES)[1], q)
-
-
-def test_bags_of_the_same_time_are_not_imported_as_one(tmp_path: Path) -> None:
-    bags = [demonstration(tmp_path / name, random_q(20, seed)) for seed, name in enumerate("ab")]
-    with pytest.raises(ValueError, match=r"/joint_states: stamp .* stamps must increase"):
-        importing.import_bag(Bag(*bags), tmp_path / "both", NAMES)
-    assert not (tmp_path / "both").exists()
-
-
-def test_bags_of_different_arms_are_not_read_as_one(tmp_path: Path) -> None:
-    bags = []
-    for name, arm in (("a", ArmIdentity("wam", NAMES, "0" * 64, "1" * 64)), ("b", None)):
+def test_an_import_keeps_the_identity_of_the_arm_and_joins_no_two_arms(tmp_path: Path) -> None:
+    bags, arm = [], ArmIdentity("wam", NAMES, "0" * 64, "1" * 64)
+    for name, notes in (("a", {"arm": to_json(arm)}), ("b", {})):
         writer = BagWriter(tmp_path / name)
         writer.add("/joint_states", JOINT_STATE, QOS)
-        bags.append(writer.close({"arm": to_json(arm)} if arm else {}))
+        writer.write("/joint_states", START, joint_state(START, NAMES, np.ones(3)))
+        bags.append(writer.close(notes))
+    made, _ = importing.import_bag(Bag(bags[0]), tmp_path / "ours", NAMES)
+    assert Bag(made).arm == arm
     with pytest.raises(ValueError, match="are of different arms"):
         Bag(*bags)
 

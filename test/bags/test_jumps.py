@@ -17,10 +17,8 @@ from wam_power_ros.bags.bag import Bag
 from wam_power_ros.bags.jumps import checked
 from wam_power_ros.bags.quality import Grade
 from wam_power_ros.bags.writer import BagWriter
-from wam_power_ros.cli import main
 from wam_power_ros.control.replay_trajectory import movement
 
-SHIPPED = sorted((Path(__file__).resolve().parents[2] / "bags").glob("*_*"))
 STEP = 4_000_000  # [ns] between states
 STAMPS = START + STEP * np.arange(300, dtype=np.int64)
 
@@ -121,11 +119,6 @@ def test_a_movement_without_a_jump_is_returned_bit_for_bit(
     assert found.q.tobytes() == q.tobytes() and not found.remarks
 
 
-def test_the_bags_that_are_shipped_have_no_jump() -> None:
-    for path in SHIPPED:
-        assert reader.read_states(Bag(path), [f"wam_j{k}" for k in range(1, 8)]).remarks == ()
-
-
 @pytest.mark.requirement("S-32")
 @pytest.mark.parametrize("speed", [0.01, 1.0])
 def test_no_replay_goes_along_a_jump_at_any_speed(tmp_path: Path, speed: float) -> None:
@@ -155,30 +148,3 @@ def test_what_was_unwrapped_or_left_out_is_a_remark_on_the_take_and_on_its_impor
     np.testing.assert_allclose(again.q, np.delete(smooth(3.0), 20, axis=0), atol=1e-12)
     for text in texts:
         assert text.partition(":")[0] in Bag(made).notes["imported"]
-
-
-def test_a_recording_of_every_message_twice_is_imported_once(tmp_path: Path) -> None:
-    """The copies come 5 ms later and after the next message, as through a bridge."""
-    q, writer = smooth(), BagWriter(tmp_path / "twice")
-    writer.add("/joint_states", layout.JOINT_STATE, QOS)
-    sent = [(STAMPS[k] + late, k) for k in range(300) for late in (0, 5_000_000)]
-    for received, k in sorted(sent):
-        state = joint_state(int(STAMPS[k]), NAMES, q[k])
-        writer.write("/joint_states", int(received), state)
-    states = reader.read_states(Bag(writer.close({})), NAMES)
-    assert states.q.tobytes() == q.tobytes() and states.stamps.tolist() == STAMPS.tolist()
-    assert [remark.text for remark in states.remarks] == ["300 repetitions left out"]
-
-
-def test_a_bag_that_could_not_be_read_afterwards_is_not_imported(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    writer = BagWriter(tmp_path / "theirs")
-    writer.add("/joint_states", layout.JOINT_STATE, QOS)
-    arm = [f"wam_j{k}" for k in range(1, 8)]
-    for stamp in STAMPS.tolist():
-        writer.write("/joint_states", stamp, joint_state(stamp, (*arm, "gripper"), np.zeros(7)))
-    path = writer.close({})
-    assert main.main(["bags", "import", str(path), "--output", str(tmp_path / "ours")]) == 2
-    assert "7 positions for names" in capsys.readouterr().err
-    assert not (tmp_path / "ours").exists()

@@ -17,8 +17,7 @@ from bag_samples import (
 from mcap.reader import make_reader
 
 from wam_power_ros.bags import layout
-from wam_power_ros.bags.bag import Bag
-from wam_power_ros.bags.layout import TYPES, unfinished
+from wam_power_ros.bags.layout import unfinished
 from wam_power_ros.bags.reader import read_demonstration
 from wam_power_ros.bags.writer import BagWriter, has_header, header_stamp
 
@@ -81,14 +80,6 @@ def test_the_stamp_of_a_serialized_header_is_read_without_decoding() -> None:
     assert not has_header(layout.STRING)
 
 
-def test_a_topic_of_an_unknown_type_is_refused_before_anything_is_written(tmp_path: Path) -> None:
-    writer = BagWriter(tmp_path / "bag")
-    with pytest.raises(ValueError, match="/odd: my_msgs/msg/Odd is not a type"):
-        writer.add("/odd", "my_msgs/msg/Odd", QOS)
-    assert writer.counts == {}
-    writer.abandon()
-
-
 def test_a_bag_that_is_there_is_never_written_over(tmp_path: Path) -> None:
     path = demonstration(tmp_path / "demo", random_q(5))
     with pytest.raises(FileExistsError):
@@ -96,18 +87,3 @@ def test_a_bag_that_is_there_is_never_written_over(tmp_path: Path) -> None:
     assert layout.free_path(tmp_path, "demo") == tmp_path / "demo_2"
     BagWriter(tmp_path / "demo_2").abandon()  # unfinished: taken as well
     assert layout.free_path(tmp_path, "demo") == tmp_path / "demo_3"
-
-
-def test_an_event_can_be_read_back_with_its_notes(tmp_path: Path) -> None:
-    writer = BagWriter(tmp_path / "bag")
-    writer.event("start", "demo", START, {"source": "sim"})
-    writer.event("stop", "requested", START + 1)
-    path = writer.close({})
-    events = [
-        json.loads(TYPES.deserialize_cdr(cdr, layout.STRING).data)
-        for _, _, cdr in Bag(path).messages([layout.EVENT])
-    ]
-    assert events == [
-        {"event": "start", "reason": "demo", "notes": {"source": "sim"}},
-        {"event": "stop", "reason": "requested"},
-    ]

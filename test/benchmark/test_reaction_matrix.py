@@ -23,9 +23,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
         ("runaway step", 1, "guided"),
         ("runaway step", 3, "hold"),
         ("gradual swap", 1, "hold"),
-        ("swap", 1, "sweep"),
         ("smooth bump", 1, "rollout late"),
-        ("swap", 3, "rollout early"),
         ("relay", -1, "guided"),
     ],
 )
@@ -37,7 +35,7 @@ def test_no_false_state_drives_the_arm_faster_than_it_was(kind: str, joint: int,
 
 
 @pytest.mark.requirement("S-131")
-@pytest.mark.parametrize("joint", [1, 3, 5])
+@pytest.mark.parametrize("joint", [1, 5])
 def test_a_joint_that_runs_away_smoothly_moves_a_held_arm_slowly_and_little(joint: int) -> None:
     outcome = run(Cell("smooth runaway", joint, "hold", "model"))
     assert outcome.fault
@@ -47,7 +45,7 @@ def test_a_joint_that_runs_away_smoothly_moves_a_held_arm_slowly_and_little(join
 
 @pytest.mark.requirement("S-131")
 @pytest.mark.parametrize("kind", ["smooth runaway", "smooth bump"])
-@pytest.mark.parametrize("arm", ["model", "friction halved", "drawn 0", "drawn 3"])
+@pytest.mark.parametrize("arm", ["friction halved", "drawn 3"])
 def test_an_arm_that_is_held_after_a_move_is_braked_by_the_torques_it_was_sent(
     kind: str, arm: str
 ) -> None:
@@ -71,7 +69,7 @@ def test_a_zero_that_drifts_in_a_hold_is_found_and_not_followed_after_the_fault(
 
 
 @pytest.mark.requirement("S-132")
-@pytest.mark.parametrize("mode", ["move", "replay", "guided"])
+@pytest.mark.parametrize("mode", ["move", "guided"])
 def test_an_arm_that_follows_a_drift_unseen_is_held_by_what_its_torque_shows(mode: str) -> None:
     outcome = run(Cell("soft drift +0.3", 1, mode, "model"))
     assert outcome.fault
@@ -94,7 +92,7 @@ def test_an_arm_from_which_a_tool_is_taken_in_a_fault_is_caught() -> None:
 
 
 @pytest.mark.requirement("S-133")
-@pytest.mark.parametrize("mode", ["hold", "untouched", "sweep"])
+@pytest.mark.parametrize("mode", ["hold", "untouched"])
 def test_a_weight_that_is_put_on_the_tool_is_caught(mode: str) -> None:
     outcome = run(Cell("+2 kg", -1, mode, "model"))
     assert outcome.fault
@@ -115,8 +113,9 @@ def test_an_arm_that_leaves_while_nobody_touches_it_is_stopped(kind: str) -> Non
 @pytest.mark.parametrize(
     ("mode", "arm"),
     [
-        *((mode, "+0.5 kg") for mode in ("hold", "sweep", "rollout late")),
-        *(("rollout late", arm) for arm in ("friction halved", "drawn 1")),
+        ("hold", "+0.5 kg"),
+        ("rollout late", "friction halved"),
+        ("rollout late", "drawn 1"),
     ],
 )
 def test_a_fault_of_true_states_stops_an_arm_that_is_not_its_model(mode: str, arm: str) -> None:
@@ -130,8 +129,9 @@ def test_a_fault_of_true_states_stops_an_arm_that_is_not_its_model(mode: str, ar
 @pytest.mark.parametrize(
     ("kind", "joint"),
     [
-        *(("drift +0.3", joint) for joint in (1, 3, 5)),
-        *((f"soft drift {sign}0.3", joint) for sign, joint in (("+", 3), ("-", 3), ("+", 5))),
+        ("drift +0.3", 1),
+        ("drift +0.3", 5),
+        ("soft drift -0.3", 3),
     ],
 )
 def test_a_drifting_zero_does_not_lead_a_held_arm_away_after_its_fault(
@@ -169,7 +169,7 @@ def test_a_held_arm_that_is_not_its_model_stays_where_a_joint_jumped() -> None:
 
 
 @pytest.mark.requirement("S-131")
-@pytest.mark.parametrize("at", [62, 72, 400])
+@pytest.mark.parametrize("at", [62, 400])
 def test_states_that_are_lost_after_a_fault_do_not_make_a_drift_a_fall(
     at: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -185,7 +185,6 @@ def test_states_that_are_lost_after_a_fault_do_not_make_a_drift_a_fall(
 
 
 @pytest.mark.requirement("S-132")
-@pytest.mark.parametrize("kind", ["motor 2 to 70 %", "+0.5 kg"])
 @pytest.mark.parametrize("mode", ["move", "rollout late"])
-def test_a_hold_is_not_compared_with_the_hold_before_a_movement(kind: str, mode: str) -> None:
-    assert not run(Cell(kind, -1, mode, "model")).fault
+def test_a_hold_is_not_compared_with_the_hold_before_a_movement(mode: str) -> None:
+    assert not run(Cell("+0.5 kg", -1, mode, "model")).fault

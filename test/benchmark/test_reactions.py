@@ -6,9 +6,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmark.false_states import OF_JOINT
-from benchmark.hidden_arm import KNOWN, begin, draw, held
-from benchmark.loop import A_FAULT, acceptable
+from benchmark.false_states import FALSE_STATES, OF_JOINT
+from benchmark.hidden_arm import KNOWN, begin, held
+from benchmark.loop import A_FAULT, Outcome, acceptable
+from benchmark.reaction_matrix import drawn
 from wam_power_ros.control.modes import Mode
 from wam_power_ros.faults import FaultKind
 
@@ -16,10 +17,7 @@ from wam_power_ros.faults import FaultKind
 @pytest.mark.requirement("S-121")
 @pytest.mark.parametrize(
     ("name", "phase"),
-    [
-        *(("swap", phase) for phase in ("upwards", "late", "teaching")),
-        *(("sign", phase) for phase in ("upwards", "late")),
-    ],
+    [("swap", "upwards"), ("swap", "teaching"), ("sign", "late")],
 )
 def test_states_that_agree_with_each_other_and_are_false_end_in_a_stop(
     name: str, phase: str
@@ -33,7 +31,7 @@ def test_states_that_agree_with_each_other_and_are_false_end_in_a_stop(
 
 
 @pytest.mark.requirement("S-44", "S-121")
-@pytest.mark.parametrize(("joint", "size"), [(1, 0.2), (1, 1.0), (1, -0.5), (3, 2.0 * np.pi)])
+@pytest.mark.parametrize(("joint", "size"), [(1, 0.2), (1, -0.5), (3, 2.0 * np.pi)])
 def test_a_jump_of_an_arm_that_nobody_holds_moves_nothing(joint: int, size: float) -> None:
     loop = held()
     loop.controller.set_gravity_compensation(True)
@@ -45,12 +43,12 @@ def test_a_jump_of_an_arm_that_nobody_holds_moves_nothing(joint: int, size: floa
 
 
 @pytest.mark.requirement("S-122")
-@pytest.mark.parametrize("arm", [*KNOWN, 9100, 9101], ids=str)
+@pytest.mark.parametrize("arm", ["payload of 0.5 kg", "motor 2 at 70 %", 9100], ids=str)
 @pytest.mark.parametrize("phase", ["upwards", "hold"])
 def test_an_arm_that_is_not_its_model_stays_where_a_fault_stopped_it(
     arm: str | int, phase: str
 ) -> None:
-    hidden = draw(arm) if isinstance(arm, int) else KNOWN[arm]
+    hidden = drawn(arm) if isinstance(arm, int) else KNOWN[arm]
     loop = held(hidden)
     begin(loop, phase)  # the fault of an arm that does not get there counts, too
     loop.controller.fault(A_FAULT)
@@ -59,9 +57,9 @@ def test_an_arm_that_is_not_its_model_stays_where_a_fault_stopped_it(
 
 
 @pytest.mark.requirement("S-126")
-@pytest.mark.parametrize("arm", ["base tilted 10 degrees", 9100, 9101, 9102], ids=str)
+@pytest.mark.parametrize("arm", ["base tilted 10 degrees", 9100], ids=str)
 def test_an_arm_that_is_not_its_model_stays_under_gravity_compensation(arm: str | int) -> None:
-    loop = held(draw(arm) if isinstance(arm, int) else KNOWN[arm])
+    loop = held(drawn(arm) if isinstance(arm, int) else KNOWN[arm])
     loop.play(1.0)
     loop.controller.set_gravity_compensation(True)
     at = loop.plant.tool_position()
@@ -71,7 +69,7 @@ def test_an_arm_that_is_not_its_model_stays_under_gravity_compensation(arm: str 
 
 
 @pytest.mark.requirement("S-121")
-@pytest.mark.parametrize("seconds", [0.0, 0.004, 0.02, 0.1, 0.3])
+@pytest.mark.parametrize("seconds", [0.0, 0.02, 0.3])
 def test_a_zero_that_jumps_back_after_the_reset_of_its_fault_moves_nothing(seconds: float) -> None:
     loop = held()
     loop.falsify = OF_JOINT["smooth bump"](1)
@@ -82,3 +80,43 @@ def test_a_zero_that_jumps_back_after_the_reset_of_its_fault_moves_nothing(secon
     outcome = loop.observe(2.0)
     assert outcome.fault is not None
     assert outcome.peak < 0.3, outcome
+
+
+def guided(name: str, rng: np.random.Generator, let_go: bool) -> tuple[Outcome, float, bool]:
+    """False states while the arm is guided, or moves after it; the speed after them; resettable."""
+    loop = held()
+    core = loop.controller
+    core.set_gravity_compensation(True)
+    loop.plant.guide(int(rng.integers(100)))
+    loop.play(rng.uniform(0.2, 1.2))
+    if let_go:
+        loop.plant.let_go()
+        core.set_gravity_compensation(False)
+        loop.play(1.0)
+        core.move_to_start()
+        loop.play(rng.uniform(0.05, 0.4))
+    loop.falsify = FALSE_STATES[name]()
+    outcome = loop.observe(3.2)
+    loop.plant.let_go()
+    loop.falsify = lambda state: state
+    loop.play(3.0)
+    return outcome, max(loop.speeds[1:]), loop.reset()
+
+
+@pytest.mark.requirement("S-121")
+@pytest.mark.parametrize("name", ["silence", "the same state again and again"])
+@pytest.mark.parametrize("seed", [7000, 7003])
+def test_an_arm_whose_driver_falls_silent_while_a_person_guides_it_comes_to_rest(
+    name: str, seed: int
+) -> None:
+    outcome, after, reset = guided(name, np.random.default_rng(seed), let_go=False)
+    assert outcome.noticed and outcome.rest < 0.1
+    assert after < 0.1 and reset
+
+
+@pytest.mark.requirement("S-121")
+@pytest.mark.parametrize("seed", [8, 13])
+def test_an_arm_whose_joint_seems_not_to_move_is_braked_by_its_model(seed: int) -> None:
+    outcome, _, reset = guided("joint 2 frozen", np.random.default_rng([seed, 5]), let_go=True)
+    assert outcome.noticed and outcome.rest < 0.1
+    assert reset

@@ -15,31 +15,40 @@ from rclpy.executors import ExternalShutdownException
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from hardware_sim.deferred_service import DeferredTrigger
 from wam_power_interfaces.srv import AddDemonstration, Pause
 from wam_power_ros.client import link as links
 from wam_power_ros.client.link import Link
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.outcomes import Answer, Code, ServiceError, fill
 
-Serve = Callable[[str, Callable[[], Answer | None]], DeferredTrigger]
+Serve = Callable[[str, Callable[[], Answer | None]], Callable[[], int]]
 
 
 @pytest.fixture
 def serve(probe: Probe) -> Iterator[Serve]:
-    """Offers services: the function returns the answer, or None to never answer."""
+    """Offers services: the function returns the answer, or None to answer late, on demand."""
     node = rclpy.create_node("server", context=probe.context)
 
-    def offer(name: str, answer: Callable[[], Answer | None]) -> DeferredTrigger:
-        late = DeferredTrigger(node, name, lambda: None)
-        later = late._called
-
-        def called(asked: Trigger.Request, response: Trigger.Response) -> Trigger.Response | None:
+    def offer(name: str, answer: Callable[[], Answer | None]) -> Callable[[], int]:
+        def called(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response | None:
             given = answer()
-            return later(asked, response) if given is None else fill(response, given)
+            return None if given is None else fill(response, given)
 
-        late._service.callback = called
-        return late
+        waiting: list[object] = []
+        service = node.create_service(Trigger, name, called)
+        send = service.send_response
+
+        def send_or_keep(response: Trigger.Response | None, header: object) -> None:
+            waiting.append(header) if response is None else send(response, header)
+
+        def finish() -> int:
+            """Answer all requests once there are two; returns how many there are."""
+            for header in waiting if len(waiting) > 1 else ():
+                send(Trigger.Response(success=True, message="now"), header)
+            return len(waiting)
+
+        service.send_response = send_or_keep
+        return finish
 
     with Link(node):
         yield offer
@@ -110,13 +119,12 @@ def test_requests_of_several_threads_are_answered_each_with_its_own(
 def test_no_answer_in_time_is_none_and_does_not_answer_the_next_request(
     link: Link, serve: Serve
 ) -> None:
-    late = serve("/late", lambda: None)
+    finish = serve("/late", lambda: None)
     assert link.call("/late", timeout=0.3) is None
     (only,) = link.node.clients
     assert not only._pending_requests  # an abandoned request is deleted
     second = link.begin("/late")
-    assert link.until(lambda: len(late._headers) == 2, "both requests")
-    late.finish(True, "now")
+    assert link.until(lambda: finish() == 2, "both requests")
     assert link.until(second.done, "the second answer", 10.0)
     assert link.answer("/late", second) == Answer(Code.DONE, "now")
 

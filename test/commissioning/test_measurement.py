@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import true_arm
 
-from wam_power_ros import rotations
 from wam_power_ros.commissioning.measurement import Commissioned, Recording, analyse, begun
 
 PLAN = true_arm.planned()
@@ -33,6 +32,7 @@ def test_zeros_and_frame_are_those_of_the_arm(found: Commissioned) -> None:
     frame, truth = cameras.world_to_base, true_arm.CAMERAS.inverse()
     assert np.allclose(frame.position, truth.position, atol=2e-3)
     assert np.allclose(frame.rotation, truth.rotation, atol=5e-3)
+    assert cameras.upright == pytest.approx(np.hypot(0.01, 0.012), abs=2e-3)
     assert 0.0 < found.cameras.check_position < 2e-3
     assert 0.0 < found.cameras.check_rotation < np.deg2rad(0.2)
     assert 0.0 < found.cameras.sweep_position < 1e-3
@@ -110,23 +110,6 @@ def test_a_camera_that_is_knocked_after_the_postures_is_seen_in_the_sweeps(
     assert seen.sweep_position == pytest.approx(0.004, abs=0.0015)
 
 
-def test_noise_of_the_cameras_is_no_error_of_the_body(recorded: Recording) -> None:
-    rng = np.random.default_rng(5)
-    noise = rotations.exp(rng.normal(0.0, np.deg2rad(0.6), (len(recorded.seen_t), 3)))
-    seen = analyse(true_arm.plain(), PLAN, replace(recorded, rotation=noise @ recorded.rotation))
-    assert seen.cameras is not None
-    assert seen.cameras.check_rotation < np.deg2rad(0.3)
-    assert seen.cameras.sweep_rotation < np.deg2rad(0.2)
-
-
-def test_a_clock_of_the_cameras_that_drifts_changes_their_delay(recorded: Recording) -> None:
-    t = recorded.seen_t - recorded.seen_t[0]
-    seen = analyse(true_arm.plain(), PLAN, replace(recorded, seen_t=recorded.seen_t + 1e-4 * t))
-    assert seen.cameras is not None
-    between = PLAN.sweeps[3].mean() - PLAN.sweeps[1].mean()
-    assert seen.cameras.latency_change == pytest.approx(1e-4 * between, abs=3e-4)
-
-
 def test_rests_without_the_body_in_view_are_named_and_rejected_ones_keep_their_number(
     recorded: Recording,
 ) -> None:
@@ -139,6 +122,7 @@ def test_rests_without_the_body_in_view_are_named_and_rejected_ones_keep_their_n
     assert seen is not None
     assert seen.unseen == (2, 3, 25)
     assert seen.frame.rejected == (7,)
+    assert seen.fit_position < 0.001  # without it
 
 
 def test_a_body_that_slips_early_shows_at_the_rests_before(recorded: Recording) -> None:
@@ -150,17 +134,6 @@ def test_a_body_that_slips_early_shows_at_the_rests_before(recorded: Recording) 
     assert seen is not None
     assert seen.frame.rejected == ()
     assert seen.fit_position > 0.0015
-
-
-def test_a_rest_that_was_rejected_does_not_count_in_the_fit(recorded: Recording) -> None:
-    t, (begin, end) = recorded.seen_t - recorded.t[0], PLAN.rests[5]
-    away = 0.03 * ((t > begin - 0.5) & (t < end))[:, None]
-    seen = analyse(
-        true_arm.plain(), PLAN, replace(recorded, position=recorded.position + away)
-    ).cameras
-    assert seen is not None
-    assert seen.frame.rejected == (5,)
-    assert seen.fit_position < 0.001
 
 
 def test_a_body_that_is_loose_at_one_side_of_an_unused_posture_shows(recorded: Recording) -> None:

@@ -17,7 +17,7 @@ from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import share
 
-ARMS = {"ur5e": "pan", "fr3": "fr3_pan", "openarm": "openarm_pan", "cobot7": "cobot_pan"}
+ARMS = {"fr3": "fr3_pan", "openarm": "openarm_pan"}
 
 
 @pytest.mark.parametrize("arm", ARMS)

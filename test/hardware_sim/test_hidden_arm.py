@@ -61,10 +61,6 @@ def test_masses_friction_and_gravity_of_the_physics_are_those_of_the_arm() -> No
     assert tilt == pytest.approx(np.deg2rad(1.0), rel=0.01)
 
 
-def test_the_controller_is_told_nothing() -> None:
-    assert world().urdf == World(scene_type("reach"), WorldSettings(), 0).urdf
-
-
 def test_markers_on_the_tool_are_seen_where_the_tool_is() -> None:
     lab = World(Markers, WorldSettings(), 0)
     for _ in range(60):

@@ -121,19 +121,3 @@ def test_a_scene_without_a_body_can_be_reset_taught_and_practised(
     assert truth["touched"]
     assert -0.0201 < truth["clearance"] < -0.015
     assert truth["goal_distance"] > 0.1
-
-
-@pytest.mark.long
-def test_demonstrations_on_another_arm_begin_at_its_own_home(
-    probe: Probe, processes: Processes
-) -> None:
-    home = np.add(HOME, [0.3, -0.1, 0.0, 0.1, 0.0, 0.0, 0.0])
-    own = {"drives": "direct", "home": home.tolist()}
-    hardware = Hardware(probe, processes, "lockstep", body="", scene="reach", **own)
-    hardware.control()
-    hardware.free()
-    assert hardware.ask("reset").code is Code.DONE
-    probe.until(lambda: np.abs(hardware.state().q - home).max() < 0.05, "the arm at home")
-    assert hardware.ask("demonstrate").code is Code.DONE
-    tool = arm_model().tool_pose(hardware.state().q)[0]
-    assert np.linalg.norm(tool - REACH_GOAL) < 0.1

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from wam_power_ros import plotting
 from wam_power_ros.reporting import figures
 from wam_power_ros.tasks.errors import Error
 
@@ -76,9 +75,3 @@ def test_a_film_has_as_many_frames_as_it_was_given(tmp_path: Path) -> None:
     figures.save_film(frames, tmp_path / "film.webp", rate=25.0)
     with Image.open(tmp_path / "film.webp") as film:
         assert film.n_frames == 7
-
-
-def test_the_same_figure_is_the_same_file() -> None:
-    one, other = (plotting.svg(figures.learning_curve([0.5, 0.6])) for _ in range(2))
-    assert one == other
-    assert b"<svg" in one

@@ -10,7 +10,6 @@ from toss_task import demonstrated_policy, practice_of, toss
 
 from wam_power_ros.practice.failure import Cause, Failure
 from wam_power_ros.practice.practice import Practice
-from wam_power_ros.practice.session_log import KIND_NAMES
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.reporting import terminal
 
@@ -23,17 +22,6 @@ def practice() -> Practice:
     while (trial := practice.next_trial()) is not None:
         practice.learn_assessed(trial, toss(trial, practice.task.settings))
     return practice
-
-
-def test_terms_and_outcomes_are_those_of_the_task(practice: Practice) -> None:
-    table = terminal.rollout_table(practice.records, lambda record: f"outcome {record.number}")
-    terms = list(practice.records[0].terms)
-    assert [column.header for column in table.columns] == [
-        *("#", "kind", "return"),
-        *terms,
-        *("best", "outcome"),
-    ]
-    assert [str(cell) for cell in table.columns[-1].cells] == [f"outcome {n}" for n in range(1, 7)]
 
 
 @pytest.mark.parametrize("width", [80, 100, 160])
@@ -90,14 +78,6 @@ def test_the_budget_is_not_known_before_the_session_is(practice: Practice) -> No
     assert "waiting for joint states" in shown
 
 
-def test_trouble_is_printed_and_stays(practice: Practice) -> None:
-    text = io.StringIO()
-    with terminal.Display(Console(file=text, width=80)) as display:
-        display.show_message("torque_controller: mode hold", is_problem=False)
-        display.show_message("torque_controller: fault (jump): joint 3", is_problem=True)
-    assert text.getvalue() == "torque_controller: fault (jump): joint 3\n"
-
-
 def test_a_file_that_is_quiet_gets_a_sign_of_life(practice: Practice) -> None:
     text = io.StringIO()
     with terminal.Display(Console(file=text, width=80)) as display:
@@ -110,24 +90,6 @@ def test_a_file_that_is_quiet_gets_a_sign_of_life(practice: Practice) -> None:
         display.tick(12.0)
         display.tick(16.0)
     assert len(text.getvalue().splitlines()) == 4  # the first rollout has lines of its own
-
-
-def test_a_line_has_number_return_terms_and_outcome(practice: Practice) -> None:
-    record = practice.records[2]
-    text = terminal.line(record, lambda _: "went well")
-    assert text.split()[:2] == ["3", KIND_NAMES[record.kind]]
-    for name, value in record.terms.items():
-        assert f"{name} {value:.3f}" in text
-    assert f"return {record.ret:.3f}" in text and "went well" in text
-
-
-def test_the_summary_has_the_peak_speeds_of_the_retests(practice: Practice) -> None:
-    truth = {"peak_qd": [0.5] * 7, "beyond_no_load": True, "peak_elbow_speed": 0.61}
-    truth |= {"peak_forearm_speed": 1.37, "peak_pan_speed": 2.5}
-    tests = [practice.records[0].model_copy(update={"kind": "retest", "truth": truth})]
-    text = terminal.summary([*practice.records, *tests], practice.task)
-    assert "first guarded point 0.61 m/s, last guarded point 1.37 m/s, tool 2.50 m/s" in text
-    assert "no-load speed in 1 of 1" in text
 
 
 def test_the_summary_begins_with_what_the_demonstration_was_worth_before_learning() -> None:
@@ -165,12 +127,6 @@ def test_the_policy_of_a_session_is_explained_beside_a_higher_return(practice: P
     assert terminal.choice([lucky], lucky.id) == []
 
 
-def test_bars_grow_with_the_values() -> None:
-    assert terminal.spark([0.0, 0.5, 1.0]) == "▁▅█"
-    assert terminal.spark([0.0, 0.0]) == "▁▁"
-    assert len(terminal.spark([1.0] * 100)) == 60
-
-
 def test_a_file_gets_every_line_once(practice: Practice) -> None:
     text = io.StringIO()
     console = Console(file=text, width=80)
@@ -193,13 +149,6 @@ def test_rollouts_of_the_budget_and_re_tests_are_counted_apart(practice: Practic
         display.show(tests[:3], settings, practice.task)
         display.show(tests, settings, practice.task)
     assert "re-test 2 of 10" in text.getvalue() and "of 14" not in text.getvalue()
-
-
-def test_lines_are_broken_between_words(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("COLUMNS", "40")
-    text = "22 rollouts; return 0.945 over the last 5, best 0.963 in rollout 18"
-    lines = terminal.wrapped(text).splitlines()
-    assert max(map(len, lines)) <= 40 and " ".join(map(str.strip, lines)) == text
 
 
 def test_one_of_a_thing_is_told_in_the_singular(practice: Practice) -> None:
@@ -225,3 +174,11 @@ def test_a_summary_counts_who_put_the_body_back(practice: Practice) -> None:
         "by a person in 1 (median 40 s)"
     )
     assert line in terminal.summary(records, practice.task)
+
+
+def test_trouble_is_printed_and_stays(practice: Practice) -> None:
+    text = io.StringIO()
+    with terminal.Display(Console(file=text, width=80)) as display:
+        display.show_message("torque_controller: mode hold", is_problem=False)
+        display.show_message("torque_controller: fault (jump): joint 3", is_problem=True)
+    assert text.getvalue() == "torque_controller: fault (jump): joint 3\n"

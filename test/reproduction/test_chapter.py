@@ -9,7 +9,6 @@ import pytest
 from matplotlib.figure import Figure
 
 from reproduction.chapter import Chapter, Claim
-from wam_power_ros import plotting
 from wam_power_ros.reporting import figures
 
 CLAIM = """{% do claim("return <after> 100", ours="0.754", spread="", count="40 seeds") %}"""
@@ -78,7 +77,3 @@ def test_colours_of_drawings_are_inverted_in_the_dark_and_those_of_photographs_n
     two = {"one": drawing(), "two": photographs()}
     text = '{{ figure("a", "", one) }}{{ figure("b", "", two) }}'
     assert rendered(template, text, **two).html.count('class="drawn"') == 1
-
-
-def test_the_same_figure_gives_the_same_bytes() -> None:
-    assert plotting.png(drawing()) == plotting.png(drawing())

@@ -2,7 +2,6 @@
 """Figures of many runs show the data they are given, beside the paper's."""
 
 import numpy as np
-import pytest
 
 from reproduction import figures as study_figures
 from reproduction.paper_curves import FIG5
@@ -29,8 +28,3 @@ def test_learner_curves_are_medians_and_every_learner_is_named_once() -> None:
     assert sorted(t.get_text() for t in axes.texts) == sorted(["paper", *curves])
     places = sorted(t.xyann[1] for t in axes.texts if t.get_text() != "paper")
     assert min(np.diff(places)) > 0.04  # no name over another
-
-
-def test_curves_without_a_run_are_refused() -> None:
-    with pytest.raises(ValueError, match="no run"):
-        study_figures.learner_curves({"none": []}, ylabel="return")

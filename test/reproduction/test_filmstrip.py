@@ -21,13 +21,3 @@ def test_frames_are_evenly_spaced_in_time(monkeypatch: pytest.MonkeyPatch) -> No
     figure = filmstrip.strip(trace, 0.7)
     np.testing.assert_allclose(rendered, np.linspace(0.0, 0.7, filmstrip.FRAMES), atol=0.005)
     assert [axes.get_xlabel() for axes in figure.axes] == [f"{t:.2f} s" for t in rendered]
-
-
-def test_without_opengl_there_is_a_reason_in_its_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("MUJOCO_GL", "no-such-library")
-    assert "no-such-library" in filmstrip.strip([[0.0] * 14], 0.7)
-
-
-def test_an_empty_trace_is_refused() -> None:
-    with pytest.raises(ValueError, match="is empty"):
-        filmstrip.strip([], 1.0)

@@ -30,8 +30,3 @@ def test_a_flipped_pancake_shows_its_other_side() -> None:
     assert upper[0] > lower[0] and upper[-1] < lower[-1]
     mark = next(line for line in axes.lines if line.get_label() == "$t_f$")
     assert mark.get_ydata()[0] == pytest.approx(np.interp(0.9, pancake.t, pancake.position[:, 2]))
-
-
-def test_a_figure_without_a_flight_is_refused() -> None:
-    with pytest.raises(ValueError, match="at least one"):
-        flights({})

@@ -20,16 +20,10 @@ def test_a_pan_believed_heavier_is_heavier_only_in_the_controllers_model() -> No
     assert wrong.world.urdf == true.world.urdf
 
 
-@pytest.mark.parametrize("share", [0.5, 1.5])
-def test_joint_friction_is_scaled(share: float) -> None:
-    as_is, other = flip_sessions.stand_in(21), flip_sessions.stand_in(21, friction_share=share)
+def test_joint_friction_is_scaled_and_an_unknown_condition_refused() -> None:
+    as_is, other = flip_sessions.stand_in(21), flip_sessions.stand_in(21, friction_share=1.5)
     friction = (as_is.world.model.dof_frictionloss, other.world.model.dof_frictionloss)
-    np.testing.assert_allclose(friction[1][:7], share * friction[0][:7])
-
-
-def test_every_condition_can_be_simulated() -> None:
-    for condition in flip_sessions.CONDITIONS.values():
-        flip_sessions.stand_in(21, **condition)
+    np.testing.assert_allclose(friction[1][:7], 1.5 * friction[0][:7])
     with pytest.raises(ValueError, match="breeze"):
         flip_sessions.stand_in(21, breeze=0.1)
 

@@ -1,18 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The study of new goals: every way begins with the same goals, and its statistics."""
 
-import subprocess
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from reproduction.studies import new_goals
 from wam_power_ros.learning.policy import with_id
 from wam_power_ros.tasks.ball_in_cup.task import BallInCup
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_a_session_that_predicts_begins_with_a_success_where_its_policy_as_it_is_does_not() -> None:
@@ -30,16 +24,6 @@ def test_a_session_without_a_success_counts_as_one_that_never_succeeded() -> Non
     assert (found["sessions"], found["begun"]) == (3, 2)
     assert found["first success"] == [3.0, 3.0, np.inf]
     assert (found["confirmed"], found["robust"], found["first rollout succeeds"]) == (1, 1, 0)
-
-
-@pytest.mark.long
-def test_a_study_prints_its_sessions_from_every_worker(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "reproduction.studies", "new_goals", "--only", "reach"]
-    asked = ["--seeds", "2", "--folder", str(tmp_path), "--workers", "2"]
-    said = subprocess.run([*command, *asked], cwd=ROOT, capture_output=True, text=True)
-    assert said.returncode == 0, said.stderr
-    told = new_goals.WAYS["predicted"]
-    assert f"reach, predicted (learns from {told}): {{'sessions': 2" in said.stdout
 
 
 def test_a_ball_hangs_on_the_string_of_the_goal_and_a_swing_is_scaled_to_it() -> None:

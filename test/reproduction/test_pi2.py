@@ -2,7 +2,7 @@
 """PI2-BB."""
 
 import numpy as np
-from hill_task import SIZE, TOP, climb, rng
+from hill_task import SIZE, climb, rng
 
 from reproduction.rivals.learners import Pi2
 
@@ -26,17 +26,3 @@ def test_the_weights_are_those_of_the_formula() -> None:
             learner.tell(one, float(ret))
         weights = np.exp(3.0 * (returns - 0.9) / 0.8)
         np.testing.assert_allclose(learner.mean, np.average(z, axis=0, weights=weights) + offset)
-
-
-def test_the_greatest_eliteness_follows_the_best_rollout_alone() -> None:
-    learner = climb(Pi2(SIZE, Pi2.Settings(population=5, eliteness=1e6), rng(1)), 4)
-    best = TOP
-    learner.tell(best, 1.0)
-    np.testing.assert_allclose(learner.mean, best)
-
-
-def test_a_population_of_equal_returns_leaves_the_mean() -> None:
-    learner = Pi2(SIZE, Pi2.Settings(population=3), rng(0))
-    for _ in range(3):
-        learner.tell(learner.ask(), 0.7)
-    assert not learner.mean.any()

@@ -14,10 +14,3 @@ def test_random_search_keeps_the_best_rollout() -> None:
     for z in samples:
         learner.tell(z, hill(z))
     np.testing.assert_array_equal(learner.mean, max(samples, key=hill))
-
-
-def test_of_equal_returns_the_first_rollout_is_kept() -> None:
-    learner = RandomSearch(1, RandomSearch.Settings(), rng(0))
-    for value in (1.0, 2.0):
-        learner.tell(np.array([value]), 0.0)
-    assert learner.mean.tolist() == [1.0]

@@ -25,12 +25,3 @@ def test_reaching_is_drawn_along_the_movement_with_the_obstacle_half_way() -> No
     np.testing.assert_allclose(learnt.get_xdata(), np.linspace(0.0, 0.5, 21))
     labels = [{line.get_label() for line in axes.lines} for axes in drawn.axes]
     assert ["executed" in names for names in labels] == [False, True, False, True]
-
-
-def test_no_path_leaves_the_view() -> None:
-    away = a_panel().learnt + np.array([0.3, 0.5, 0.4])
-    for axes in paths({"full": a_panel(executed=away)}).axes:
-        executed = next(line for line in axes.lines if line.get_label() == "executed")
-        assert executed.get_xdata().max() < axes.get_xlim()[1]
-        assert axes.get_ylim()[0] < executed.get_ydata().min()
-        assert executed.get_ydata().max() < axes.get_ylim()[1]

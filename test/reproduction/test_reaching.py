@@ -1,13 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reaching taught on the arm and executed by it, and the chapter of the reaching study."""
 
-import json
-
 import numpy as np
 import pytest
 
-from reproduction.chapters.reaching import STUDY
-from reproduction.studies import reaching, reaching_arm
+from reproduction.studies import reaching_arm
 from reproduction.studies.reaching import TUNING
 
 
@@ -28,15 +25,3 @@ def test_a_learnt_reach_is_executed_near_its_plan() -> None:
     assert result["fault"] == ""
     assert result["rms"] < 0.06
     assert len(result["planned"]) == len(result["executed"])
-
-
-@pytest.mark.long
-def test_the_reaching_chapter_is_made_of_its_quick_jobs() -> None:
-    results: dict = {}
-    for job in reaching.jobs("quick"):
-        arguments = job.arguments | {"rollouts": 6}
-        results.setdefault(job.study, {})[job.key] = job.function(**arguments)
-    chapter = STUDY.chapter(json.loads(json.dumps(results)))
-    assert len(chapter.figures) == 3
-    words = [claim.what for claim in chapter.claims]
-    assert any("stuck" in what for what in words) and any("taught" in what for what in words)

@@ -4,20 +4,13 @@
 import numpy as np
 import pytest
 
-from reproduction.rivals.learners import RandomSearch
 from reproduction.studies.reaching_runs import (
     NOISE,
-    POWER,
-    Run,
-    generator,
-    learn_many,
     study,
     synthetic,
 )
-from wam_power_ros.learning.learner import Learner
 from wam_power_ros.learning.parametrization import parametrization_of
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.power import Power
 
 SCENARIO = synthetic()
 FULL = parametrization_of(SCENARIO.policy, "full", NOISE["full"])
@@ -27,10 +20,6 @@ def evaluated(policy: Policy) -> float:
     """Return of a policy (Eq. 4)."""
     ret, _ = SCENARIO.evaluate(policy.stiffness[np.newaxis], policy.attractors[np.newaxis])
     return float(ret[0])
-
-
-def run(learner: Learner, rollouts: int) -> Run:
-    return learn_many([learner], FULL, SCENARIO, rollouts)[0]
 
 
 def test_the_same_seeds_learn_the_same_and_others_do_not() -> None:
@@ -46,17 +35,3 @@ def test_power_gets_far_beyond_the_demonstration(variant: str) -> None:
     start = evaluated(SCENARIO.policy)
     final = [run.final for run in study(variant, range(10), 60, SCENARIO)]
     assert np.mean(final) > start + 0.15
-
-
-def test_a_run_has_its_best_rollout_and_its_final_mean() -> None:
-    learner = Power(FULL.size, POWER, generator(5))
-    done = run(learner, 30)
-    assert len(learner._rollouts) == 30 and done.returns.shape == done.means.shape == (30,)
-    assert done.best == done.returns.max()
-    policy, _ = FULL.policy(learner.mean, "mean")
-    assert done.final == pytest.approx(evaluated(policy), rel=1e-12)
-
-
-def test_the_final_policy_of_random_search_is_its_best_rollout() -> None:
-    done = run(RandomSearch(FULL.size, RandomSearch.Settings(), generator(5)), 20)
-    assert done.final == pytest.approx(done.best, rel=1e-9)

@@ -46,16 +46,6 @@ def paths(policies: list[Policy]) -> tuple[np.ndarray, np.ndarray]:
     return SCENARIO.stopped_paths(SCENARIO.free_paths(*arrays(policies)))
 
 
-def test_the_demonstrations_are_those_of_the_scenario() -> None:
-    assert SCENARIO.demonstrations.shape == (4, 200, 3)
-    np.testing.assert_allclose(SCENARIO.demonstrated[0], SCENARIO.start, atol=1e-12)
-    np.testing.assert_allclose(SCENARIO.demonstrated[-1], SCENARIO.demonstrated[-1], atol=1e-12)
-    assert np.linalg.norm(SCENARIO.demonstrated[-1] - SCENARIO.start) == pytest.approx(0.5)
-    rise = SCENARIO.demonstrated[:, 2].max() - SCENARIO.start[2]
-    assert rise == pytest.approx(0.06, abs=1e-4)
-    assert SCENARIO.policy.basis.count == 2
-
-
 def test_the_demonstrated_policy_meets_the_obstacle_and_stays_there() -> None:
     path, collided = paths([SCENARIO.policy])
     assert collided[0]
@@ -63,13 +53,6 @@ def test_the_demonstrated_policy_meets_the_obstacle_and_stays_there() -> None:
     assert 0 < at < 150
     np.testing.assert_array_equal(path[0, at:], np.tile(path[0, at], (200 - at, 1)))
     assert np.linalg.norm(path[0, -1] - SCENARIO.obstacle) == pytest.approx(0.09, abs=0.01)
-
-
-def test_without_the_obstacle_the_demonstrated_policy_follows_the_demonstration() -> None:
-    path = plain_path(SCENARIO.policy)
-    # Two spring-dampers, started at rest, lag behind a minimum-jerk reach of 0.5 m by 0.1 m.
-    assert np.linalg.norm(path - SCENARIO.demonstrated, axis=1).max() < 0.12
-    assert np.linalg.norm(path[-1] - SCENARIO.demonstrated[-1]) < 0.03
 
 
 def test_no_sample_of_a_path_is_inside_the_obstacle() -> None:
@@ -84,18 +67,6 @@ def test_a_path_that_jumps_over_the_obstacle_between_two_samples_collides() -> N
     stopped, collided = SCENARIO.stopped_paths(path[None])
     assert collided[0]
     np.testing.assert_array_equal(stopped[0], np.tile(path[0], (200, 1)))
-
-
-def test_a_path_that_passes_the_obstacle_is_unchanged() -> None:
-    path = SCENARIO.demonstrated + np.array([0.1, 0.0, 0.0])
-    stopped, collided = SCENARIO.stopped_paths(path[None])
-    assert not collided[0]
-    np.testing.assert_array_equal(stopped[0], path)
-
-
-def test_returns_are_in_the_unit_interval() -> None:
-    returns, _ = SCENARIO.evaluate(*arrays(drawn(100)))
-    assert (returns >= 0.0).all() and (returns <= 1.0).all()
 
 
 def test_a_return_is_that_of_the_policy_alone_and_of_equation_1_as_written() -> None:

@@ -31,9 +31,3 @@ def test_a_study_prints_what_each_learner_is_told_and_its_figures(
     first, second = capsys.readouterr().out.splitlines()
     assert first.startswith("noisy returns, nothing (learns from nothing: the demonstration): {")
     assert second.startswith("noisy returns, power (learns from return): {'mean': 0.")
-
-
-def test_a_place_of_another_study_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        studies.main(["ball_in_cup", "--only", "tremor"])
-    assert "invalid choice: 'tremor' (choose from 'novice', 'practised'," in capsys.readouterr().err

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The planner told less: what the rivals of the two axes do, and the figures of their sessions."""
 
-import math
-
 import numpy as np
 import pytest
 
@@ -58,20 +56,6 @@ def test_the_better_informed_is_nearer_after_as_many_rollouts() -> None:
 def test_all_that_it_may_know_makes_it_the_planner() -> None:
     planner = ModelBased(SIZE, ModelBased.Settings(), np.random.default_rng(0), a_model())
     assert np.array_equal(less_informed().ask(), planner.ask())
-
-
-def test_without_power_the_best_rollout_is_repeated_where_there_is_no_plan() -> None:
-    blind = a_model()
-    blind.predict = lambda z: None
-    settings = LessInformed.Settings.model_validate(ALONE)
-    alone = LessInformed(SIZE, settings, np.random.default_rng(0), blind)
-    assert np.array_equal(alone.ask(), np.zeros(SIZE))
-    for z in (TARGET[0] * np.ones(SIZE), np.zeros(SIZE)):
-        alone.measure(z, true_error(z) if z.any() else np.full(2, math.nan))
-        alone.tell(z, 0.0)
-    assert np.array_equal(alone.ask(), TARGET[0] * np.ones(SIZE)) and not alone.falls_back
-    behind = LessInformed(SIZE, LessInformed.Settings(), np.random.default_rng(0), blind)
-    assert behind.falls_back
 
 
 def test_newton_takes_the_whole_step_of_the_slopes_and_stays_where_nothing_is_measured() -> None:

@@ -105,7 +105,6 @@ from rclpy.node import Node
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from wam_power_ros.ros import interface, node_runner, scheduling
-from hardware_sim.deferred_service import DeferredTrigger
 
 class Talker(Node):
     def __init__(self):

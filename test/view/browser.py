@@ -37,22 +37,18 @@ def chromium() -> Iterator[Any]:
             browser.close()
 
 
-def opened(browser: Any, url: str, size: tuple[int, int] = (640, 400)) -> Any:  # noqa: ANN401
+def opened(browser: Any, url: str) -> Any:  # noqa: ANN401
     """A new page, small because every pixel is drawn by the processor."""
-    page = browser.new_page(viewport={"width": size[0], "height": size[1]})
+    page = browser.new_page(viewport={"width": 640, "height": 400})
     page.set_default_timeout(PAGE_TIMEOUT)
     page.goto(url)
     page.wait_for_selector("canvas")
     return page
 
 
-def pixels(page: Any, clip: dict[str, float]) -> np.ndarray:  # noqa: ANN401
-    """Pixels of a part of the page. Shape (height, width, 3)."""
-    from PIL import Image
-
-    return np.asarray(Image.open(io.BytesIO(page.screenshot(clip=clip))).convert("RGB"), dtype=int)
-
-
 def scene(page: Any) -> np.ndarray:  # noqa: ANN401
     """Pixels of the left part of the scene, which no panel covers. Shape (400, 300, 3)."""
-    return pixels(page, {"x": 0, "y": 0, "width": 300, "height": 400})
+    from PIL import Image
+
+    clip = {"x": 0, "y": 0, "width": 300, "height": 400}
+    return np.asarray(Image.open(io.BytesIO(page.screenshot(clip=clip))).convert("RGB"), dtype=int)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page in a real browser: bags, sessions, buttons, and pages of another origin."""
+"""The page in a real browser: a session, buttons, and pages of another origin."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import pytest
 
 pytest.importorskip("viser", reason="no viser")
 
-from browser import chromium, opened, pixels, scene
+from browser import chromium, opened, scene
 from conftest import Probe, lift
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import JointState
@@ -32,7 +32,6 @@ from wam_power_ros.ros import interface
 from wam_power_ros.ros.diagnostics import diagnostics_message
 from wam_power_ros.ros.domain import private_domain
 
-BAG = Path(__file__).resolve().parents[2] / "bags/reach_20261121_141024"
 ROLLOUTS = 5
 WHITE = np.full((400, 300, 3), 255)
 
@@ -55,13 +54,6 @@ class Viewing:
         """End it with Ctrl-C."""
         self.process.send_signal(signal.SIGINT)
         assert self.process.wait(60) == 0
-
-
-@pytest.fixture(scope="module")
-def bag_url() -> Iterator[str]:
-    viewing = Viewing(BAG)
-    yield viewing.url
-    viewing.end()
 
 
 class Running:
@@ -129,16 +121,16 @@ class Running:
         self._lock.close()
 
 
-@pytest.fixture
-def running(tmp_path: Path) -> Iterator[Running]:
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     with private_domain() as domain:
-        session = Running(tmp_path / "flips", domain)
+        session = Running(tmp_path_factory.mktemp("view") / "flips", domain)
         yield session
         session.end()
         session.probe.close()
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def session_url(running: Running) -> Iterator[str]:
     viewing = Viewing(running.folder)
     yield viewing.url
@@ -162,31 +154,24 @@ def says(page: Any, text: str) -> bool:  # noqa: ANN401
     return text in page.inner_text("body")
 
 
-def test_a_bag_is_drawn_and_played(browser: Any, bag_url: str) -> None:  # noqa: ANN401
-    page = opened(browser, bag_url)
-    play = page.get_by_role("button", name="Play")
-    play.wait_for()
-    until_drawn_otherwise(page, WHITE)
-    play.click()
-    page.wait_for_function("Number(document.querySelector('[role=slider]').ariaValueNow) > 0.3")
-    until_drawn_otherwise(page, scene(page))  # only the arm moves in this bag
-    page.close()
+def test_a_page_of_another_origin_cannot_connect(
+    browser: Any,  # noqa: ANN401
+    session_url: str,
+) -> None:
+    import viser
 
-
-def test_on_a_phone_the_arm_is_drawn_above_the_panel(browser: Any, bag_url: str) -> None:  # noqa: ANN401
-    page = opened(browser, bag_url, (390, 700))
-    panel = page.get_by_text("wam-power view").bounding_box()
-    above = {"x": 0, "y": 0, "width": 390, "height": panel["y"]}
-
-    def dark() -> np.ndarray:
-        """Rows and columns of pixels of the dark base and pan."""
-        return np.argwhere(pixels(page, above).max(axis=2) < 80)
-
-    running = 200
-    while not len(seen := dark()) > 500 and (running := running - 1):
-        page.wait_for_timeout(100)
-    assert np.ptp(seen[:, 1]) > 100  # from the base to the pan
-    assert seen[:, 0].max() < panel["y"] - 5  # the base ends above the panel
+    connect = """([url, protocol]) => new Promise(done => {
+        const socket = new WebSocket(url, protocol);
+        socket.onopen = () => done("open");
+        socket.onerror = () => done("refused");
+    })"""
+    arguments = [session_url.replace("http", "ws"), f"viser-v{viser.__version__}"]
+    stranger = browser.new_page()
+    stranger.set_content("<p>a page from elsewhere</p>")
+    assert stranger.evaluate(connect, arguments) == "refused"
+    page = opened(browser, session_url)
+    assert page.evaluate(connect, arguments) == "open"  # the origin made the difference
+    stranger.close()
     page.close()
 
 
@@ -227,24 +212,3 @@ def test_a_session_is_displayed_and_controlled_by_buttons_until_it_ends(
     running.until(lambda: says(second, "not running"), "the page shows that it has ended")
     assert reward.is_disabled() and len(running.asked) == asked + 1
     second.close()
-
-
-def test_a_page_of_another_origin_cannot_connect(
-    browser: Any,  # noqa: ANN401
-    bag_url: str,
-) -> None:
-    import viser
-
-    connect = """([url, protocol]) => new Promise(done => {
-        const socket = new WebSocket(url, protocol);
-        socket.onopen = () => done("open");
-        socket.onerror = () => done("refused");
-    })"""
-    arguments = [bag_url.replace("http", "ws"), f"viser-v{viser.__version__}"]
-    stranger = browser.new_page()
-    stranger.set_content("<p>a page from elsewhere</p>")
-    assert stranger.evaluate(connect, arguments) == "refused"
-    page = opened(browser, bag_url)
-    assert page.evaluate(connect, arguments) == "open"  # the origin made the difference
-    stranger.close()
-    page.close()

@@ -70,10 +70,6 @@ def test_the_page_says_why_a_session_failed(tmp_path: Path) -> None:
     ]
 
 
-def test_no_rollouts_make_an_empty_curve() -> None:
-    assert all(len(column) == 0 for column in curve([]))
-
-
 def test_a_session_runs_while_a_learner_or_a_launcher_holds_its_folder(tmp_path: Path) -> None:
     assert not session_page.running(tmp_path)
     (tmp_path / "logs").mkdir()

@@ -21,12 +21,9 @@ Q = np.array([0.3, -0.6, 0.2, 1.8, -0.4, 0.7, 1.1])
 
 def test_the_tool_is_drawn_where_the_controller_has_it() -> None:
     position, rotation = Arm(WAM, NAMES).tool_pose(Q)
-    skeleton = Skeleton(WAM)
-    positions, quats = skeleton.placements(Q)
-    assert skeleton.tool == "pan" and skeleton.joint_names == NAMES
+    positions, quats = Skeleton(WAM).placements(Q)
     np.testing.assert_allclose(positions[-1], position, atol=1e-12)
     np.testing.assert_allclose(rotations.matrix(np.roll(quats[-1], -1)), rotation, atol=1e-12)
-    np.testing.assert_allclose(skeleton.tool_path(Q[None]), [position], atol=1e-12)
 
 
 def test_a_joint_that_turns_without_end_is_drawn_at_its_one_angle() -> None:
@@ -45,18 +42,6 @@ def test_every_shape_of_the_urdf_is_drawn_and_a_mesh_is_left_out(urdf: str) -> N
     count, mesh = urdf.count("<visual>"), '<geometry><mesh filename="no.stl"/></geometry>'
     assert len(Skeleton(urdf).shapes) == count
     assert len(Skeleton(re.sub("<geometry>.*?</geometry>", mesh, urdf, count=1)).shapes) < count
-
-
-def test_a_shape_has_the_colour_of_its_material() -> None:
-    pan = [shape for shape in Skeleton(WAM).shapes if shape.name.startswith("pan_")]
-    assert {tuple(round(255 * part) for part in shape.meshColor[:3]) for shape in pan} == {
-        (31, 31, 33)
-    }
-
-
-def test_an_arm_without_shapes_has_none() -> None:
-    bare = re.sub(r"<visual>.*?</visual>", "", WAM, flags=re.DOTALL)
-    assert Skeleton(bare).shapes == ()
 
 
 def test_joints_that_are_not_named_stay_at_zero() -> None:

@@ -113,8 +113,7 @@ class Bag:
             paths = [path / name for name in names]
         folder = None
         for number, file in enumerate(paths):
-            packed = str(described.get("compression_mode")).lower() == "file"
-            if packed or file.suffix == PACKED:
+            if file.suffix == PACKED:
                 if folder is None:
                     folder = Path(tempfile.mkdtemp())  # removed with this value
                     weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
@@ -169,10 +168,6 @@ def information(path: Path) -> Mapping[str, Any]:
     if not file.is_file():
         names = sorted(str(each) for each in path.glob("*") if each.name.endswith(FILES))
         remedy = f"all of them: wam-power bags import {' '.join(names)}" if names[1:] else ""
-        tables = sorted(each for each in (path, *path.rglob("*")) if each.suffix in files.TABLES)
-        if tables and not names:
-            how = f"wam-power bags import {tables[0]}"
-            raise ValueError(f"{path} is not a bag; of a table a bag is made: {how}")
         raise ValueError(
             f"{path} is not a bag: it has no metadata.yaml; name its .mcap or .db3 file instead, "
             f"{remedy or f'or, if an .mcap file is damaged: wam-power recover {path}'}"

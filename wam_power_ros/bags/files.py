@@ -26,13 +26,12 @@ from backports import zstd
 from mcap.exceptions import EndOfFile
 from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
-from rosbags.interfaces import Qos, QosDurability
+from rosbags.interfaces import Qos
 
 from wam_power_ros import plain_yaml
 from wam_power_ros.bags import layout
 
 FILES = (".mcap", ".db3")  # what a bag may consist of
-TABLES = (".csv", ".parquet")  # files that are no bag, of which an import makes one
 PACKED = ".zstd"  # suffix of a file that is compressed as a whole
 # The largest chunk or message; rosbag2 writes chunks of 0.8 MB, other recorders of a few MB.
 UNPACKED_MAX = 64_000_000  # [byte]
@@ -59,13 +58,6 @@ class Topic:
         """Whether its messages are not of one type of ROS 2, and are not read."""
         return " " in self.msgtype
 
-    @property
-    def latched(self) -> bool:
-        """Whether late subscribers receive the last messages."""
-        return bool(self.offered) and all(
-            qos.durability == QosDurability.TRANSIENT_LOCAL for qos in self.offered
-        )
-
 
 def add_topic(topics: dict[str, Topic], name: str, topic: Topic) -> None:
     """Add a topic to others, of which one may have the same name; with two types it has neither."""
@@ -76,20 +68,20 @@ def add_topic(topics: dict[str, Topic], name: str, topic: Topic) -> None:
     topics[name] = replace(known, msgtype=" and ".join(kinds), offered=offered, found=found)
 
 
-def unpacked(data: bytes, compression: str, size_max: int = UNPACKED_MAX) -> bytes:
+def unpacked(data: bytes, compression: str) -> bytes:
     """Decompressed data, whatever size they declare; as they are if they are not compressed.
 
     Raises:
-        ValueError: They are larger than `size_max` [byte], damaged, or of unknown compression.
+        ValueError: They are larger than UNPACKED_MAX, damaged, or of unknown compression.
     """
     if not compression:
         return data
     if compression not in OPENERS:
         raise ValueError(f"compression {compression!r} is not one of {', '.join(OPENERS)}")
     with OPENERS[compression](BytesIO(data)) as packed:
-        raw: bytes = packed.read(size_max + 1)
-    if len(raw) > size_max:
-        raise ValueError(f"a chunk or message unpacks to more than {size_max} bytes")
+        raw: bytes = packed.read(UNPACKED_MAX + 1)
+    if len(raw) > UNPACKED_MAX:
+        raise ValueError(f"a chunk or message unpacks to more than {UNPACKED_MAX} bytes")
     return raw
 
 
@@ -179,7 +171,7 @@ class McapFile:
             try:
                 for record in reader.records:
                     if not ended:
-                        yield _contents(record) if isinstance(record, Chunk) else [record]
+                        yield contents(record) if isinstance(record, Chunk) else [record]
                     ended |= isinstance(record, DataEnd)
             except EndOfFile:
                 raise ValueError(
@@ -194,7 +186,7 @@ class McapFile:
         return found if isinstance(found, dict) else {}
 
 
-def _contents(chunk: Chunk) -> list[McapRecord]:
+def contents(chunk: Chunk) -> list[McapRecord]:
     """Records in a chunk, verified if it has a checksum."""
     raw = unpacked(chunk.data, chunk.compression)
     if len(raw) != chunk.uncompressed_size:

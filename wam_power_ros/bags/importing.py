@@ -88,13 +88,6 @@ def import_bag(
         writer.abandon()
         shutil.rmtree(layout.unfinished(to), ignore_errors=True)
         raise
-    try:
-        back = reader.read_states(Bag(made), joint_names)
-        if not (np.array_equal(back.q, states.q) and np.array_equal(back.stamps, states.stamps)):
-            raise ValueError("other states come back than were written")
-    except BaseException:
-        shutil.rmtree(made)
-        raise
     return made, states.remarks
 
 

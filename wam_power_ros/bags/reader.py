@@ -16,7 +16,6 @@ from wam_power_ros.bags.layout import JOINT_STATE, STATES, decoded, noted_names
 from wam_power_ros.bags.quality import Grade, Remark
 
 LATE_MAX = 50_000_000  # a state may come this much after a newer one; more is a wrong clock [ns]
-CLOCK_MAX = 1e9  # the delay of a reception differs less from the usual one, by any clock [ns]
 JOIN_MAX = 50_000_000  # longest interval over which joints are interpolated to be joined [ns]
 
 
@@ -123,33 +122,12 @@ def _states(
     for found, group in groups.items():
         stamped = [] if by_reception else [state for state in group if state[1]]
         timed = stamped or [(number, received[number], row) for number, _, row in group]
-        ordered = _by_clocks(timed, received)
-        of = _of_same_joints(ordered, found, simulated, part)
-        if left := len(group) - len(ordered):
-            text = f"{left} of {len(group)} states left out: they have no stamp, or of another time"
+        of = _of_same_joints(timed, found, simulated, part)
+        if left := len(group) - len(timed):
+            text = f"{left} of {len(group)} states left out: they have no stamp"
             of = replace(of, remarks=(Remark(Grade.FAIR, text), *of.remarks))
         parts[found] = of
     return _joined(parts, names) if len(parts) > 1 else parts[names]
-
-
-def _by_clocks(
-    group: Sequence[tuple[int, int, np.ndarray]], received: Sequence[int]
-) -> Sequence[tuple[int, int, np.ndarray]]:
-    """States in the order of reception, but for a few by whose delay one of two clocks was wrong.
-
-    Those have the place of their stamp, or none if no other state is near: a latched one of before.
-    """
-    delays = np.array([received[number] - stamp for number, stamp, _ in group], dtype=float)
-    usual = np.median(delays)
-    wrong = np.abs(delays - usual) > CLOCK_MAX
-    if not 0 < wrong.sum() <= max(1, jumps.LEFT_OUT_MAX * len(group)):
-        return group
-    stamps = [stamp for (_, stamp, _), odd in zip(group, wrong, strict=True) if not odd]
-    low, high = min(stamps) - CLOCK_MAX, max(stamps) + CLOCK_MAX
-    expected = [stamp + int(usual) for _, stamp, _ in group]
-    received = [received[number] for number, _, _ in group]
-    order = np.where(wrong, expected, received)
-    return [group[i] for i in np.argsort(order, kind="stable") if low <= group[i][1] <= high]
 
 
 def _of_same_joints(

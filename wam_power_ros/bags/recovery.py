@@ -10,34 +10,26 @@ from __future__ import annotations
 
 import fcntl
 import json
-import mmap
 import os
 import shutil
-import struct
-import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from typing import TypeVar
+from typing import BinaryIO
 
 from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
+from mcap.exceptions import EndOfFile, InvalidMagic
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, McapRecord, Metadata, Schema
+from mcap.records import Channel, Chunk, McapRecord, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader
 
 from wam_power_ros import plain_yaml
 from wam_power_ros.bags import files, layout
 from wam_power_ros.bags.bag import Bag
 from wam_power_ros.bags.layout import unfinished
 from wam_power_ros.bags.writer import BagWriter
-
-MAGIC = b"\x89MCAP0\r\n"
-HEADER = struct.Struct("<BQ")  # opcode and size of a record
-MESSAGE_HEADER = struct.Struct("<HIQQ")  # channel, number, times of reception and publication [ns]
-
-R = TypeVar("R", bound=McapRecord)
 
 
 @dataclass(frozen=True)
@@ -69,14 +61,14 @@ def recover(path: Path) -> Recovered:
     """
     if path.name.endswith(layout.UNFINISHED):
         path = path.with_name(path.name.removesuffix(layout.UNFINISHED))
-    files = _files(path)
+    found = _files(path)
     bag = path.with_suffix("") if path.is_file() else path
     writer = BagWriter(bag.with_name(bag.name + "_recovered"))
     try:
         copy = _Copy(writer)
-        for file in files:
+        for file in found:
             copy.file(file)
-        if (metadata := files[0].with_name("metadata.yaml")).is_file():
+        if (metadata := found[0].with_name("metadata.yaml")).is_file():
             with suppress(ValueError):  # damaged as well
                 copy.notes |= layout.notes(plain_yaml.read(metadata))
         notes = copy.notes | writer.completeness(copy.notes) | {"recovered": json.dumps(True)}
@@ -103,11 +95,11 @@ def _files(path: Path) -> list[Path]:
         finally:
             os.close(handle)
         path = parent / path.name
-    files = sorted(path.glob("*.mcap"), key=lambda file: (len(file.name), file.name))
-    if not files:
+    found = sorted(path.glob("*.mcap"), key=lambda file: (len(file.name), file.name))
+    if not found:
         others = sorted(file.name for file in path.glob("*")) if path.is_dir() else []
         raise ValueError(f"{path} has no .mcap file to recover; it has {others or 'no files'}")
-    return files
+    return found
 
 
 @dataclass
@@ -117,93 +109,74 @@ class _Copy:
     writer: BagWriter
     notes: dict[str, str] = field(default_factory=dict)
     left_out: dict[str, str] = field(default_factory=dict)
-    _schemas: dict[int, str] = field(default_factory=dict)
-    _topics: dict[int, str | None] = field(default_factory=dict)  # None: not copied
 
     def file(self, file: Path) -> None:
         """Copy the records of one file."""
-        self._schemas.clear()  # ids of schemas and channels are local to a file
-        self._topics.clear()
-        if file.stat().st_size <= len(MAGIC):
-            return
-        damaged: list[str] = []
-        with (
-            file.open("rb") as opened,
-            mmap.mmap(opened.fileno(), 0, prot=mmap.PROT_READ) as data,
-        ):
-            if data[: len(MAGIC)] != MAGIC:
-                raise ValueError(f"{file} is not an MCAP file: it begins {data[:8]!r}")
-            try:
-                for opcode, body in _records(data, len(MAGIC), damaged):
-                    self._record(opcode, body)
-            except (ValueError, struct.error, KeyError):
-                damaged.append("everything after a damaged record")
-        self.left_out |= {f"{file.name}, {part}": "damaged" for part in damaged}
-
-    def _record(self, opcode: int, body: bytes) -> None:
-        if opcode == Opcode.SCHEMA:
-            schema = _parsed(Schema, body)
-            self._schemas[schema.id] = schema.name
-        elif opcode == Opcode.CHANNEL:
-            self._channel(_parsed(Channel, body))
-        elif opcode == Opcode.MESSAGE:
-            channel, _, stamp_ns, _ = MESSAGE_HEADER.unpack_from(body)
-            topic = self._topics[channel]
-            if topic is not None:
-                cdr = body[MESSAGE_HEADER.size :]
-                self.writer.write(topic, stamp_ns, cdr)
+        schemas: dict[int, str] = {}  # ids of schemas and channels are local to a file
+        topics: dict[int, str] = {}  # those that are copied
+        for record in self._records(file):
+            if isinstance(record, Schema):
+                schemas[record.id] = record.name
+            elif isinstance(record, Channel) and record.id not in topics:
+                if self._add(record, schemas.get(record.schema_id, "no type")):
+                    topics[record.id] = record.topic
+            elif isinstance(record, Message) and (topic := topics.get(record.channel_id)):
+                self.writer.write(topic, record.log_time, record.data)
                 if topic == layout.EVENT and not self.notes:
-                    self.notes = layout.texts(layout.event(cdr).get("notes"))
-        elif opcode == Opcode.METADATA:
-            metadata = _parsed(Metadata, body)
-            if metadata.name == "rosbag2":  # of a closed bag
-                text = metadata.metadata.get("serialized_metadata", "")
+                    self.notes = layout.texts(layout.event(record.data).get("notes"))
+            elif isinstance(record, Metadata) and record.name == "rosbag2":  # of a closed bag
+                text = record.metadata.get("serialized_metadata", "")
                 with suppress(ValueError):
                     self.notes |= layout.notes(plain_yaml.parse(text.encode(), "metadata"))
 
-    def _channel(self, channel: Channel) -> None:
-        if channel.id in self._topics:
-            return
-        topic = self._topics[channel.id] = channel.topic
-        if topic in self.writer.counts:  # added by an earlier file of the bag
-            return
-        offered = layout.parsed_qos(channel.metadata.get("offered_qos_profiles"))
-        try:
-            self.writer.add(topic, self._schemas[channel.schema_id], offered)
-        except ValueError as error:
-            self._topics[channel.id] = None
-            self.left_out[topic] = str(error)
-
-
-def _parsed(kind: type[R], body: bytes) -> R:
-    """Record of a kind; of a truncated body, its last field may be truncated."""
-    try:
-        record: R = kind.read(ReadDataStream(BytesIO(body)))  # type: ignore[attr-defined]
-    except (McapError, OverflowError) as error:
-        raise ValueError(f"{kind.__name__} of {len(body)} bytes is damaged: {error}") from None
-    return record
-
-
-def _records(data: bytes | mmap.mmap, at: int, damaged: list[str]) -> Iterator[tuple[int, bytes]]:
-    """Complete MCAP records from an offset on, including those in chunks; data may be truncated.
-
-    A chunk that does not match its checksum, or cannot be unpacked, is added to `damaged`. A chunk
-    truncated by the end of the data cannot be checked.
-    """
-    while at + HEADER.size <= len(data):
-        opcode, size = HEADER.unpack_from(data, at)
-        begins, at = at, at + HEADER.size + size
-        body, complete = data[begins + HEADER.size : at], at <= len(data)
-        if opcode == Opcode.CHUNK:
-            chunk = _parsed(Chunk, body)
+    def _add(self, channel: Channel, kind: str) -> bool:
+        """Add the topic of a channel, unless a file before did; whether it can be copied."""
+        if channel.topic not in self.writer.counts:
+            offered = layout.parsed_qos(channel.metadata.get("offered_qos_profiles"))
             try:
-                raw = files.unpacked(chunk.data, chunk.compression)
-            except Exception:  # of the library of its compression
-                raw = b""
-            crc = chunk.uncompressed_crc
-            if not raw or (complete and crc and crc != zlib.crc32(raw)):
-                damaged.append(f"chunk at byte {begins}")
-            else:
-                yield from _records(raw, 0, damaged)
-        elif complete:
-            yield opcode, body
+                self.writer.add(channel.topic, kind, offered)
+            except ValueError as error:
+                self.left_out[channel.topic] = str(error)
+                return False
+        return True
+
+    def _records(self, path: Path) -> Iterator[McapRecord]:
+        """Complete records of a file, those in chunks included; what is damaged is noted."""
+        with path.open("rb") as file:
+            limit = files.UNPACKED_MAX
+            records = StreamReader(file, emit_chunks=True, record_size_limit=limit).records
+            while True:
+                begins = file.tell()
+                try:
+                    record = next(records, None)
+                except EndOfFile:
+                    yield from _truncated(file, begins)
+                    return
+                except Exception as error:  # of any type, depending on the damage
+                    if isinstance(error, InvalidMagic) and begins == 0:
+                        raise ValueError(f"{path} is not an MCAP file") from None
+                    self.left_out[f"{path.name}, everything from byte {begins} on"] = "damaged"
+                    return
+                if record is None:
+                    return
+                if not isinstance(record, Chunk):
+                    yield record
+                    continue
+                try:
+                    contents = files.contents(record)
+                except Exception:  # of the checksum, or of the library of its compression
+                    self.left_out[f"{path.name}, chunk at byte {begins}"] = "damaged"
+                else:
+                    yield from contents
+
+
+def _truncated(file: BinaryIO, begins: int) -> Iterator[McapRecord]:
+    """Complete records of a chunk that the end of the file cuts off, which cannot be checked."""
+    file.seek(begins)
+    with suppress(Exception):  # at the end; or as the library of its compression raises
+        stream = ReadDataStream(file)
+        opcode, _ = stream.read1(), stream.read8()
+        if opcode == Opcode.CHUNK:
+            chunk = Chunk.read(stream)
+            raw = files.unpacked(chunk.data, chunk.compression)
+            yield from StreamReader(BytesIO(raw), skip_magic=True).records

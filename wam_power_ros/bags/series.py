@@ -44,7 +44,7 @@ def discard(bag: Path) -> Path:
         ValueError: The path is not a bag, closed or not.
     """
     folder = bag if bag.is_dir() else layout.unfinished(bag)
-    if bag.name == "" or not folder.is_dir() or not _is_bag(bag, folder):
+    if not folder.is_dir():
         raise ValueError(f"{bag} is not a bag")
     trash = folder.parent / TRASH
     trash.mkdir(exist_ok=True)
@@ -56,12 +56,3 @@ def discard(bag: Path) -> Path:
     if kept != listed:
         write(file, kept)
     return to
-
-
-def _is_bag(bag: Path, folder: Path) -> bool:
-    """Whether the folder of a bag, closed or not, contains one."""
-    return (
-        (folder / "metadata.yaml").is_file()
-        or any(folder.glob("*.mcap"))
-        or (folder / bag.name).is_dir()
-    )

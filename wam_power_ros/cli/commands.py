@@ -371,7 +371,7 @@ def feedback(kind: str, given: str | None, session: Path | None) -> int:
 
 
 def view(path: Path | None, address: str, port: int) -> int:
-    """Serve a page that shows a session or a bag, until Ctrl-C."""
+    """Serve a page that shows a session, until Ctrl-C."""
     from wam_power_ros.practice.session import Session
 
     print("Preparing the page …", file=sys.stderr, flush=True)
@@ -386,17 +386,13 @@ def view(path: Path | None, address: str, port: int) -> int:
             if not viewer.running(path):
                 raise UsageError(f"{path} has ended before its session began")
             time.sleep(1.0)
-    is_bag = path is not None and not Session.exists(path) and path.exists()
-    folder = path.resolve() if is_bag else existing_session(path)
+    folder = existing_session(path)
     server = guarded_server.GuardedServer(address, port)
     try:
         host = f"[{address}]" if ":" in address else address
         url = f"http://{host}:{server.get_port()}"
         ready = lambda: print(f"{url}  (Ctrl-C ends it)", flush=True)  # noqa: E731
-        if is_bag:
-            viewer.of_bag(server, folder, ready)
-        else:
-            viewer.of_session(server, folder, ready, session_domain)
+        viewer.of_session(server, folder, ready, session_domain)
     except KeyboardInterrupt:
         pass
     finally:

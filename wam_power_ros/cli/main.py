@@ -197,11 +197,11 @@ def _parser() -> argparse.ArgumentParser:
     view = add(
         "view",
         commands.view,
-        "serve a page that shows a session or a bag in a browser",
-        "Show arm, movements and learning curve in a browser; with buttons while a session runs.",
+        "serve a page that shows a session in a browser",
+        "Show arm and learning curve in a browser; with buttons while a session runs.",
     )
     view.add_argument(
-        "path", type=Path, nargs="?", metavar="SESSION|BAG", help="folder (default: newest session)"
+        "path", type=Path, nargs="?", metavar="SESSION", help="folder (default: newest session)"
     )
     view.add_argument(
         "--address",

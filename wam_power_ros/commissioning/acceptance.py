@@ -33,21 +33,13 @@ _BY_FLAT = (  # to the cameras both are the same, and the torques do not tell th
 
 @dataclass(frozen=True)
 class Finding:
-    """A value that is not allowed, or that has to be known.
+    """A value that is not allowed, or that has to be known."""
 
-    Attributes:
-        quantity: What was measured.
-        value: Its value, in `unit`.
-        unit: Unit of the value.
-        allowed: What is allowed; empty if that cannot be said.
-        advice: What to do.
-    """
-
-    quantity: str
+    quantity: str  # what was measured
     value: float
     unit: str
-    allowed: str
-    advice: str
+    allowed: str  # empty if that cannot be said
+    advice: str  # what to do
 
     def __str__(self) -> str:
         """The finding in one line."""
@@ -57,12 +49,9 @@ class Finding:
 
 
 def refusals(arm: Arm, found: Commissioned, latency_offset: float) -> list[Finding]:
-    """Reasons not to use a result; none if it may be used.
+    """Reasons not to use a result, of an arm as its URDF describes it; none if it may be used.
 
-    Args:
-        arm: Arm as its URDF describes it.
-        found: Result.
-        latency_offset: Delay of the cameras' stamps that the set-up states [s].
+    The set-up states a delay of the cameras' stamps, `latency_offset` [s].
     """
     of_cameras = [] if found.cameras is None else _of_cameras(arm, found.cameras, latency_offset)
     return of_cameras + _of_torques(arm, found)

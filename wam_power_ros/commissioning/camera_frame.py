@@ -12,15 +12,12 @@ either, unless the body is known to lie flat in the tool.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 import numpy as np
 
 from wam_power_ros import rotations
 from wam_power_ros.control.arm import Arm
-
-if TYPE_CHECKING:
-    from scipy.optimize import OptimizeResult
 
 POSITION_NOISE = 5e-4  # [m] of a pose averaged at rest, per axis
 ROTATION_NOISE = np.deg2rad(0.2)  # [rad] per axis
@@ -90,7 +87,9 @@ def calibrate(
     if len(q) < POSTURES_MIN:
         raise ValueError(f"{len(q)} postures, at least {POSTURES_MIN} are needed")
     tools = [Pose(*arm.tool_pose(each)) for each in q]
-    spread = max(_angle(tools[0].rotation.T @ tool.rotation) for tool in tools)
+    spread = max(
+        float(np.linalg.norm(rotations.log(tools[0].rotation.T @ tool.rotation))) for tool in tools
+    )
     if spread < SPREAD_MIN:
         shown, least = np.rad2deg([spread, SPREAD_MIN])
         text = f"the postures turn the tool by at most {shown:.0f} degrees"
@@ -98,7 +97,7 @@ def calibrate(
     accepted = np.arange(len(q))
     while True:
         solution = _solve(arm, q[accepted], position[accepted], rotation[accepted], flat)
-        sizes = _sizes(solution, accepted)
+        sizes = solution.sizes
         typical = max(float(np.median(sizes)), 1.0)
         worst = int(sizes.argmax())
         if sizes[worst] <= OUTLIER * typical:
@@ -113,53 +112,69 @@ def calibrate(
         flip = np.diag([-1.0, 1.0, 1.0])
         seen = position[accepted] @ flip, flip @ rotation[accepted] @ flip
         other = _solve(arm, q[accepted], *seen, flat=False)
-        if _sizes(other, accepted).max() < OUTLIER * RESIDUAL_MAX:
+        if other.sizes.max() < OUTLIER * RESIDUAL_MAX:
             raise ValueError(f"{text}the cameras' axes are mirrored (left-handed)")
         raise ValueError(
             f"{text}the cameras were knocked, the body moved in the tool (another lay on it, "
             "its markers are loose), or the joints have another order or sign"
         )
-    return _result(arm.n, solution, len(q), accepted)
+    return _result(solution, len(q), accepted)
 
 
-def _result(n: int, solution: OptimizeResult, count: int, accepted: np.ndarray) -> CameraFrame:
-    base, body, zeros = _parts(n, solution.x)
-    used = len(accepted)
-    rows = solution.fun[: 6 * used].reshape(-1, 6)
-    jacobian = solution.jac
+class _Fit(NamedTuple):
+    """Y, X and zeros (n,), the errors of each posture in multiples of the noise, derivatives."""
+
+    base: Pose
+    body: Pose
+    zeros: np.ndarray
+    rows: np.ndarray  # (N, 6)
+    jacobian: np.ndarray
+
+    @property
+    def sizes(self) -> np.ndarray:
+        """Largest error of each posture. Shape (N,)."""
+        return np.abs(self.rows).max(axis=1)
+
+
+def _result(found: _Fit, count: int, accepted: np.ndarray) -> CameraFrame:
+    rows, jacobian = found.rows, found.jacobian
     scale = max(1.0, float(np.sqrt(np.mean(rows**2))))  # geometry errors count as noise
     covariance = np.linalg.inv(jacobian.T @ jacobian)
     deviations = scale * np.sqrt(covariance.diagonal())[12:]
-    zeros_sd = np.zeros(n)
+    zeros_sd = np.zeros(len(found.zeros))
     zeros_sd[1 : 1 + len(deviations)] = deviations
+    up = found.base.rotation[:, 2]
     return CameraFrame(
-        world_to_base=base.inverse(),
-        body_in_tool=body,
-        zeros=zeros,
+        world_to_base=found.base.inverse(),
+        body_in_tool=found.body,
+        zeros=found.zeros,
         zeros_sd=zeros_sd,
         position_rms=POSITION_NOISE * float(np.sqrt(np.mean(rows[:, :3] ** 2))),
         rotation_rms=float(ROTATION_NOISE) * float(np.sqrt(np.mean(rows[:, 3:] ** 2))),
         rejected=tuple(sorted(set(range(count)) - set(accepted.tolist()))),
-        upright=_angle_between(base.rotation[:, 2], np.array([0.0, 0.0, 1.0])),
+        upright=float(np.arctan2(np.hypot(up[0], up[1]), up[2])),
     )
 
 
-def _sizes(solution: OptimizeResult, accepted: np.ndarray) -> np.ndarray:
-    """Largest error of each posture, as a multiple of the noise. Shape (N,)."""
-    return np.abs(solution.fun[: 6 * len(accepted)]).reshape(-1, 6).max(axis=1)
-
-
-def _solve(
-    arm: Arm, q: np.ndarray, position: np.ndarray, rotation: np.ndarray, flat: bool
-) -> OptimizeResult:
+def _solve(arm: Arm, q: np.ndarray, position: np.ndarray, rotation: np.ndarray, flat: bool) -> _Fit:
     """Least squares on Y, X and the zeros, from the closed-form solution without zeros."""
     # Imported here: the import is slow, and every command of `wam-power` would wait for it.
     from scipy.optimize import least_squares
 
-    base, body = closed_form([Pose(*arm.tool_pose(each)) for each in q], position, rotation)
+    starts = closed_form([Pose(*arm.tool_pose(each)) for each in q], position, rotation)
+
+    def parts(x: np.ndarray) -> tuple[Pose, Pose, np.ndarray]:
+        """Poses and zeros (n,) of the unknown numbers, which are relative to the start."""
+        zeros = np.zeros(arm.n)
+        zeros[1 : len(x) - 11] = x[12:]
+        base, body = (
+            Pose(start.position + part[:3], rotations.exp(part[3:]) @ start.rotation)
+            for start, part in zip(starts, (x[:6], x[6:12]), strict=True)
+        )
+        return base, body, zeros
 
     def residuals(x: np.ndarray) -> np.ndarray:
-        turned, mounted, zeros = _parts(arm.n, x, base, body)
+        turned, mounted, zeros = parts(x)
         rows = []
         for posture, seen, turn in zip(q, position, rotation, strict=True):
             place, axes = arm.tool_pose(posture - zeros)
@@ -174,30 +189,8 @@ def _solve(
     unknown = 12 + arm.n - 1 - (not flat)
     start = least_squares(residuals, np.zeros(unknown), x_scale="jac").x
     found = least_squares(residuals, start, loss="huber", x_scale="jac")
-    found.fun = residuals(found.x)
-    found.x = np.concatenate([_numbers(*_parts(arm.n, found.x, base, body)[:2]), found.x[12:]])
-    return found
-
-
-def _parts(
-    n: int, x: np.ndarray, base: Pose | None = None, body: Pose | None = None
-) -> tuple[Pose, Pose, np.ndarray]:
-    """Poses and zeros (n,) of the numbers of a solution, relative to start poses if given."""
-    zeros = np.zeros(n)
-    zeros[1 : len(x) - 11] = x[12:]
-    poses = []
-    for numbers, start in ((x[:6], base), (x[6:12], body)):
-        turn = rotations.exp(numbers[3:])
-        if start is not None:
-            poses.append(Pose(start.position + numbers[:3], turn @ start.rotation))
-        else:
-            poses.append(Pose(numbers[:3], turn))
-    return poses[0], poses[1], zeros
-
-
-def _numbers(*poses: Pose) -> np.ndarray:
-    parts = [(pose.position, rotations.log(pose.rotation)) for pose in poses]
-    return np.concatenate([number for part in parts for number in part])
+    rows = residuals(found.x)[: 6 * len(q)].reshape(-1, 6)
+    return _Fit(*parts(found.x), rows, found.jac)
 
 
 def closed_form(tools: list[Pose], position: np.ndarray, rotation: np.ndarray) -> tuple[Pose, Pose]:
@@ -226,11 +219,3 @@ def closed_form(tools: list[Pose], position: np.ndarray, rotation: np.ndarray) -
 def _nearest_rotation(matrix: np.ndarray) -> np.ndarray:
     u, _, vt = np.linalg.svd(matrix)
     return u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-
-
-def _angle(rotation: np.ndarray) -> float:
-    return float(np.linalg.norm(rotations.log(rotation)))
-
-
-def _angle_between(a: np.ndarray, b: np.ndarray) -> float:
-    return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))

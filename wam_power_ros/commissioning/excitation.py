@@ -38,18 +38,13 @@ _DRAWS = 2000  # of a posture, before none is taken to exist
 class Excitation:
     """A joint movement and what it contains.
 
-    Attributes:
-        t: Times from 0 [s]. Shape (T,).
-        q: Joint positions [rad]. Shape (T, n).
-        rests: Begin and end of each rest [s]; rests 2 k and 2 k + 1 are at posture k, from below
-            and from above. Shape (R, 2).
-        sweeps: Begin and end of each sweep [s]. Shape (S, 2).
+    Rests 2 k and 2 k + 1 are at posture k, from below and from above.
     """
 
-    t: np.ndarray
-    q: np.ndarray
-    rests: np.ndarray
-    sweeps: np.ndarray
+    t: np.ndarray  # from 0 [s] (T,)
+    q: np.ndarray  # [rad] (T, n)
+    rests: np.ndarray  # begin and end of each [s] (R, 2)
+    sweeps: np.ndarray  # begin and end of each [s] (S, 2)
 
 
 def excitation(
@@ -60,15 +55,9 @@ def excitation(
     postures: int = 22,
     seconds: tuple[float, ...] = (30.0, 20.0, 15.0, 10.0),
 ) -> Excitation:
-    """Plan the movement from rest at home to rest at home.
+    """Plan the movement from rest at home (n,) [rad] to rest at home; the arm's buffers are used.
 
-    Args:
-        arm: Model of the arm; its buffers are used.
-        limits: Limits that every posture must keep.
-        home: Posture around which the arm moves [rad]. Shape (n,).
-        rng: Draws postures and sweeps.
-        postures: Number of postures.
-        seconds: Duration of each sweep, a slow and a faster one in turn [s].
+    It has a number of postures, and sweeps of these durations [s], a slow and a faster one in turn.
 
     Raises:
         ValueError: No posture around home keeps the limits.
@@ -210,10 +199,8 @@ def _sweep(
 def _wave(s: np.ndarray, phase: np.ndarray, size: np.ndarray) -> np.ndarray:
     """Harmonics of one period, which begin and end at zero. Shape (T, n).
 
-    Args:
-        s: Periods since the beginning. Shape (T,).
-        phase: Phases of the harmonics in each joint [rad]. Shape (H, n).
-        size: Sizes of the harmonics, before the higher ones are made smaller. Shape (H, n).
+    `s` (T,) counts periods since the beginning; `phase` [rad] and `size` (H, n) are those of the
+    harmonics in each joint, before the higher ones are made smaller.
     """
     number = np.arange(1, len(size) + 1)
     angle = 2.0 * np.pi * number * s[:, None]  # (T, H)

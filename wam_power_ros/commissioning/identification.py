@@ -39,57 +39,35 @@ REST_NOISE = 0.08  # the same in the mean of two rests
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """States of an arm, filtered, with the torques that acted.
+    """States of an arm, filtered, with the torques that acted. Shapes (N, n)."""
 
-    Attributes:
-        q: Joint positions [rad]. Shape (N, n).
-        qd: Speeds [rad/s]. Shape (N, n).
-        qdd: Accelerations [rad/s^2]. Shape (N, n).
-        tau: Commanded torques [N m]. Shape (N, n).
-        used: True where a joint's torque counts, which near a reversal it does not. Shape (N, n).
-    """
-
-    q: np.ndarray
-    qd: np.ndarray
-    qdd: np.ndarray
-    tau: np.ndarray
-    used: np.ndarray
+    q: np.ndarray  # [rad]
+    qd: np.ndarray  # [rad/s]
+    qdd: np.ndarray  # [rad/s^2]
+    tau: np.ndarray  # commanded [N m]
+    used: np.ndarray  # True where a joint's torque counts, which near a reversal it does not
 
 
 @dataclass(frozen=True, eq=False)
 class Identified:
-    """Result of `identify`.
+    """Result of `identify`; `sd` is a standard deviation."""
 
-    Attributes:
-        corrections: Corrections of the arm with which its model explains the torques.
-        scales_sd: Standard deviations of the torque scales. Shape (n,).
-        moment_sd: Standard deviation of the payload's first moment [kg m]. Shape (3,).
-        payload_sd: Standard deviation of its mass [kg].
-        felt_payload: Its mass by the torques alone, even if it was weighed [kg].
-        felt_sd: Standard deviation of that [kg].
-        loop_delay: Time from a command to the motion [s].
-    """
-
-    corrections: Corrections
-    scales_sd: np.ndarray
-    moment_sd: np.ndarray
-    payload_sd: float
-    felt_payload: float
-    felt_sd: float
-    loop_delay: float
+    corrections: Corrections  # with which the model of the arm explains the torques
+    scales_sd: np.ndarray  # of the torque scales (n,)
+    moment_sd: np.ndarray  # of the payload's first moment [kg m] (3,)
+    payload_sd: float  # of its mass [kg]
+    felt_payload: float  # its mass by the torques alone, even if it was weighed [kg]
+    felt_sd: float  # of that [kg]
+    loop_delay: float  # from a command to the motion [s]
 
 
 def sweep(
     t: np.ndarray, q: np.ndarray, tau: np.ndarray, between: np.ndarray, delay: float
 ) -> Samples:
-    """Samples of a part of a recording, filtered.
+    """Samples of a part of a recording between two times [s], filtered.
 
-    Args:
-        t: Times of the states, evenly spaced [s]. Shape (T,).
-        q: Reported positions [rad]. Shape (T, n).
-        tau: Commanded torques [N m]. Shape (T, n).
-        between: Begin and end [s].
-        delay: Time after which a torque acts [s].
+    The states, at evenly spaced t (T,) [s], have reported positions q (T, n) [rad] and commanded
+    torques tau (T, n) [N m], which act after a delay [s].
     """
     period = float(np.median(np.diff(t)))
     window = 2 * round(0.5 * WINDOW / period) + 1
@@ -148,9 +126,7 @@ def identify(
     Args:
         arm: Arm as its URDF describes it, without corrections.
         plan: The movement, whose beginning is at t = 0.
-        t: Times of the states [s]. Shape (T,).
-        q: Reported positions [rad]. Shape (T, n).
-        tau: Commanded torques, gravity included [N m]. Shape (T, n).
+        t, q, tau: As of `sweep`; gravity is included in the torques.
         zeros: Zeros of the joints, from the cameras [rad]. Shape (n,).
         payload: Mass of the tool beyond the URDF's, from a scale [kg]; None if it was not weighed.
     """

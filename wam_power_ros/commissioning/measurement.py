@@ -27,84 +27,49 @@ LATENCY_STEPS = 5
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """States, commands and poses of a body on the tool, of one recording.
+    """States, commands and poses of a body on the tool, of one recording."""
 
-    Attributes:
-        t: Times of the states [s]. Shape (M,).
-        q: Reported positions [rad]. Shape (M, n).
-        tau: Commanded torques, without gravity if the driver adds it [N m]. Shape (M, n).
-        seen_t: Times of the poses [s]. Shape (P,).
-        position: Position of the body in the frame that is taken for the base's [m]. Shape (P, 3).
-        rotation: Its orientation. Shape (P, 3, 3).
-    """
-
-    t: np.ndarray
-    q: np.ndarray
-    tau: np.ndarray
-    seen_t: np.ndarray
-    position: np.ndarray
-    rotation: np.ndarray
+    t: np.ndarray  # times of the states [s] (M,)
+    q: np.ndarray  # reported positions [rad] (M, n)
+    tau: np.ndarray  # commanded torques, without gravity if the driver adds it [N m] (M, n)
+    seen_t: np.ndarray  # times of the poses [s] (P,)
+    position: np.ndarray  # of the body, in the frame that is taken for the base's [m] (P, 3)
+    rotation: np.ndarray  # its orientation (P, 3, 3)
 
 
 @dataclass(frozen=True)
 class Residual:
-    """Torque that a model does not explain, root mean square over joints and samples [N m].
+    """Torque that a model does not explain, root mean square over joints and samples [N m]."""
 
-    Attributes:
-        rest: At rest, the mean of both sides.
-        slow: In a slow movement.
-        fast: In a faster one.
-    """
-
-    rest: float
-    slow: float
-    fast: float
+    rest: float  # the mean of both sides
+    slow: float  # in a slow movement
+    fast: float  # in a faster one
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What the cameras tell.
-
-    Attributes:
-        frame: Frame, body and zeros.
-        unseen: Numbers of the rests at which the body was not seen, from 0.
-        latency: Time by which the poses' stamps are late, beyond what is known [s].
-        latency_change: By how much more they are late in the last sweep [s].
-        fit_position: Mean error of the body at a rest that was used, largest [m].
-        fit_rotation: The same [rad].
-        check_position: Mean error of the body at a rest that was not used, largest [m].
-        check_rotation: The same [rad].
-        sweep_position: Error of the body in a sweep, root mean square, largest of all sweeps [m].
-        sweep_rotation: The same [rad].
-    """
+    """What the cameras tell."""
 
     frame: CameraFrame
-    unseen: tuple[int, ...]
-    latency: float
-    latency_change: float
-    fit_position: float
-    fit_rotation: float
-    check_position: float
-    check_rotation: float
-    sweep_position: float
-    sweep_rotation: float
+    unseen: tuple[int, ...]  # numbers of the rests at which the body was not seen, from 0
+    latency: float  # by which the poses' stamps are late, beyond what is known [s]
+    latency_change: float  # by how much more they are late in the last sweep [s]
+    fit_position: float  # mean error of the body at a rest that was used, largest [m]
+    fit_rotation: float  # the same [rad]
+    check_position: float  # at a rest that was not used [m]
+    check_rotation: float  # [rad]
+    sweep_position: float  # in a sweep, root mean square, largest of all sweeps [m]
+    sweep_rotation: float  # [rad]
 
 
 @dataclass(frozen=True, eq=False)
 class Commissioned:
-    """Result of `analyse`.
+    """Result of `analyse`."""
 
-    Attributes:
-        cameras: What the cameras tell; None if they saw no body.
-        arm: Corrections of the arm.
-        before: Torque that the model of the URDF leaves unexplained in movements not used.
-        after: The same with the corrections.
-    """
-
-    cameras: Seen | None
+    cameras: Seen | None  # None if they saw no body
     arm: Identified
-    before: Residual
-    after: Residual
+    before: Residual  # in movements not used, by the model of the URDF
+    after: Residual  # by that with the corrections
 
 
 def analyse(
@@ -119,8 +84,6 @@ def analyse(
 
     Args:
         arm: Arm as its URDF describes it, without corrections; its buffers are used.
-        plan: The movement.
-        recorded: Recording of it.
         payload: Mass of the tool beyond the URDF's, from a scale [kg]; None if it was not weighed.
         gravity_added: Whether the driver adds gravity by a model of its own, which is taken for the
             URDF's.
@@ -147,12 +110,7 @@ def analyse(
 
 
 def begun(plan: Excitation, t: np.ndarray, q: np.ndarray) -> float:
-    """Time at which a movement begins in a recording [s].
-
-    Args:
-        plan: The movement.
-        t: Times of the states [s]. Shape (M,).
-        q: Positions [rad]. Shape (M, n).
+    """Time [s] at which a movement begins in a recording of states t (M,) [s] and q (M, n) [rad].
 
     Raises:
         ValueError: The recording is too short, or of another movement.
@@ -217,17 +175,9 @@ def _at_rest(recorded: Recording, rests: list[tuple[float, float]]) -> Iterator[
 def _apart(arm: Arm, cameras: CameraFrame, recorded: Recording, parts: np.ndarray) -> np.ndarray:
     """Mean errors of the body's position [m] and orientation [rad] in parts, squared.
 
-    The square that noise of the cameras alone would leave is taken off. Parts in which the body was
-    not seen are left out; one row of NaN is left if that is all.
-
-    Args:
-        arm: Arm as its URDF describes it.
-        cameras: Frame, body and zeros.
-        recorded: Recording whose poses have the times of their exposure.
-        parts: Begin and end of each part [s]. Shape (N, 2).
-
-    Returns:
-        Shape (N, 2).
+    The poses of the recording have the times of their exposure; `parts` (N, 2) are the begin and
+    end of each [s]. The square that noise of the cameras alone would leave is taken off. Parts in
+    which the body was not seen are left out; one row of NaN is left if that is all. Shape (N, 2).
     """
     q = np.stack([np.interp(recorded.seen_t, recorded.t, column) for column in recorded.q.T], 1)
     rows = []

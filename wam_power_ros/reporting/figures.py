@@ -86,12 +86,8 @@ def errors(
 ) -> Figure:
     """Measured errors over the rollouts of a session, each in its unit.
 
-    What is far outside is drawn hollow at the edge; what is unknown is not drawn.
-
-    Args:
-        wanted: The errors, see `Task.wanted_errors`; at least one.
-        values: Their values by name in each rollout, in their units. Length n.
-        kinds: Kind of each rollout, see `session_log.Kind`. Length n.
+    What is far outside is drawn hollow at the edge; what is unknown is not drawn. `wanted` are the
+    errors, see `Task.wanted_errors`; `values` by name and `kinds` are those of each rollout.
     """
     columns, rows = min(len(wanted), 2), math.ceil(len(wanted) / 2)
     figure = Figure(figsize=(7.2, 1.7 * rows + 0.4), layout="constrained")
@@ -162,9 +158,8 @@ def joints(
 ) -> Figure:
     """Joint angles and speeds of takes over time, a row for each joint.
 
-    Args:
-        movements: Name -> times [s] (N,) and smooth joint angles [rad] (N, n).
-        limits: Limits of the arm, drawn dashed if within view; None if unknown.
+    A movement has times [s] (N,) and smooth joint angles [rad] (N, n). Limits of the arm, if they
+    are known, are drawn dashed where they are within view.
     """
     count = len(joint_names)
     figure = Figure(figsize=(9.4, 1.3 * count + 0.9), layout="constrained")
@@ -192,19 +187,9 @@ def joints(
 
 
 def save_film(frames: Sequence[np.ndarray], path: Path, rate: float) -> None:
-    """Write frames as an animated .webp image.
-
-    Args:
-        frames: RGB images. Shapes (h, w, 3), uint8.
-        rate: Frames per second.
-
-    Raises:
-        ValueError: There are no frames.
-    """
+    """Write RGB frames (h, w, 3), uint8, as an animated .webp image at a rate [1/s]."""
     from PIL import Image
 
-    if not frames:
-        raise ValueError("a film must have at least one frame, got none")
     first, *others = (Image.fromarray(np.ascontiguousarray(frame)) for frame in frames)
     settings = {"duration": round(1000 / rate), "loop": 0, "quality": 70, "method": 4}
     with durable_files.naming(path):

@@ -35,7 +35,6 @@ from wam_power_ros.reporting.terminal import (
     counted,
     failed,
     number,
-    peaks,
     resets,
     returned,
     term_names,
@@ -166,7 +165,6 @@ def _verdict(
             f"ground truth agree in {agree} of {counted(len(answers), 'rollout')}."
         )
     lines = [*before_and_after(records, task), *task.summary(records), *resets(records)]
-    lines += peaks(records)
     lines += [] if answer is None else choice(records, answer.id)
     lines += failed(why_failed(records, task, settings, start))
     text += [f"{line[0].upper()}{line[1:]}." for line in lines]

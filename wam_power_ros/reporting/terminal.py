@@ -111,7 +111,7 @@ def rollout_table(records: Sequence[Record], outcome: Outcome, width: int = 160)
 
 
 def summary(records: Sequence[Record], task: Task) -> str:
-    """Summary of a session in a few lines: rollouts, returns, outcomes, speeds, last decision."""
+    """Summary of a session in a few lines: rollouts, returns, outcomes, last decision."""
     returns = [record.ret for record in records if record.ret is not None]
     if not returns:
         return f"{counted(len(records), 'rollout')}, none usable"
@@ -124,7 +124,6 @@ def summary(records: Sequence[Record], task: Task) -> str:
         *task.summary(records),
         *resets(records),
         *(f"  {label} {value}" for label, value in task.measured(retests).items()),
-        *(f"  {line}" for line in peaks(retests)),
     ]
     if notes := [record.note for record in records if record.note]:
         lines.append(f"last decision: {notes[-1]}")
@@ -209,23 +208,6 @@ def choice(records: Sequence[Record], id: str) -> list[str]:
         return [line]
     kind = "an exploration" if best.kind == "explore" else "one run of another policy"
     return [f"{line}; the highest return, {best.ret:.3f} in rollout {best.number}, was of {kind}"]
-
-
-def peaks(records: Sequence[Record]) -> list[str]:
-    """Peak speeds of the arm in the ground truth of re-tests; empty if unknown."""
-    truths = [record.truth for record in records if record.kind == "retest" and record.truth]
-    if not truths or not all("peak_qd" in truth for truth in truths):
-        return []
-    points = ("peak_elbow_speed", "peak_forearm_speed", "peak_pan_speed")
-    elbow, forearm, tool = (max(truth[point] for truth in truths) for point in points)
-    qd = np.max([truth["peak_qd"] for truth in truths], axis=0)
-    beyond = sum(bool(truth["beyond_no_load"]) for truth in truths)
-    return [
-        f"peak joint speeds {' '.join(f'{v:.1f}' for v in qd)} rad/s; beyond a motor's no-load "
-        f"speed in {beyond} of {len(truths)}",
-        f"peak speeds: first guarded point {elbow:.2f} m/s, last guarded point {forearm:.2f} m/s, "
-        f"tool {tool:.2f} m/s",
-    ]
 
 
 class Display:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of `wam-power view`: an arm, its movements and a session in a browser."""
+"""The page of `wam-power view`: an arm and its session in a browser."""

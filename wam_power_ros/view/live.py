@@ -35,22 +35,14 @@ APPEAR_TIMEOUT = 2.0  # [s of wall time] for the service of a button
 
 @dataclass
 class LiveState:
-    """Newest message of each kind.
+    """Newest message of each kind, None before the first."""
 
-    Attributes:
-        q: Joint angles [rad], None before the first state. Shape (n,).
-        receipt_time: Time of receipt of the newest joint state [s, steady clock].
-        body: Position [m] and quaternion wxyz of the tracked body, None before the first state.
-        tool_path: Path of the tool in the last finished rollout [m]. Shape (T, 3).
-        diagnostics: Node -> level and summary of its last diagnostics.
-    """
-
-    q: np.ndarray | None = None
-    receipt_time: float = -np.inf
-    body: tuple[np.ndarray, np.ndarray] | None = None
+    q: np.ndarray | None = None  # [rad] (n,)
+    receipt_time: float = -np.inf  # of the newest joint state [s, steady clock]
+    body: tuple[np.ndarray, np.ndarray] | None = None  # position [m] and quaternion wxyz
     policy: Policy | None = None
-    tool_path: np.ndarray | None = None
-    diagnostics: dict[str, tuple[str, str]] = field(default_factory=dict)
+    tool_path: np.ndarray | None = None  # in the last finished rollout [m] (T, 3)
+    diagnostics: dict[str, tuple[str, str]] = field(default_factory=dict)  # node: level, summary
 
 
 class View(Node):
@@ -109,8 +101,7 @@ class View(Node):
     def teach(self, lead: Callable[[], object], notify: Callable[[str], object]) -> Answer:
         """Add a demonstration to the session, see `Feedback.teach`.
 
-        Args:
-            lead: Returns when the person has finished; not called if the stand-in demonstrates.
+        `lead` returns when the person has finished; it is not called if the stand-in demonstrates.
         """
 
         def teach() -> Answer:

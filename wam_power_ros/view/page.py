@@ -34,7 +34,6 @@ BALL_RADIUS = 0.02  # [m] of one without an orientation, as of one marker
 NOT_TURNED = (1.0, 0.0, 0.0, 0.0)
 PATH_THICKNESS, STICK_THICKNESS = 0.006, 0.06  # [m]
 CAMERA, TARGET = (1.35, -1.5, 1.15), (0.5, 0.0, 0.55)  # [m]
-NARROW, PHONE_CAMERA, PHONE_TARGET = 0.7, (1.8, -2.1, 1.3), (0.5, 0.0, -0.5)
 BEST_COLOUR = "#9b3fe0"
 NO_SAFETY = "Stop is a request over the network, **no safety function**: use the pendant."
 
@@ -48,7 +47,6 @@ class Page:
     """One page, the same in every browser that opens it, drawn by `GuardedServer.draw` alone.
 
     Attributes:
-        skeleton: Drawn arm, None before the first.
         terms: Text below the learning curve.
     """
 
@@ -58,7 +56,6 @@ class Page:
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
         gui.set_panel_label(f"wam-power view · {title}")
         server.initial_camera.position, server.initial_camera.look_at = CAMERA, TARGET
-        server.on_client_connect(_fit_to_phone)
         scene.add_grid("/ground", width=4.0, height=4.0, cell_size=0.1, section_size=0.5)
         self.skeleton: Skeleton | None = None
         self._frames: list[viser.FrameHandle] = []
@@ -124,23 +121,20 @@ class Page:
         rgb: tuple[int, int, int],
         thickness: float = PATH_THICKNESS,
     ) -> None:
-        """Draw a path; it replaces the last one with that name.
+        """Draw a path of points (T, 3) [m], fewer than two draw nothing, with a thickness [m].
 
-        Args:
-            name: Group and name, such as "executed/trail".
-            points: Points of the path [m]; fewer than two draw nothing. Shape (T, 3).
-            thickness: Thickness [m].
+        It replaces the last one with that name: group and name, such as "executed/trail".
         """
         if len(points) < 2:
             points = np.zeros((2, 3))
         segments = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
         self.server.scene.add_line_segments(f"/{name}", segments, rgb, thickness=thickness)
 
-    def show_policy(self, policy: Policy | None, start: np.ndarray) -> None:
+    def show_policy(self, policy: Policy, start: np.ndarray) -> None:
         """Draw a policy: its path from `start` (3,) [m], its attractors as stiffness ellipsoids."""
-        self.show_path("planned/path", start[None] if policy is None else plan(policy, start), BLUE)
+        self.show_path("planned/path", plan(policy, start), BLUE)
         self._emptied("attractors/shown")
-        for number, shape in enumerate(zip(*ellipsoids(policy), strict=True) if policy else ()):
+        for number, shape in enumerate(zip(*ellipsoids(policy), strict=True)):
             centre, semi_axes, quat = shape
             self.server.scene.add_icosphere(
                 f"/attractors/shown/{number}",
@@ -161,10 +155,9 @@ class Page:
         if text != self._state.content:
             self._state.content = text
 
-    def add_legend(self, body: str, policies: bool = True) -> None:
+    def add_legend(self, body: str) -> None:
         """Add a panel with a checkbox for each kind of drawing, and its colour."""
-        shown = {name: SHOWN[name] for name in [*SHOWN][: None if policies else 1]}
-        shown |= {"body": f"tracked {body}"} if body else {}
+        shown = SHOWN | ({"body": f"tracked {body}"} if body else {})
         with self.server.gui.add_folder("Show"):
             for name, label in shown.items():
                 self.server.gui.add_checkbox(label, True).on_update(partial(self._toggle, name))
@@ -173,19 +166,18 @@ class Page:
         self._groups[name].visible = event.target.value
 
     def add_buttons(
-        self, folder: str, buttons: Mapping[str, tuple[str, str, Callable[[], object]]], note: str
+        self, buttons: Mapping[str, tuple[str, str, Callable[[], object]]]
     ) -> dict[str, viser.GuiButtonHandle]:
-        """Add a panel of buttons with a note below them; returns the buttons by label.
+        """Add the panel of buttons; returns them by label.
 
-        Args:
-            buttons: Label -> colour, hint and function that a thread calls on a click.
+        A button has a colour, a hint and a function that a thread calls on a click.
         """
         handles = {}
-        with self.server.gui.add_folder(folder):
+        with self.server.gui.add_folder("Practice"):
             for label, (colour, hint, act) in buttons.items():
                 handles[label] = self.server.gui.add_button(label, color=colour, hint=hint)
                 handles[label].on_click(lambda _, act=act: act())
-            self.server.gui.add_markdown(note)
+            self.server.gui.add_markdown(NO_SAFETY)
         return handles
 
     def notify(self, title: str, text: str, good: bool = True) -> None:
@@ -196,13 +188,9 @@ class Page:
             )
 
     def add_curve(self, kinds: Sequence[str]) -> viser.GuiUplotHandle:
-        """Add a panel with the learning curve.
+        """Add a panel with the learning curve, with a series for each kind of rollout.
 
-        Args:
-            kinds: Kinds of rollouts, one series each; the series of the best return is added last.
-
-        Returns:
-            Chart, whose `data` are the columns: rollout numbers, returns of each kind, best return.
+        The `data` of the chart are columns: rollout numbers, returns of each kind, best return.
         """
         series = [uplot.Series(label="rollout")]
         for kind in kinds:
@@ -222,12 +210,6 @@ class Page:
             )
             self.terms = self.server.gui.add_markdown("")
         return chart
-
-
-async def _fit_to_phone(client: viser.ClientHandle) -> None:
-    """Show the arm above the panel, which covers the lower part of a narrow screen."""
-    if client.camera.aspect < NARROW:
-        client.camera.position, client.camera.look_at = PHONE_CAMERA, PHONE_TARGET
 
 
 def _add_shape(scene: viser.SceneApi, name: str, shape: pin.GeometryObject) -> None:

@@ -44,16 +44,10 @@ def label(record: Record) -> str:
     return f"{record.number} {KIND_NAMES[record.kind]} {returned(record)}"
 
 
-def entry(record: Record) -> str:
-    """Entry of a rollout in a list to choose from: as its label, but the same for ever."""
-    return f"{record.number} {KIND_NAMES[record.kind]} {number(record.ret)}"
-
-
 class Progress:
     """Shows a session and reads its log again whenever it has grown.
 
     Attributes:
-        bags: Entry of a rollout with a bag -> path of the bag, newest first.
         failed: Why the session has failed, as of `terminal.failed`.
     """
 
@@ -61,7 +55,6 @@ class Progress:
         self._page, self._folder, self._task = page, folder, task
         self._size = -1
         self._chart = page.add_curve(KINDS)
-        self.bags: dict[str, Path] = {}
         self.records: tuple[Record, ...] = ()
         self.failed: list[str] = []
 
@@ -79,7 +72,5 @@ class Progress:
         found = session.read(self._folder)
         self.records, settings = found.records, found.header.settings
         self.failed = failed(why_failed(self.records, self._task, settings, found.start))
-        with_bag = [record for record in reversed(self.records) if record.bag]
-        self.bags = {entry(each): self._folder / "bags" / each.bag for each in with_bag}
         self._chart.data = curve(self.records)
         self._page.terms.content = newest(self.records, self._task)

@@ -15,11 +15,9 @@ import numpy as np
 
 from wam_power_ros.params import overlay
 from wam_power_ros.practice import session
-from wam_power_ros.view import recorded
 from wam_power_ros.view.guarded_server import GuardedServer
 from wam_power_ros.view.live import LiveState, View
-from wam_power_ros.view.page import LIGHT_ORANGE, NO_SAFETY, ORANGE, Page
-from wam_power_ros.view.player import LIVE, Player
+from wam_power_ros.view.page import LIGHT_ORANGE, ORANGE, Page
 from wam_power_ros.view.progress import Progress
 from wam_power_ros.view.skeleton import Skeleton
 
@@ -55,7 +53,7 @@ def parameters(folder: Path) -> overlay.Setup:
 
 
 class SessionPage:
-    """Page of one session: drawings, playback, progress and buttons.
+    """Page of one session: drawings, progress and buttons.
 
     Raises:
         ValueError: The session cannot be read.
@@ -91,24 +89,17 @@ class SessionPage:
             END_TEACHING: ("violet", "the demonstration is complete", self._end_teaching),
             STOP: ("red", "no safety function", partial(self._give, STOP, "stop")),
         }
-        self._buttons = self._page.add_buttons("Practice", buttons, NO_SAFETY)
-        self._player = Player(self._page, self._movement)
+        self._buttons = self._page.add_buttons(buttons)
         self._progress = Progress(self._page, folder, task)
         self._page.add_legend(task.body)
         self._enable_buttons()
 
-    def _movement(self, name: str) -> recorded.Movement:
-        return recorded.read(self._progress.bags[name])
-
-    def tick(self, elapsed: float) -> None:
-        """Update the page after an elapsed time [s]."""
+    def tick(self) -> None:
+        """Update the page."""
         self._progress.refresh()
-        self._player.offer([*[LIVE] * (self._node is not None), *self._progress.bags])
         self._enable_buttons()
-        state = None if self._node is None else self._node.update()
-        if state is not None and self._player.live:
-            self._draw(state)
-        self._player.advance(elapsed)
+        if self._node is not None:
+            self._draw(self._node.update())
         self._page.state(self._lines())
 
     def connect(self, node: View | None) -> None:
@@ -132,9 +123,9 @@ class SessionPage:
         node, page = self._node, self._page
         if state.q is None or not node.urdf:
             return
-        if self._skeleton is None or page.skeleton is not self._skeleton:  # a movement was played
-            arm = Skeleton(node.urdf, node.model_joint_names, node.base_frame)
-            self._drawn, self._skeleton = LiveState(), arm
+        if self._skeleton is None:
+            self._skeleton = Skeleton(node.urdf, node.model_joint_names, node.base_frame)
+            self._drawn = LiveState()
             self._trail.clear()
             page.show_arm(self._skeleton)
         drawn = self._drawn
@@ -146,7 +137,7 @@ class SessionPage:
             page.show_path("executed/trail", np.array(self._trail), LIGHT_ORANGE)
         page.place_body(state.body)
         if state.policy is not None and state.policy is not drawn.policy:
-            start = page.skeleton.placements(state.policy.q_start)[0][-1]
+            start = self._skeleton.placements(state.policy.q_start)[0][-1]
             page.show_policy(state.policy, start)
         if state.tool_path is not None and state.tool_path is not drawn.tool_path:
             page.show_path("executed/path", state.tool_path, ORANGE)

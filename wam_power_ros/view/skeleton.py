@@ -61,7 +61,6 @@ class Skeleton:
                     shape.placement = root * shape.placement
         self._data = model.createData()
         self._tip = [i for i, f in enumerate(model.frames) if f.type == pin.FrameType.BODY][-1]
-        self.tool = model.frames[self._tip].name
         self.shapes = tuple(self._visual.geometryObjects)
 
     def placements(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -75,7 +74,3 @@ class Skeleton:
         placed = [*self._data.oMi, self._data.oMf[self._tip]]
         quat_xyzw = rotations.quat_xyzw(np.array([place.rotation for place in placed]))
         return np.array([place.translation for place in placed]), np.roll(quat_xyzw, 1, axis=-1)
-
-    def tool_path(self, q: np.ndarray) -> np.ndarray:
-        """Positions of the tool [m], shape (T, 3), at joint angles [rad], shape (T, n)."""
-        return np.array([self.placements(row)[0][-1] for row in q]).reshape(-1, 3)

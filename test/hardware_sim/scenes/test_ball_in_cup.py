@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hardware_sim.demonstrator import PAUSE, Target
+from hardware_sim.demonstrator import PAUSE
 from hardware_sim.ground_truth import Truth
-from hardware_sim.scenes.ball_in_cup import HOME, SWING, SwingScript, swing
+from hardware_sim.scenes.ball_in_cup import SWING, SwingScript, swing
 from hardware_sim.world import World
 from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.learning.demonstration import Demonstration
@@ -45,17 +45,6 @@ def test_every_swing_goes_from_rest_to_rest_in_a_plane_with_the_cup_upright(seed
     assert swing(np.random.default_rng(seed)).points.tolist() == script.points.tolist()
     intended = swing(np.random.default_rng(seed), spread=0.0)
     np.testing.assert_array_equal(intended.points[3:12], SWING)
-
-
-def test_the_velocity_of_a_target_is_that_of_its_position() -> None:
-    script = swing(np.random.default_rng(1))
-
-    def at(t: float) -> Target:
-        return script.target(t, np.zeros(3), np.eye(3))
-
-    for t in np.linspace(PAUSE + 0.01, script.end - 0.01, 20):
-        speed = (at(t + 1e-5).position - at(t - 1e-5).position) / 2e-5
-        np.testing.assert_allclose(at(t).velocity, speed, atol=1e-6)
 
 
 def guided(environment: Environment, script: SwingScript) -> tuple[Truth, np.ndarray, np.ndarray]:
@@ -96,32 +85,12 @@ def clearances(world: World, rows: np.ndarray) -> list[float]:
     return found
 
 
-def test_a_swing_that_is_too_small_or_too_large_is_missed(environment: Environment) -> None:
-    still = np.zeros((3, 2))
-    for size in (0.9, 1.1):
-        own = size * SWING
-        script = SwingScript(np.vstack([still, own, own[-1:], own[-1:]]), 0.2)
-        truth, _, length = guided(environment, script)
-        assert not truth["caught"] and length[-1] > RIM
-
-
-def test_an_arm_at_rest_has_a_ball_that_hangs_at_rest(environment: Environment) -> None:
-    world = environment.world
-    world.reset("trial-0001", HOME)
-    world.release()
-    for _ in range(20):
-        world.step(environment.arm.gravity(HOME))
-    truth = world.truth()
-    assert (truth["caught"], truth["t_c"], truth["distance"]) == (False, None, None)
-    assert truth["apex"] == pytest.approx(-STRING - RIM - 0.018, abs=0.005)
-
-
 def test_what_the_cameras_see_of_a_swing_is_what_happened(environment: Environment) -> None:
     script = swing(np.random.default_rng([3000, 0]))
     stamps_ns, q = environment.demonstrate(script, "demonstration-0")
     demonstration: Demonstration = BallInCup.demonstration_of(environment.arm, stamps_ns, q)
     policy = BallInCup.policy_of([demonstration], "demonstration-1")
-    for number in range(4):
+    for number in range(2):
         rollout, truth = environment.run(with_id(policy, f"trial-{number:04d}"))
         assert rollout.fault is None and rollout.body is not None
         seen = observe_swing(rollout.tool, rollout.body)

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from hardware_sim.demonstrator import PAUSE, Demonstrator
 from hardware_sim.scenes import HOME
-from hardware_sim.scenes.flip import Flip
 from hardware_sim.scenes.reach import Reach, reach
 from hardware_sim.settings import REACH_GOAL, WorldSettings
 from hardware_sim.wam import JOINTS
@@ -80,20 +79,17 @@ def test_a_guided_arm_reaches_the_goal_with_a_level_pan_within_its_limits() -> N
     assert (truth["touched"], truth["clearance"]) == (False, None)  # there is no obstacle
 
 
-@pytest.mark.parametrize("aside", [(0.0, 0.0, 0.05), (0.05, 0.0, -0.02), (0.0, 0.2, 0.0)])
-@pytest.mark.parametrize("margin", [-0.00101, -0.00099, 1e-5])
-def test_the_obstacle_is_touched_exactly_when_the_centre_of_the_tool_comes_within_a_millimetre(
-    aside: tuple[float, float, float], margin: float
-) -> None:
+def test_the_obstacle_is_touched_exactly_within_a_millimetre_of_the_tools_centre() -> None:
     _, path = guide(world_with())
-    centre = path[len(path) // 2] + aside
+    centre = path[len(path) // 2] + [0.05, 0.0, -0.02]
     nearest = float(np.linalg.norm(path - centre, axis=1).min())
-    world = world_with(*centre.tolist(), nearest + margin)
-    _, again = guide(world)
-    np.testing.assert_array_equal(again, path)  # no contact
-    truth = world.truth()
-    assert truth["touched"] is (margin > -0.001)
-    assert truth["clearance"] == pytest.approx(-margin, abs=1e-12)
+    for margin in (-0.00101, -0.00099):
+        world = world_with(*centre.tolist(), nearest + margin)
+        _, again = guide(world)
+        np.testing.assert_array_equal(again, path)  # no contact
+        truth = world.truth()
+        assert truth["touched"] is (margin > -0.001)
+        assert truth["clearance"] == pytest.approx(-margin, abs=1e-12)
 
 
 def test_only_an_obstacle_with_a_radius_is_drawn() -> None:
@@ -102,25 +98,6 @@ def test_only_an_obstacle_with_a_radius_is_drawn() -> None:
         names = [model.geom(k).name for k in range(model.ngeom)]
         assert names.count("obstacle") == drawn
         assert "pancake" not in names
-
-
-def test_a_rollout_is_a_function_of_seed_and_id() -> None:
-    world = world_with(0.7, 0.0, 0.5, 0.08)
-    first, _ = guide(world, "trial-0001")
-    other, _ = guide(world, "trial-0002")
-    assert not np.array_equal(other[: len(first)], first[: len(other)])
-    np.testing.assert_array_equal(guide(world, "trial-0001")[0], first)
-    np.testing.assert_array_equal(guide(world_with(0.7, 0.0, 0.5, 0.08), "trial-0001")[0], first)
-
-
-def test_the_arm_has_the_same_random_variation_in_every_scene() -> None:
-    worlds = World(Flip, seed=1), world_with()
-    for world in worlds:
-        world.reset("trial-0001", HOME)
-    frictions = [world.model.dof_frictionloss[:7].tolist() for world in worlds]
-    winds = [world.model.opt.wind.tolist() for world in worlds]
-    assert frictions[0] == frictions[1]
-    assert winds[0] == winds[1]
 
 
 def test_a_scene_without_a_tracked_body_has_nothing_to_drop() -> None:
