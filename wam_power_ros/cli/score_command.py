@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from wam_power_ros.bags.bag import Bag
     from wam_power_ros.learning.policy import Policy
     from wam_power_ros.learning.rollout import Rollout
-    from wam_power_ros.tasks.task import Assessment, Task
+    from wam_power_ros.tasks.task import Task
 
 
 def add_to(subparsers: argparse._SubParsersAction) -> None:
@@ -30,43 +30,52 @@ def add_to(subparsers: argparse._SubParsersAction) -> None:
 
 
 def score(recorded: Sequence[Path], task: str | None, preset: str) -> int:
-    """Score bags, or each rollout of sessions beside its logged return."""
+    """Print the return of bags, and of each bag of a session beside its logged return."""
     from wam_power_ros.practice import session
-    from wam_power_ros.practice.session_log import KIND_NAMES
+    from wam_power_ros.reporting.terminal import number
 
     installed.task_type(task or DEFAULT_TASK)  # an unknown name is refused before a bag is read
     failed = 0
     for path in recorded:
-        if not session.Session.exists(path):
-            scored, text = _scored(path, task or DEFAULT_TASK, preset)
-            print(f"{path}: {text}", flush=True)
-            failed += not scored
-            continue
-        found = session.read(path)
-        name = task or found.header.settings.task
-        print(f"{path}: logged return; return under {name}, preset {preset or 'first'}")
-        for record in found.records:
-            logged = "–" if record.ret is None else f"{record.ret:.3f}"
-            text = "no bag"
-            if record.bag:
-                _, text = _scored(path / "bags" / record.bag, name, preset)
-            kind = KIND_NAMES[record.kind]
-            print(f"{record.number:4d}  {kind:12}  {logged:>6}  {text}", flush=True)
+        bags, name = {path: ""}, task or DEFAULT_TASK
+        if session.Session.exists(path):
+            found = session.read(path)
+            name = task or found.header.settings.task
+            bags = {
+                path / "bags" / record.bag: f"logged {number(record.ret)}, "
+                for record in found.records
+                if record.bag
+            }
+        for bag, logged in bags.items():
+            try:
+                scored = _scored(bag, name, preset)
+            except ValueError as error:
+                failed, scored = failed + 1, f"no return: {error}"
+            print(f"{bag}: {logged}{scored}", flush=True)
     return 1 if failed else 0
 
 
-def _scored(path: Path, name: str, chosen: str) -> tuple[bool, str]:
-    """Whether a bag has a return, and it with its terms, or why there is none."""
-    from wam_power_ros.bags.bag import Bag
+def _scored(path: Path, name: str, chosen: str) -> str:
+    """Return of a bag with its terms, or why there is none.
 
+    Raises:
+        ValueError: The bag cannot be read, has no rollout, or the task needs its own session.
+    """
+    from wam_power_ros.bags.bag import Bag
+    from wam_power_ros.practice.session import Session, read
+    from wam_power_ros.practice.settings import preset
+
+    folder = path.resolve().parent.parent
+    context = read(folder).context if Session.exists(folder) else {}
     try:
-        bag = Bag(path)
-        task = _task(name, chosen, _context(bag))
-        assessed = task.assess(*recorded_rollout(bag, task))
-    except ValueError as error:
-        return False, f"no return: {error}"
-    terms = ", ".join(f"{term} {value:.3f}" for term, value in assessed.terms.items())
-    return assessed.ret is not None, _outcome(assessed) + (f" ({terms})" if terms else "")
+        task = preset(name, chosen).make_task(context)
+    except KeyError as error:
+        raise ValueError(f"task {name} needs {error} of a session of its own") from None
+    assessed = task.assess(*recorded_rollout(Bag(path), task))
+    words = ["no return" if assessed.ret is None else f"return {assessed.ret:.3f}"]
+    words += ["success" if assessed.success else "no success", assessed.why]
+    words += [f"{term} {value:.3f}" for term, value in assessed.terms.items()]
+    return ", ".join(filter(None, words))
 
 
 def recorded_rollout(bag: Bag, task: Task) -> tuple[Policy, Rollout]:
@@ -84,60 +93,23 @@ def recorded_rollout(bag: Bag, task: Task) -> tuple[Policy, Rollout]:
 
     found: dict[str, Any] = {}
     topics = bag.topics
-    body_topic = interface.rollout_topic(task.body) if task.body else ""
-    tool_topics = (interface.ROLLOUT_END_EFFECTOR, interface.ROLLOUT_END)
-    names = (interface.POLICY, *tool_topics, body_topic)
-    wanted = {topic: name for name in names if name and (topic := _topic(topics, name))}
-    for topic, _, data in bag.messages(wanted):
+    names = [interface.POLICY, interface.ROLLOUT_END_EFFECTOR, interface.ROLLOUT_END]
+    names += [interface.rollout_topic(task.body)] if task.body else []
+    wanted = {topic: name for topic in topics for name in names if f"/{topic}".endswith(f"/{name}")}
+    for topic, _, data in bag.messages(wanted):  # the last of each: earlier ones were latched
         found[wanted[topic]] = layout.decoded(data, topics[topic].msgtype)
-    if interface.POLICY not in found or interface.ROLLOUT_END_EFFECTOR not in found:
-        raise ValueError("no rollout: the bag has no policy, or no path of the tool")
-    if not hasattr(found[interface.POLICY], "text"):
-        raise ValueError(f"{interface.POLICY} is no wam_power_interfaces/msg/Policy")
+    if missing := [name for name in names if name not in found]:
+        raise ValueError(f"no rollout: the bag has no {', '.join(missing)}")
     policy = policies.from_json(found[interface.POLICY].text)
     path = pose_messages.path(found[interface.ROLLOUT_END_EFFECTOR])
-    tool = EndEffectorPath(policy.id, *path[1:])
-    body = None
+    end, body = Ended.of(found[interface.ROLLOUT_END]), None
+    starts = {end.start_ns, path.start_ns}
     if task.body:
-        if body_topic not in found:
-            raise ValueError(f"no path of the {task.body} on {body_topic}")
-        start_ns, *body_path = pose_messages.path(found[body_topic])
-        if start_ns != path.start_ns:
-            raise ValueError(f"the path of the {task.body} is of another rollout than the tool's")
-        body = BodyPath(policy.id, *body_path)
-    rollout = Rollout(tool, body)
-    if interface.ROLLOUT_END in found:
-        end = Ended.of(found[interface.ROLLOUT_END])
-        if (end.policy_id, end.start_ns) != (policy.id, path.start_ns):
-            raise ValueError(f"the paths do not belong to the policy {policy.id}")
-        if cut_short(policy, rollout, task.settle_time):
-            rollout = replace(rollout, fault=end.fault, stopped_in=end.region)
+        start_ns, *body_path = pose_messages.path(found[interface.rollout_topic(task.body)])
+        body, starts = BodyPath(policy.id, *body_path), starts | {start_ns}
+    if end.policy_id != policy.id or len(starts) > 1:
+        raise ValueError(f"the paths do not belong to the policy {policy.id}")
+    rollout = Rollout(EndEffectorPath(policy.id, *path[1:]), body)
+    if cut_short(policy, rollout, task.settle_time):
+        rollout = replace(rollout, fault=end.fault, stopped_in=end.region)
     return policy, rollout
-
-
-def _topic(topics: Iterable[str], name: str) -> str:
-    """Topic of a bag with this name, in any namespace; empty if there is none."""
-    return next((topic for topic in topics if f"/{topic}".endswith(f"/{name}")), "")
-
-
-def _context(bag: Bag) -> dict[str, Any]:
-    """Context of the session that a bag belongs to; empty if it is in none."""
-    from wam_power_ros.practice.session import Session, read
-
-    folder = bag.path.resolve().parent.parent
-    return read(folder).context if Session.exists(folder) else {}
-
-
-def _task(name: str, chosen: str, context: dict[str, Any]) -> Task:
-    from wam_power_ros.practice.settings import preset
-
-    try:
-        return preset(name, chosen).make_task(context)
-    except KeyError as error:
-        raise ValueError(f"task {name} needs {error} of a session of its own") from None
-
-
-def _outcome(assessed: Assessment) -> str:
-    ret = "no return" if assessed.ret is None else f"return {assessed.ret:.3f}"
-    success = "success" if assessed.success else "no success"
-    return ", ".join(filter(None, (ret, success, assessed.why)))
