@@ -169,7 +169,7 @@ def information(path: Path) -> Mapping[str, Any]:
     if not file.is_file():
         names = sorted(str(each) for each in path.glob("*") if each.name.endswith(FILES))
         remedy = f"all of them: wam-power bags import {' '.join(names)}" if names[1:] else ""
-        tables = sorted(each for each in (path, *path.rglob("*")) if each.suffix in files.TABLES)
+        tables = sorted(each for each in (path, *path.rglob("*")) if each.suffix == files.TABLE)
         if tables and not names:
             how = f"wam-power bags import {tables[0]}"
             raise ValueError(f"{path} is not a bag; of a table a bag is made: {how}")
