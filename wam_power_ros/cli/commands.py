@@ -303,7 +303,8 @@ def _follow(folder: Path, processes: Processes, learner: Running) -> None:
                 display.show_message(entry.text, entry.severity in PROBLEMS)
             display.tick(time.monotonic())
             time.sleep(0.2)
-    processes.finish(learner)
+    if learner.process.returncode:
+        raise learner.error()
 
 
 # Sessions

@@ -26,7 +26,6 @@ from wam_power_ros.cli import (
     commission_command,
     doctor_command,
     new_arm_command,
-    score_command,
     sessions_command,
 )
 from wam_power_ros.cli.launcher import Devices, UsageError
@@ -171,7 +170,6 @@ def _parser() -> argparse.ArgumentParser:
         each.add_argument("--session", type=Path, help="folder (default: the newest session)")
     report = add("report", commands.report, "write the report of a session")
     report.add_argument("session", type=Path, help="folder of the session")
-    score_command.add_to(subparsers)
 
     run_policy = add("run-policy", commands.run_policy, "execute a saved policy; print its return")
     run_policy.add_argument("policy", type=Path, help="policy.json, or the folder of a session")

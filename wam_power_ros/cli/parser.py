@@ -59,12 +59,6 @@ def arm_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--simulate", action="store_true", help=text)
 
 
-def preset_option(parser: argparse.ArgumentParser) -> None:
-    """Add the option `--preset`."""
-    text = "settings of the task (default: its first)"
-    parser.add_argument("--preset", metavar="NAME", default="", help=text)
-
-
 def goal_value(text: str) -> tuple[str, float]:
     """Name and value of `NAME=VALUE`."""
     name, _, value = text.partition("=")
@@ -107,7 +101,8 @@ def session_options(parser: argparse.ArgumentParser) -> None:
     seed_option(parser)
     learners = f"one of {', '.join(installed.names('learner'))} (default: the preset's)"
     parser.add_argument("--learner", metavar="NAME", default="", help=learners)
-    preset_option(parser)
+    preset = "settings of the task (default: its first)"
+    parser.add_argument("--preset", metavar="NAME", default="", help=preset)
     trials = "at most so many rollouts, before the re-tests (default: the preset's)"
     parser.add_argument("--trials", type=positive, help=trials)
     minutes = "at most so long, before the re-tests (default: no limit)"

@@ -87,17 +87,6 @@ class Processes:
         self._running.append(Running(name, process, log))
         return self._running[-1]
 
-    def finish(self, running: Running) -> None:
-        """Wait for a process that ends by itself.
-
-        Raises:
-            ProcessError: It failed.
-        """
-        failed = running.process.wait()
-        self._running.remove(running)
-        if failed:
-            raise running.error()
-
     def check(self, but: Running | None = None) -> None:
         """Check that no process has ended, whatever its exit status, except one that may end.
 

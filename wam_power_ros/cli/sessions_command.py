@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wam_power_ros import installed
 from wam_power_ros.cli.launcher import UsageError, short_path
 from wam_power_ros.cli.parser import add_command
 from wam_power_ros.cli.session_options import SESSIONS
@@ -17,9 +16,8 @@ from wam_power_ros.durable_files import printable
 
 if TYPE_CHECKING:
     from wam_power_ros.practice.session import Session
-    from wam_power_ros.practice.settings import SessionSettings
 
-LINE = ("session", "task", "preset", "learner", "rollouts", "best return", "outcome", "begun")
+LINE = ("session", "task", "learner", "rollouts", "best return", "outcome", "begun")
 
 
 def add_to(subparsers: argparse._SubParsersAction) -> None:
@@ -64,21 +62,9 @@ def _facts(session: Session) -> dict[str, str]:
     return {
         "session": printable(short_path(session.folder.resolve())),
         "task": settings.task,
-        "preset": _preset(settings),
         "learner": settings.learner,
         "rollouts": str(len(records)),
         "best return": number(max((r.ret for r in records if r.ret is not None), default=None)),
         "outcome": outcome,
         "begun": time.strftime("%Y-%m-%d %H:%M", begun),
     }
-
-
-def _preset(settings: SessionSettings) -> str:
-    """Preset with these settings of task and learner; "changed" if there is none."""
-    from wam_power_ros.practice.settings import preset
-
-    for name in installed.task_type(settings.task).presets:
-        given = preset(settings.task, name)
-        if given.model_copy(update={"practice": settings.practice}) == settings:
-            return name
-    return "changed"
