@@ -42,11 +42,7 @@ REST_TIMES = np.linspace(0.0, 0.1, 6)  # [s] of a movement that rests at one pos
 
 
 class Stopped(KeyboardInterrupt):
-    """An interrupt, after which the arm was stopped.
-
-    Attributes:
-        answer: Answer of the controller to the movement that was stopped; None if none came.
-    """
+    """An interrupt after which the arm was stopped, with the controller's answer, if one came."""
 
     def __init__(self, answer: Answer | None) -> None:
         super().__init__(answer.text if answer else "")
@@ -55,23 +51,14 @@ class Stopped(KeyboardInterrupt):
 
 @dataclass(frozen=True, eq=False)
 class RobotState:
-    """State of an arm.
+    """State of an arm."""
 
-    Attributes:
-        q: Joint angles [rad]. Shape (n,).
-        qd: Joint speeds [rad/s], None if the driver sends none. Shape (n,).
-        position: Position of the tool in the base frame [m]. Shape (3,).
-        rotation: Axes of the tool as columns. Shape (3, 3).
-        mode: Mode of the controller in its last report, sent once a second; "" before the first.
-        report: Text of that report, such as a fault; "" before the first.
-    """
-
-    q: np.ndarray
-    qd: np.ndarray | None
-    position: np.ndarray
-    rotation: np.ndarray
-    mode: str
-    report: str
+    q: np.ndarray  # joint angles [rad]. Shape (n,)
+    qd: np.ndarray | None  # joint speeds [rad/s], None if the driver sends none. Shape (n,)
+    position: np.ndarray  # of the tool in the base frame [m]. Shape (3,)
+    rotation: np.ndarray  # axes of the tool as columns. Shape (3, 3)
+    mode: str  # of the controller in its last report, sent once a second; "" before the first
+    report: str  # its text, such as a fault
 
 
 class Robot:
@@ -149,14 +136,7 @@ class Robot:
         self.follow(REST_TIMES, np.tile(q, (len(REST_TIMES), 1)))
 
     def replay(self, bag: Path | str, speed: float = 1.0) -> str:
-        """Replay a recorded movement and hold.
-
-        Args:
-            bag: Path of a bag with joint states of this arm.
-            speed: Speed relative to the recording.
-
-        Returns:
-            Tracking error as text, reported by the controller.
+        """Replay a recorded movement, at a speed relative to the recording; see `follow`.
 
         Raises:
             ValueError: The bag or the speed is not acceptable.
@@ -257,9 +237,8 @@ class Robot:
     def teach(self, lead: Callable[[], object] | None = None) -> Path:
         """Record a demonstration under gravity compensation; the arm holds afterwards.
 
-        Args:
-            lead: Returns when the person has finished guiding the arm by hand, such as
-                `lambda: input("Enter")`; None for the simulated demonstrator.
+        `lead` returns when the person has finished guiding the arm by hand, such as
+        `lambda: input("Enter")`; None for the simulated demonstrator.
         """
         self.await_recorder()
         with self.guided():
@@ -308,10 +287,9 @@ class Robot:
 
 @contextmanager
 def connect(*config: str, namespace: str = "", domain: int | None = None) -> Iterator[Robot]:
-    """Connect to an arm whose nodes run.
+    """Connect to an arm whose nodes run, with the set-ups that they were started with.
 
     Args:
-        config: Set-ups with which the nodes were started.
         namespace: Namespace of the nodes, such as `left`.
         domain: DDS domain of the nodes; that of ROS_DOMAIN_ID by default.
 
