@@ -109,7 +109,8 @@ def show(bag: Sequence[Path], config: Sequence[str]) -> None:
         try:
             _show(path, setup.joint_names, setup.arm(), tasks)
         except (ValueError, OSError) as error:
-            refused.append(str(error))
+            named = str(error).startswith(printable(path))
+            refused.append(str(error) if named else f"{printable(path)}: {error}")
     if refused:
         raise UsageError("\n".join(refused))
 
@@ -124,7 +125,8 @@ def _show(path: Path, names: Sequence[str], arm: Arm | None, tasks: Mapping[str,
     if outcome := _outcomes(path).get(path.resolve()):
         print(f"  {outcome}")
     speed = (qd**2).sum(axis=1) ** 0.5
-    print(f"  smoothness {quality.smoothness(speed, t[1] - t[0]):.2f} (spectral arc length)")
+    if speed.any():
+        print(f"  smoothness {quality.smoothness(speed, t[1] - t[0]):.2f} (spectral arc length)")
     for name, count in take.counts.items():
         lost = f", {take.missing[name]} missing" if take.missing.get(name) else ""
         print(f"  {count:6} {name}{lost}")
