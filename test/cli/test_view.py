@@ -3,13 +3,12 @@
 
 from __future__ import annotations
 
-import fcntl
 import sys
 from pathlib import Path
 
 import pytest
 
-from wam_power_ros.cli import commands, main
+from wam_power_ros.cli import main
 
 
 def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
@@ -40,26 +39,6 @@ def test_an_address_that_is_not_of_this_machine_is_refused(
     pytest.importorskip("viser", reason="no viser")
     bag = Path(__file__).resolve().parents[2] / "bags/reach_20261121_141024"
     assert "192.0.2.1" in refusal(capsys, str(bag), "--address", "192.0.2.1")
-
-
-def test_a_session_that_is_being_taught_is_waited_for(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pytest.importorskip("viser", reason="no viser")
-    folder, slept = tmp_path / "s", []
-    (folder / "logs").mkdir(parents=True)
-    lock = (folder / "logs" / ".lock").open("a")
-    fcntl.flock(lock, fcntl.LOCK_EX)
-
-    def sleep(seconds: float) -> None:  # its launcher ends
-        slept.append(seconds)
-        lock.close()
-
-    monkeypatch.setattr(commands.time, "sleep", sleep)
-    text = refusal(capsys, str(folder))
-    assert "s is being taught; the page opens with its session" in text
-    assert "has ended before its session began" in text and slept
-    assert "recover" not in text
 
 
 def test_nothing_of_the_library_is_printed_with_a_refusal(
