@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import re
 from collections.abc import Callable
@@ -64,8 +65,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     plan = true_arm.planned()
     np.savez(made / "movement.npz", t=plan.t, q=plan.q, rests=plan.rests, sweeps=plan.sweeps)
     (made / "bags").mkdir()
-    bag_of(made / "bags/commissioning_1", true_arm.recording(plan, true_arm.truth()))
+    bag_of(made / "bags/commissioning_1", recorded())
     return made
+
+
+@functools.cache
+def recorded() -> Recording:
+    return true_arm.recording(true_arm.planned(), true_arm.truth())
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
@@ -110,7 +116,7 @@ def test_nothing_is_written_of_what_is_not_usable(
 ) -> None:
     (tmp_path / "movement.npz").write_bytes((folder / "movement.npz").read_bytes())
     (tmp_path / "bags").symlink_to(folder / "bags")
-    for name in ("analyse", "report", "notes"):
+    for name in ("_recording", "analyse", "report", "notes"):
         monkeypatch.setattr(commission_command, name, lambda *_: [])
     monkeypatch.setattr(commission_command, "refusals", lambda *_: ["zero of wam_j4: 7 degrees"])
     assert run(monkeypatch, "--folder", str(tmp_path)) == 1
@@ -129,12 +135,10 @@ def test_where_the_driver_adds_gravity_what_it_adds_is_counted(
     extra.write_text(
         "/**/torque_controller:\n  ros__parameters:\n    driver_compensates_gravity: true\n"
     )
-    true = true_arm.truth()
-    recorded = true_arm.recording(true_arm.planned(), true)
-    gravity = np.array([ARM.gravity(q) for q in recorded.q])  # it knows neither zeros nor tool
+    true, found = true_arm.truth(), recorded()
+    gravity = np.array([ARM.gravity(q) for q in found.q])  # it knows neither zeros nor tool
     (tmp_path / "movement.npz").write_bytes((folder / "movement.npz").read_bytes())
-    sent = replace(recorded, tau=recorded.tau - gravity)
-    bag_of(tmp_path / "bags/commissioning_1", sent)
+    bag_of(tmp_path / "bags/commissioning_1", replace(found, tau=found.tau - gravity))
     words = ["--folder", str(tmp_path), "--config", str(extra), "--simulate"]
     assert run(monkeypatch, *words) == 0
     assert "is taken for that of the URDF" in capsys.readouterr().out
