@@ -125,6 +125,19 @@ def test_nothing_is_written_of_what_is_not_usable(
     assert not (tmp_path / "arm.yaml").exists()
 
 
+def test_a_movement_that_was_stopped_is_planned_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stopped(*given: object) -> int:
+        (tmp_path / "movement.npz").touch()
+        (tmp_path / "bags/commissioning_1").mkdir(parents=True)
+        return 130
+
+    monkeypatch.setattr(commission_command, "_move", stopped)
+    assert run(monkeypatch, "--folder", str(tmp_path)) == 130
+    assert not (tmp_path / "movement.npz").exists() and not (tmp_path / "arm.yaml").exists()
+
+
 def test_where_the_driver_adds_gravity_what_it_adds_is_counted(
     folder: Path,
     tmp_path: Path,
