@@ -61,11 +61,9 @@ class Devices:
     def parameters(
         self, task: str = "", seed: int = 0, folder: Path | None = None
     ) -> overlay.Setup:
-        """Parameters by node.
+        """Parameters by node: the task's, which those of the set-ups override.
 
-        Args:
-            task: Name of the task whose set-up the others override; empty for none.
-            folder: Folder whose bags/ gets the recordings; None for that of the set-up.
+        Bags go to `folder`/bags; None for the folder of the set-up.
 
         Raises:
             ValueError: A set-up or the task is unknown or invalid, the scene of the stand-ins has
@@ -144,8 +142,7 @@ class Launcher:
 def launch(plan: Plan, text: str = "") -> Iterator[Launcher]:
     """Start the nodes of a plan, except a learner, and activate the controller of an arm.
 
-    Args:
-        text: What is shown once nothing stands against it; empty for nothing.
+    `text` is shown once nothing stands against it.
 
     Raises:
         UsageError: Another session or learner uses the folder, or its disk is nearly full.

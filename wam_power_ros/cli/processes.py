@@ -101,11 +101,7 @@ class Processes:
     def watched(self, fail: Callable[[ProcessError], object]) -> Iterator[None]:
         """Raise in the main thread once a process ends, even while it waits for a person's input.
 
-        Args:
-            fail: Called before, so that what is cleaned up waits for no answer of that process.
-
-        Raises:
-            ProcessError: A process has ended.
+        `fail` is called before, so that what is cleaned up waits for no answer of that process.
         """
 
         def check(*_: object) -> None:

@@ -65,16 +65,8 @@ class Robot:
     """An arm whose nodes are running, see `connect`.
 
     Publishers and clients are made when they are used. Every method raises ServiceError if a
-    service does not appear, does not answer in time or refuses.
-
-    Attributes:
-        joint_names: Joint names of the driver, base to tip.
-        arm: Model of the arm; only for `state`, `move_to` and `replay`.
-
-    Args:
-        link: Link in whose namespace the nodes run.
-        body: Name of the tracked body; "" for none.
-        settle_time: Time after the movement of a policy that belongs to its rollout [s].
+    service does not appear, does not answer in time or refuses. `settle_time` [s] after the
+    movement of a policy belongs to its rollout.
     """
 
     def __init__(
@@ -179,14 +171,7 @@ class Robot:
             raise Stopped(goal and goal.answer) from None
 
     def rollout(self, policy: Policy, ready: Ready = lambda state: "") -> Executed:
-        """Move to the start of a policy, execute it once and hold.
-
-        Args:
-            ready: Returns what is missing before it may begin, given the state of the tracked body,
-                as `Task.ready` does; "" for nothing.
-
-        Returns:
-            Paths of tool and body, fault if any, bag, and ground truth of a simulation.
+        """Move to the start of a policy, execute it once, when the body is `Task.ready`, and hold.
 
         Raises:
             Stopped: After an interrupt.

@@ -149,8 +149,7 @@ class Rollouts:
     def go_on(self) -> float:
         """Let a session go on after the last stop; a later one ends what it asks for.
 
-        Returns:
-            When that stop was, by the clock of the controller [s]; 0 before the first.
+        Returns when that stop was, by the clock of the controller [s]; 0 before the first.
         """
         self._known_stop = self._reports.last_stop
         return int(self._known_stop or 0) * 1e-9
@@ -319,10 +318,8 @@ class Rollouts:
     def _prepare(self, policy: Policy, resetting: Resetting) -> dict[str, Any] | None:
         """Move the arm to the start of the policy, and see to it that the body is ready there.
 
-        Waits without limit for a body that a person puts back, or that is not seen.
-
-        Returns:
-            Who put the body back, in which time; None if the scene was reset, or without a body.
+        Waits without limit for a body that a person puts back, or that is not seen. Returns who put
+        it back, in which time; None if the scene was reset, or without a body.
         """
         if self._settings.scene_reset:
             self._reset_scene(policy, resetting.ready)
@@ -405,10 +402,8 @@ class Rollouts:
     def _reach_start(self, policy: Policy) -> bool:
         """Move the arm to the start of the policy, after a reset of a fault if needed.
 
-        Waits without limit for a person to activate the controller, or to reset its fault.
-
-        Returns:
-            Whether a person was needed.
+        Waits without limit for a person to activate the controller, or to reset its fault. Returns
+        whether one was needed.
         """
         by_person = False
         end = time.monotonic() + self._settings.patience
