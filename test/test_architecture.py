@@ -112,13 +112,13 @@ BUDGET = {
     "bags": 2656,  # +246: sets of LeRobot, written and read
     "params": 1406,  # what may be set at rest; -p body:=NAME is derived from; NatNet, FR3
     "ros": 2675,  # variables of ROS and DDS are named with their remedy
-    "client": 1457,
+    "client": 1344,
     "nodes": 3913,  # actions; +217: an FR3 by its maker's library; +122: NatNet
-    "console": 550,  # a person supports the arm, however a movement ended
+    "console": 399,  # a person supports the arm, however a movement ended
     "view": 1195,
     "reporting": 874,
     "in_process": 509,  # a session on disk without nodes
-    "cli": 2978,  # +140: mistakes of a set-up, new-arm; +102: sets of LeRobot; +123: sessions
+    "cli": 2348,  # mistakes of a set-up, new-arm, sessions
     "hardware_sim": 3369,  # +146: what stand-ins alone send or answer, from ros/
     "launch": 161,
     "wam_power_interfaces": 159,  # its build without ROS
