@@ -15,6 +15,7 @@ from bag_samples import REACH, START, WAM, demonstration, of_states
 from wam_power_ros.bags import layout, reader
 from wam_power_ros.bags.writer import BagWriter
 from wam_power_ros.cli import bags_command, main
+from wam_power_ros.tasks.reach.task import Reach
 
 Said = Callable[..., str]
 
@@ -74,6 +75,14 @@ def test_each_take_that_is_shown_is_graded_with_the_reasons(
     assert main.main(["bags", "show", str(back)]) == 0
     out = capsys.readouterr().out
     assert "poor\n" in out and "a movement of 1.6 s; at most 1.5 s can be learnt" in out
+
+    def refuse(*given: object) -> None:
+        raise ValueError("nothing to fit")
+
+    monkeypatch.setattr(Reach, "demonstration_of", refuse)
+    assert main.main(["bags", "show", str(back)]) == 0
+    out = capsys.readouterr().out
+    assert "poor\n" in out and "  nothing to fit\n" in out
 
 
 @pytest.mark.parametrize(("suffix", "begin"), [("png", b"\x89PNG"), ("svg", b"<?xml")])
