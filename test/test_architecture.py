@@ -114,7 +114,7 @@ BUDGET = {
     "ros": 2675,  # variables of ROS and DDS are named with their remedy
     "client": 1344,
     "nodes": 3913,  # actions; +217: an FR3 by its maker's library; +122: NatNet
-    "console": 399,  # a person supports the arm, however a movement ended
+    "console": 397,  # a person supports the arm, however a movement ended
     "view": 1195,
     "reporting": 874,
     "in_process": 509,  # a session on disk without nodes
