@@ -16,6 +16,9 @@ from wam_power_ros.ros.joint_messages import JointStateWriter
 
 NAMES = ("wam_j1", "wam_j2", "wam_j3")
 START = 1_700_000_000_123_456_789
+WAM = tuple(f"wam_j{joint}" for joint in range(1, 8))
+BAGS = Path(__file__).resolve().parents[1] / "bags"
+REACH, DEMO = (min(BAGS.glob(f"{stem}_*")) for stem in ("reach", "demo"))  # shipped ones
 QOS = [layout.qos(reliable=True, latched=False)]
 LATCHED = [layout.qos(reliable=True, latched=True, depth=1)]
 

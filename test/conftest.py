@@ -433,6 +433,23 @@ def refusal(
     return refuse
 
 
+@pytest.fixture
+def said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> Callable[..., str]:
+    """Function that runs `wam-power` in `tmp_path`, expects success and returns what it prints."""
+    from wam_power_ros.cli import main
+
+    monkeypatch.chdir(tmp_path)
+
+    def run(*words: object) -> str:
+        capsys.readouterr()
+        assert main.main([*map(str, words)]) == 0
+        return capsys.readouterr().out
+
+    return run
+
+
 LAUNCHED = (
     "torque_controller",
     "demonstration_recorder",

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 import re
 import signal
@@ -18,22 +17,15 @@ from wam_power_ros import entry
 
 # Short sleeps, because a signal just before a sleep does not end it.
 SLOW = "import time; print('importing', flush=True); [time.sleep(0.05) for _ in range(12000)]"
-GUARDED = [
-    path.relative_to(ROOT).with_suffix("").as_posix().replace("/", ".")
-    for folder in ("wam_power_ros/nodes", "wam_power_ros/console", "hardware_sim")
+GUARDED = {
+    path.relative_to(ROOT).with_suffix("").as_posix().replace("/", "."): path.read_text()
+    for folder in ("wam_power_ros/nodes", "hardware_sim")
     for path in sorted((ROOT / folder).glob("*.py"))
-    if "\ndef main()" in path.read_text()
-    and path.stem not in ("preparation_worker", "enabling_switch")
-]
-EXECUTABLES = re.findall(r'f"[\w-]+ = \{NAME\}\.entry:(\w+)"', (ROOT / "setup.py").read_text())
-WAYS = {
-    **{f"-m {name}": ["-m", name] for name in [*GUARDED, "wam_power_ros.cli"]},
-    "-m wam_power_ros.entry learner": ["-m", "wam_power_ros.entry", "learner"],
-    **{
-        name: ["-c", f"import sys; from wam_power_ros.entry import {name}; sys.exit({name}())"]
-        for name in EXECUTABLES
-    },
+    if "\ndef main()" in path.read_text() and path.stem != "preparation_worker"
 }
+EXECUTABLES = re.findall(r'f"[\w-]+ = \{NAME\}\.entry:(\w+)"', (ROOT / "setup.py").read_text())
+FOR_A_PERSON = {"wam_power_ros.nodes.check_driver", "wam_power_ros.cli.main"}
+PROGRAM = "import sys; from wam_power_ros.entry import wam_power; sys.exit(wam_power())"
 
 
 @pytest.fixture(scope="module")
@@ -45,56 +37,67 @@ def slow(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_every_executable_and_every_module_with_a_main_is_asked() -> None:
-    assert len(EXECUTABLES) == 12
-    assert len(GUARDED) == 10
-    assert set(EXECUTABLES) < set(vars(entry))
+@pytest.mark.parametrize("name", EXECUTABLES)
+def test_every_executable_begins_with_the_guard_of_its_imports(name: str) -> None:
+    begun = getattr(entry, name)
+    assert begun.func is entry.start and begun.args[0] in {*GUARDED, "wam_power_ros.cli.main"}
+    assert (entry.INTERRUPTED in begun.args) == (begun.args[0] in FOR_A_PERSON)
+
+
+@pytest.mark.parametrize("name", GUARDED)
+def test_every_module_with_a_main_has_the_guard_before_its_other_imports(name: str) -> None:
+    (guard,) = re.findall(r'raise SystemExit\(start\("(.*)"(.*)\)\)', GUARDED[name])
+    assert guard == (name, ", INTERRUPTED" if name in FOR_A_PERSON else "")
+    before, _, _ = GUARDED[name].partition('if __name__ == "__main__"')
+    assert re.findall(r"^(?:from|import) (\w+)", before, re.MULTILINE) == ["__future__"]
 
 
 @pytest.mark.parametrize(
-    ("way", "number"), zip(WAYS, itertools.cycle((signal.SIGINT, signal.SIGTERM)), strict=False)
+    ("words", "number", "status"),
+    [
+        (["-m", "wam_power_ros.nodes.learner"], signal.SIGINT, 0),
+        (["-m", "wam_power_ros.nodes.check_driver"], signal.SIGTERM, entry.INTERRUPTED),
+        (["-m", "wam_power_ros.entry", "learner"], signal.SIGTERM, 0),
+        (["-m", "wam_power_ros.cli"], signal.SIGINT, entry.INTERRUPTED),
+        (["-c", PROGRAM], signal.SIGINT, entry.INTERRUPTED),
+    ],
 )
 def test_a_signal_during_the_imports_ends_a_process_without_a_word(
-    way: str, number: int, slow: Path
+    words: list[str], number: int, status: int, slow: Path
 ) -> None:
-    path = python_path(slow, ROOT)
     process = subprocess.Popen(
-        [sys.executable, *WAYS[way]],
+        [sys.executable, *words],
         cwd=slow,
-        env={**os.environ, "PYTHONPATH": path},
+        env={**os.environ, "PYTHONPATH": python_path(slow, ROOT)},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     )
-    assert process.stdout is not None
     assert process.stdout.readline() == "importing\n"
     process.send_signal(number)
-    printed = process.communicate(timeout=60.0)
-    assert printed == ("", "")
-    for_a_person = re.search(r"check_driver|console|\bcli\b|wam_power$|^replay$", way)
-    assert process.returncode == (entry.INTERRUPTED if for_a_person else 0)
+    assert process.communicate(timeout=60.0) == ("", "")
+    assert process.returncode == status
 
 
-def test_a_signal_that_is_ignored_stays_ignored(tmp_path: Path) -> None:
-    (tmp_path / "imported.py").write_text(
-        "import os, signal; os.kill(os.getpid(), signal.SIGINT)\ndef main(): return 7\n"
-    )
+@pytest.mark.parametrize(
+    ("imported", "status"),
+    [
+        ("import os, signal; os.kill(os.getpid(), signal.SIGINT)\ndef main(): return 7\n", 7),
+        (  # linear algebra has one thread, whatever the machine says
+            "import os; seen = [os.environ[name] for name in os.environ if 'NUM_THREADS' in name]\n"
+            "def main(): return len(seen) if set(seen) == {'1'} else 0\n",
+            len(entry.ONE_THREAD),
+        ),
+    ],
+)
+def test_what_is_imported_has_one_thread_and_an_ignored_signal_stays_ignored(
+    imported: str, status: int, tmp_path: Path
+) -> None:
+    (tmp_path / "imported.py").write_text(imported)
     code = (
         "import signal; from wam_power_ros import entry;"
         "signal.signal(signal.SIGINT, signal.SIG_IGN); raise SystemExit(entry.start('imported'))"
     )
-    path = python_path(tmp_path, ROOT)
-    ended = subprocess.run([sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": path})
-    assert ended.returncode == 7
-
-
-def test_linear_algebra_has_one_thread_whatever_the_machine_says(tmp_path: Path) -> None:
-    (tmp_path / "imported.py").write_text(
-        "import os; seen = [os.environ[name] for name in os.environ if 'NUM_THREADS' in name]\n"
-        "def main(): return len(seen) if set(seen) == {'1'} else 0\n"
-    )
-    code = "from wam_power_ros import entry; raise SystemExit(entry.start('imported'))"
-    path = python_path(tmp_path, ROOT)
-    environment = {**os.environ, "PYTHONPATH": path, "OMP_NUM_THREADS": "4"}
-    ended = subprocess.run([sys.executable, "-c", code], env=environment)
-    assert ended.returncode == len(entry.ONE_THREAD)
+    environment = {"PYTHONPATH": python_path(tmp_path, ROOT), "OMP_NUM_THREADS": "4"}
+    ended = subprocess.run([sys.executable, "-c", code], env={**os.environ, **environment})
+    assert ended.returncode == status

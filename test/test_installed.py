@@ -89,7 +89,7 @@ def test_a_task_that_is_not_installed_is_refused_wherever_it_is_named(
     known = "'tap' is not one of ball_in_cup, flip, rated, reach"
     with pytest.raises(ValueError, match=known):
         overlay.setup(task="tap")
-    commands = "config", "teach", "learn", "score x", "run-policy x"
+    commands = "config", "teach", "learn", "run-policy x"
     for words in commands:
         assert known in refusal(*words.split(), "--task", "tap"), words
     with pytest.raises(ValueError, match=r"learner 'pwoer' is not one of .*, power, "):
@@ -169,16 +169,11 @@ def test_a_task_that_is_derived_from_another_has_its_set_up_unless_it_brings_one
 
 
 @pytest.mark.parametrize(
-    ("point", "says"),
-    [
-        ("a = LAB.task:Stack", "is not an imported subclass of Task so named"),
-        ("a = LAB.scene:Stack", "is not an imported subclass of Task so named"),
-        ("nameless = LAB.task:Nameless", "is not an imported subclass of Task so named"),
-    ],
+    "point", ["a = LAB.task:Stack", "a = LAB.scene:Stack", "nameless = LAB.task:Nameless"]
 )
-def test_an_entry_point_must_lead_to_a_task_of_its_name(point: str, says: str, lab: Lab) -> None:
+def test_an_entry_point_must_lead_to_a_task_of_its_name(point: str, lab: Lab) -> None:
     lab(tasks=(point,))
-    with pytest.raises(ValueError, match=says):
+    with pytest.raises(ValueError, match="is not an imported subclass of Task so named"):
         overlay.setup(task=point.partition(" ")[0])
 
 
@@ -226,21 +221,16 @@ STATED = {
     ("changes", "says"),
     [
         ({"name": ""}, "name = '' must be a name of letters, digits and _"),
-        ({"name": "my task"}, "name = 'my task' must be a name"),
         ({"body": "my body"}, "body = 'my body' must be a name"),
         ({"obsreve": nothing}, "it has no member 'obsreve': 'observe' is meant, or choose"),
         ({"settle_time": 2.0}, "settle_time is stated by `Settings`"),
-        ({"presets": {}}, "presets = {} must be a mapping of names to mappings"),
         ({"presets": ["own"]}, r"presets = \['own'\] must be a mapping"),
         ({"Settings": Loose}, "Loose'> must refuse unknown fields"),
-        ({"Settings": {}}, "{} must refuse unknown fields"),
         ({"Settings": Strict}, "Strict'> has no noise, variant: derive it from TaskSettings"),
-        ({"errors": LIMITED}, r"errors = Error\(name='miss', .* must be a tuple of Error"),
         ({"effects": ("vigour",)}, r"effects = \('vigour',\) must be a tuple of Effect"),
         ({"errors": (LIMITED, LIMITED)}, "'miss' is stated twice"),
         ({"effects": (PUSHED, PUSHED)}, r"\('vigour', 0\) is stated twice"),
         ({"observe": Task.observe}, "there is no return: define observe, .*or define assess"),
-        ({"errors": ()}, "there is no return"),
         ({"errors": (Error("miss", "m", 0.01),)}, "there is no return"),
         (
             {"effects": (Effect("vigor", 0.2, {"miss": 0.5}),)},

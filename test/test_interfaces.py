@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""wam_power_interfaces as CMake and pip build it, and an action of it between two processes."""
+"""wam_power_interfaces as CMake and pip build it."""
 
 from __future__ import annotations
 
@@ -11,16 +11,9 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
-from action_msgs.msg import GoalStatus
-from conftest import ROOT, Probe, Processes
-from control_msgs.action import FollowJointTrajectory
-from rclpy.action import ActionClient
-
-from wam_power_interfaces.action import ExecutePolicy
-from wam_power_interfaces.msg import Outcome, Policy
+from conftest import ROOT
 
 FOLDER = ROOT / "wam_power_interfaces"
 KINDS = ("action", "msg", "srv")
@@ -31,7 +24,6 @@ HASHES = {
     "Markers": "36a59e85fa0dcebed1f0a91d748ca17e259b187f779e725af5c6701e8a03054a",
     "RigidBody": "7a1bca552c93a8da4f09083ef4327410b6687a95fe14db29292c4619166f5e66",
 }
-SERVER = str(ROOT / "test/action_server.py")
 
 
 def test_cmake_builds_every_definition_and_the_manifest_names_what_they_need() -> None:
@@ -89,50 +81,6 @@ def test_every_field_says_what_it_is() -> None:
         if re.match(r"[a-z]\S+ \w+\s*$", line)
     ]
     assert silent == []
-
-
-def finished(probe: Probe, client: ActionClient, goal: ExecutePolicy.Goal) -> tuple[Any, list[Any]]:
-    """Send a goal, cancel it after the first feedback, and return its response and feedback."""
-    feedback: list[Any] = []
-    sent = client.send_goal_async(goal, lambda message: feedback.append(message.feedback))
-    probe.until(sent.done, "the acceptance of the goal")
-    handle = sent.result()
-    assert handle.accepted
-    ended = handle.get_result_async()
-    probe.until(lambda: feedback or ended.done(), "feedback or the end of the goal")
-    if not ended.done():
-        probe.until(handle.cancel_goal_async().done, "the answer to the cancellation")
-    probe.until(ended.done, "the result")
-    return ended.result(), feedback
-
-
-def test_an_action_crosses_processes_with_feedback_cancellation_and_result(
-    processes: Processes, probe: Probe
-) -> None:
-    processes.start([sys.executable, SERVER])
-    client = ActionClient(probe.node, ExecutePolicy, "execute")
-    probe.until(client.server_is_ready, "the server")
-    probe.spin(0.3)
-    text = json.dumps({"schema": 1, "id": "trial-0001", "comment": "ünïcode"})
-    policy = Policy(id="trial-0001", text=text)
-    response, feedback = finished(probe, client, ExecutePolicy.Goal(policy=policy))
-    assert response.status == GoalStatus.STATUS_CANCELED
-    assert response.result.outcome.code == Outcome.STOPPED
-    assert response.result.end.policy_id == "trial-0001"
-    assert feedback[0].stage == "moving"
-    policy.id = "refused"
-    response, _ = finished(probe, client, ExecutePolicy.Goal(policy=policy))
-    assert response.status == GoalStatus.STATUS_ABORTED
-    outcome = response.result.outcome
-    assert (outcome.code, outcome.text) == (Outcome.REFUSED, f"no policy {text}")
-    client.destroy()
-
-
-def test_a_trajectory_of_control_msgs_is_a_goal() -> None:
-    goal = FollowJointTrajectory.Goal()
-    goal.trajectory.joint_names = ["joint_1"]
-    assert FollowJointTrajectory.Result().error_code == FollowJointTrajectory.Result.SUCCESSFUL
-    assert FollowJointTrajectory.Result.GOAL_TOLERANCE_VIOLATED == -5
 
 
 @pytest.mark.skipif(shutil.which("ros2") is None, reason="no ros2 on PATH")

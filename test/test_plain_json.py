@@ -49,14 +49,12 @@ def test_plain_data_comes_back(data: object) -> None:
     ("text", "says"),
     [
         (DEEP, "is nested deeper than 20 levels"),
-        ('{"a":' * 21 + "1" + "}" * 21, "is nested deeper than 20 levels"),
         ("[" * 990 + "]" * 990, "is nested deeper than 20 levels"),  # Python itself reads it
         ("[1e400]", "1e400 is not a finite number"),
         ("[-Infinity, NaN]", "-Infinity is not a finite number"),
         ("9" * 5000, "is beyond 128 bits"),
         (str(-(2**128) - 1), "is beyond 128 bits"),
         ('{"a": 1, "a": 2}', "key 'a' appears twice"),
-        ('{"a', "is not JSON"),
         ("", "is not JSON"),
         (b"\xff", "is not JSON"),
         ("1 " + " " * 1_000_000, "has 1000002 bytes"),
@@ -83,9 +81,7 @@ def begun(folder: Path) -> Path:
     ("name", "text", "says"),
     [
         ("rollouts.jsonl", DEEP + "\n", r"rollouts\.jsonl, line 1: the line is nested deeper"),
-        ("rollouts.jsonl", '{"schema": 1e999}\n', r"rollouts\.jsonl, line 1: .*not a finite"),
         ("task.json", DEEP, r"task\.json is nested deeper than 20 levels"),
-        ("task.json", "[" * 600_000, r"task\.json is nested deeper than 20 levels"),
         ("task.json", " " * 1_000_001, r"task\.json has 1000001 bytes"),
         ("acknowledged.json", DEEP, r"acknowledged\.json is nested deeper than 20 levels"),
         ("candidates/demonstration-1.json", DEEP, "policy text is nested deeper"),

@@ -17,7 +17,6 @@ from std_srvs.srv import Trigger
 from test_docs import blocks
 
 from wam_power_interfaces.action import Replay
-from wam_power_ros import robot
 from wam_power_ros.client.link import Link
 from wam_power_ros.client.robot import REST_TIMES, Robot, Stopped
 from wam_power_ros.client.rollouts import Rollouts, RolloutSettings
@@ -29,38 +28,24 @@ from wam_power_ros.ros.action_server import Action
 from wam_power_ros.ros.outcomes import Answer, Code, ServiceError
 
 
-@pytest.fixture(scope="module")
-def example() -> dict[str, Any]:
-    """Variables of the example after its run over DDS."""
-    before, names = dict(os.environ), {}
-    (block,) = blocks("docs/robot.md", "py")
-    exec(compile(block, "docs/robot.md", "exec"), names)
-    assert dict(os.environ) == before
-    return names
-
-
 @pytest.mark.long
-def test_the_arm_holds_at_the_requested_posture(example: dict[str, Any]) -> None:
-    start, moved = example["start"], example["moved"]
+def test_the_example_teaches_replays_moves_and_executes_a_policy() -> None:
+    before, example = dict(os.environ), dict[str, Any]()
+    (block,) = blocks("docs/robot.md", "py")
+    exec(compile(block, "docs/robot.md", "exec"), example)
+    assert dict(os.environ) == before
+    start, moved, taught = example["start"], example["moved"], example["demonstration"]
     np.testing.assert_allclose(moved.q, example["home"], atol=0.02)
     assert np.abs(moved.qd).max() < 0.05
     position, _ = example["wam"].arm.tool_pose(moved.q)
     np.testing.assert_array_equal(moved.position, position)
     assert np.linalg.norm(moved.position - start.position) > 0.02
-
-
-@pytest.mark.long
-def test_the_taught_demonstration_was_replayed(example: dict[str, Any]) -> None:
-    assert np.ptp(example["demonstration"].position[:, 2]) > 0.1
+    assert np.ptp(taught.position[:, 2]) > 0.1
     assert "rms" in example["tracking"]
-
-
-@pytest.mark.long
-def test_a_rollout_follows_its_policy_and_is_recorded(example: dict[str, Any]) -> None:
     executed, policy = example["executed"], example["policy"]
     assert executed.rollout.fault is None and executed.rollout.tool.id == policy.id
     first = executed.rollout.tool.position[0]
-    np.testing.assert_allclose(first, example["demonstration"].position[0], atol=0.02)
+    np.testing.assert_allclose(first, taught.position[0], atol=0.02)
     assert len(executed.rollout.body.t) > 10 and executed.bag.startswith("rollout")
 
 
@@ -70,11 +55,6 @@ def test_a_posture_beyond_the_limits_is_refused_before_anything_is_sent() -> Non
     for q in ([0.0] * 6, [0.0, 3.0, 0.0, 0.0, 0.0, 0.0, 0.0], [np.nan] * 7):
         with pytest.raises(ValueError, match="must be 7 angles within"):
             never.move_to(q)
-
-
-def test_an_unknown_set_up_is_refused() -> None:
-    with pytest.raises(ValueError, match="no set-up 'nonesuch'"), robot.connect("nonesuch"):
-        pass
 
 
 @pytest.fixture

@@ -5,14 +5,14 @@ from __future__ import annotations
 
 import argparse
 import re
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from bag_samples import NAMES, QOS, START, joint_state
+from bag_samples import DEMO, NAMES, QOS, START, WAM, joint_state
+from conftest import ROOT
 from toss_task import demonstrated_policy, practice_of, toss
 
 from wam_power_ros import arm_identity
@@ -21,11 +21,7 @@ from wam_power_ros.bags import layout
 from wam_power_ros.bags.writer import BagWriter
 from wam_power_ros.cli import main
 from wam_power_ros.cli.commands import _has_ended
-from wam_power_ros.cli.launcher import (
-    Devices,
-    learner_is_running,
-    program_command,
-)
+from wam_power_ros.cli.launcher import Devices, learner_is_running
 from wam_power_ros.cli.parser import goal_value
 from wam_power_ros.cli.session_options import (
     SessionOptions,
@@ -37,32 +33,7 @@ from wam_power_ros.params import overlay
 from wam_power_ros.practice.session import Session, read
 from wam_power_ros.practice.settings import preset
 
-ROOT = Path(__file__).resolve().parents[2]
-WAM = (ROOT / "urdf/wam7.urdf").read_text()
-
-
-@pytest.mark.parametrize(
-    ("words", "known"),
-    [
-        (["learn", "--task", "flop"], "flip, rated, reach"),
-        (["teach", "--task", "flop"], "flip, rated, reach"),
-        (["learn", "--learner", "powr"], "power"),
-        (["learn", "--preset", "papre"], "paper"),
-        (["learn", "--task", "reach", "--preset", "paper"], "full"),
-    ],
-)
-def test_an_unknown_name_is_refused_with_the_known_ones(
-    words: list[str], known: str, refusal: Callable[..., str]
-) -> None:
-    assert known in refusal(*words)
-
-
-@pytest.mark.parametrize(("task", "stem"), [("flip", "reach"), ("reach", "demo")])
-def test_the_demonstrations_of_another_task_are_refused(
-    task: str, stem: str, refusal: Callable[..., str]
-) -> None:
-    bag = min((ROOT / "bags").glob(f"{stem}_*"))
-    assert f"not of {task}" in refusal("learn", "--task", task, "--bags", str(bag))
+URDF = (ROOT / "urdf/wam7.urdf").read_text()
 
 
 @pytest.mark.parametrize("task", ["flip", "reach"])
@@ -72,8 +43,7 @@ def test_the_task_of_a_demonstration_is_read_from_the_bag_and_not_from_its_name(
     writer = BagWriter(tmp_path / "mine")
     writer.event("start", "reach", START)
     writer.add("/joint_states", layout.JOINT_STATE, QOS)
-    names = tuple(f"wam_j{joint}" for joint in range(1, 8))
-    writer.write("/joint_states", START, joint_state(START, names, np.zeros(7)))
+    writer.write("/joint_states", START, joint_state(START, WAM, np.zeros(7)))
     writer.close({})
     message = "mine is a demonstration of reach" if task == "flip" else "none is not a bag"
     assert message in refusal("learn", "--task", task, "--bags", "mine", "none")
@@ -104,7 +74,7 @@ def test_a_session_that_has_ended_prints_how_to_continue_and_starts_nothing(
     assert main.main(["learn", "--session", str(folder)]) == 0
     said = " ".join(capsys.readouterr().out.split())  # its lines are as long as the terminal
     assert "has ended" in said and "1 re-tests succeeded" in said
-    assert f"learn --from {folder} --trials 6" in said
+    assert f"learn --from {folder}" in said
 
 
 def test_a_session_whose_final_policy_cannot_be_executed_has_a_report_without_it(
@@ -124,34 +94,13 @@ def test_a_session_whose_final_policy_cannot_be_executed_has_a_report_without_it
 
 
 @pytest.mark.parametrize(
-    ("program", "printed"),
-    [
-        (".venv/bin/wam-power", ".venv/bin/wam-power"),
-        ("{here}/.venv/bin/wam-power", ".venv/bin/wam-power"),
-        ("{bin}/wam-power", "wam-power"),
-        ("/x/wam_power_ros/cli/__main__.py", "{python} -m wam_power_ros.cli"),
-    ],
+    ("words", "needed"),
+    [("demonstration", "a bag"), ("reward some_bag", "nothing"), ("rate 10", "a number")],
 )
-def test_commands_are_printed_as_they_can_be_pasted(
-    program: str, printed: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_feedback_takes_a_bag_or_a_rating_only_where_it_needs_one(
+    words: str, needed: str, refusal: Callable[..., str]
 ) -> None:
-    here, path = tmp_path / "here", tmp_path / "bin"
-    for folder in (here / ".venv/bin", path):
-        folder.mkdir(parents=True)
-        (folder / "wam-power").write_text("")
-        (folder / "wam-power").chmod(0o755)
-    monkeypatch.chdir(here)
-    monkeypatch.setenv("PATH", str(path))
-    monkeypatch.setattr(sys, "argv", [program.format(here=here, bin=path)])
-    assert program_command() == printed.format(python=sys.executable)
-
-
-@pytest.mark.parametrize("words", [["demonstration"], ["reward", "some_bag"]])
-def test_feedback_takes_a_bag_only_for_a_demonstration(
-    words: list[str], refusal: Callable[..., str]
-) -> None:
-    needed = {"demonstration": "a bag", "reward": "nothing"}[words[0]]
-    assert f"{words[0]} needs {needed} after it" in refusal("feedback", *words)
+    assert f"{words.split()[0]} needs {needed}" in refusal("feedback", *words.split())
 
 
 def test_the_obstacle_of_reaching_is_half_way_along_the_nominal_demonstration() -> None:
@@ -161,7 +110,7 @@ def test_the_obstacle_of_reaching_is_half_way_along_the_nominal_demonstration() 
 
     setup = overlay.setup(task="reach")
     names = setup["torque_controller"]["model_joint_names"]
-    arm = Arm((ROOT / "urdf/wam7.urdf").read_text(), names)
+    arm = Arm(URDF, names)
     script = reach(np.random.default_rng(0), spread=0.0)
     half_way = script.end - 0.5 * script.duration
     target = script.target(half_way, *arm.tool_pose(HOME))
@@ -171,20 +120,12 @@ def test_the_obstacle_of_reaching_is_half_way_along_the_nominal_demonstration() 
     assert setup["wam_sim"]["guarded_region"] == setup["torque_controller"]["guarded_region"]
 
 
-LEARN = "learn --session"
-WRONG = "base_frame: typo"
-
-
 @pytest.mark.parametrize(
     ("command", "wrong"),
     [
-        (LEARN, WRONG),
-        (LEARN, "model_joint_names: [j1, j2, j3, j4, j5, j6, j7]"),
-        (LEARN, "tool_frame: typo"),
-        (LEARN, "guarded_links: [typo, wam_link4]"),
-        (LEARN, "urdf: urdf/cobot7.urdf"),
-        ("teach --folder", WRONG),
-        ("replay bag --folder", WRONG),
+        ("learn --session", "urdf: urdf/cobot7.urdf"),
+        ("teach --folder", "tool_frame: typo"),
+        ("replay bag --folder", "base_frame: typo"),
     ],
 )
 def test_a_set_up_that_does_not_fit_its_urdf_is_refused_before_anything_starts(
@@ -211,7 +152,7 @@ def test_a_bag_of_another_arm_is_not_replayed(tmp_path: Path, refusal: Callable[
 def test_a_set_up_whose_links_have_no_mass_is_not_printed(
     tmp_path: Path, refusal: Callable[..., str]
 ) -> None:
-    urdf = re.sub("<inertial>.*?</inertial>", "", WAM, flags=re.DOTALL)
+    urdf = re.sub("<inertial>.*?</inertial>", "", URDF, flags=re.DOTALL)
     (tmp_path / "arm.urdf").write_text(urdf)
     file = tmp_path / "my_arm.yaml"
     file.write_text("torque_controller:\n  ros__parameters:\n    urdf: arm.urdf\n")
@@ -224,9 +165,8 @@ def test_a_set_up_whose_links_have_no_mass_is_not_printed(
 def origin(tmp_path: Path) -> Path:
     """Session in whose folder a policy was learnt."""
     folder, policy = tmp_path / "simulated", demonstrated_policy()
-    demonstrations = [str(min((ROOT / "bags").glob("demo_*")))]
     settings = preset("flip")
-    with Session.begin(folder, settings, 0, [policy], demonstrations=demonstrations) as session:
+    with Session.begin(folder, settings, 0, [policy], demonstrations=[str(DEMO)]) as session:
         practice = practice_of([policy], settings, seed=0)
         trial = practice.next_trial()
         session.append(practice.learn_assessed(trial, toss(trial, practice.task.settings)))
@@ -250,8 +190,7 @@ def test_a_session_from_another_one_is_refused_where_that_does_not_fit(
 ) -> None:
     given = ("learn", "--from", str(origin))
     assert "is one of flip, not of reach" in refusal(*given, "--task", "reach")
-    bag = read(origin).header.demonstrations[0]
-    assert "brings its own demonstrations: omit --bags" in refusal(*given, "--bags", bag)
+    assert "brings its own demonstrations: omit --bags" in refusal(*given, "--bags", str(DEMO))
     assert "a goal of flip is apex, not 'y'" in refusal(*given, "--goal", "y=0.3")
     assert "--goal needs the session to predict from" in refusal("learn", "--goal", "y=0.3")
     for wrong in ("y", "y=", "=1", "y=nan", "y=near"):

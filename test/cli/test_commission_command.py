@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import re
 from collections.abc import Callable
@@ -20,9 +21,8 @@ from wam_power_ros.bags import layout
 from wam_power_ros.bags.bag import Bag
 from wam_power_ros.bags.commands import ARRAY, TRAJECTORY, read_commands
 from wam_power_ros.bags.writer import BagWriter
-from wam_power_ros.cli import main
+from wam_power_ros.cli import commission_command, main
 from wam_power_ros.commissioning.measurement import Recording
-from wam_power_ros.control.corrections import Corrections
 from wam_power_ros.control.servo_response import followed
 from wam_power_ros.params import overlay
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
@@ -65,8 +65,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     plan = true_arm.planned()
     np.savez(made / "movement.npz", t=plan.t, q=plan.q, rests=plan.rests, sweeps=plan.sweeps)
     (made / "bags").mkdir()
-    bag_of(made / "bags/commissioning_1", true_arm.recording(plan, true_arm.truth()))
+    bag_of(made / "bags/commissioning_1", recorded())
     return made
+
+
+@functools.cache
+def recorded() -> Recording:
+    return true_arm.recording(true_arm.planned(), true_arm.truth())
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
@@ -103,26 +108,34 @@ def test_the_file_that_is_written_corrects_the_arm_and_keeps_an_older_one(
     assert np.linalg.norm(setup.arm().tool_pose(q)[0] - truth.tool_pose(q)[0]) < 5e-3
 
 
-def test_nothing_is_written_when_the_joints_have_to_be_zeroed(
+def test_nothing_is_written_of_what_is_not_usable(
     folder: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    zeros = true_arm.ZEROS + np.deg2rad([0.0, 0.0, 0.0, 7.0, 0.0, 0.0, 0.0])
-    wrong = Corrections.of(7, zeros=zeros)
     (tmp_path / "movement.npz").write_bytes((folder / "movement.npz").read_bytes())
-    bag_of(
-        tmp_path / "bags/commissioning_1",
-        true_arm.recording(true_arm.planned(), wrong, noise=0.2),
-    )
+    (tmp_path / "bags").symlink_to(folder / "bags")
+    for name in ("_recording", "analyse", "report", "notes"):
+        monkeypatch.setattr(commission_command, name, lambda *_: [])
+    monkeypatch.setattr(commission_command, "refusals", lambda *_: ["zero of wam_j4: 7 degrees"])
     assert run(monkeypatch, "--folder", str(tmp_path)) == 1
     shown = capsys.readouterr().out
-    assert re.search(
-        r"^not usable: zero of wam_j4: \d\.?\d* degrees \(allowed: -5 to 5\);", shown, re.M
-    )
-    assert "Nothing was written." in shown
+    assert shown == "not usable: zero of wam_j4: 7 degrees\nNothing was written.\n"
     assert not (tmp_path / "arm.yaml").exists()
+
+
+def test_a_movement_that_was_stopped_is_planned_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stopped(*given: object) -> int:
+        (tmp_path / "movement.npz").touch()
+        (tmp_path / "bags/commissioning_1").mkdir(parents=True)
+        return 130
+
+    monkeypatch.setattr(commission_command, "_move", stopped)
+    assert run(monkeypatch, "--folder", str(tmp_path)) == 130
+    assert not (tmp_path / "movement.npz").exists() and not (tmp_path / "arm.yaml").exists()
 
 
 def test_where_the_driver_adds_gravity_what_it_adds_is_counted(
@@ -135,12 +148,10 @@ def test_where_the_driver_adds_gravity_what_it_adds_is_counted(
     extra.write_text(
         "/**/torque_controller:\n  ros__parameters:\n    driver_compensates_gravity: true\n"
     )
-    true = true_arm.truth()
-    recorded = true_arm.recording(true_arm.planned(), true)
-    gravity = np.array([ARM.gravity(q) for q in recorded.q])  # it knows neither zeros nor tool
+    true, found = true_arm.truth(), recorded()
+    gravity = np.array([ARM.gravity(q) for q in found.q])  # it knows neither zeros nor tool
     (tmp_path / "movement.npz").write_bytes((folder / "movement.npz").read_bytes())
-    sent = replace(recorded, tau=recorded.tau - gravity)
-    bag_of(tmp_path / "bags/commissioning_1", sent)
+    bag_of(tmp_path / "bags/commissioning_1", replace(found, tau=found.tau - gravity))
     words = ["--folder", str(tmp_path), "--config", str(extra), "--simulate"]
     assert run(monkeypatch, *words) == 0
     assert "is taken for that of the URDF" in capsys.readouterr().out

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from wam_power_ros.cli import doctor_command, main
+from wam_power_ros.cli import doctor_command
 from wam_power_ros.cli.launcher import Devices
 from wam_power_ros.params import body_tracker_params
 
@@ -41,9 +41,8 @@ def test_an_arm_that_was_never_measured_is_sent_to_commission(
 ) -> None:
     status, text = shown(capsys, Devices(["openarm", "natnet_ros2"]))
     assert status == 1
-    assert "Missing: frame, zeros, friction, loop delay, motors, tool." in text
-    assert "commission --config openarm --config natnet_ros2\n" in text
-    assert "check_driver --config openarm --config natnet_ros2" in text
+    assert "Missing: frame, zeros, friction, loop delay, motors, tool. Next, with" in text
+    assert "wam-power commission\n" in text
 
 
 def test_nothing_is_missing_on_an_arm_that_was_measured(
@@ -73,11 +72,3 @@ def test_where_the_body_is_seen_is_said_or_the_package_that_is_missing(
     monkeypatch.setattr(body_tracker_params, "find_spec", lambda package: None)
     _, text = shown(capsys, devices)
     assert "WARN  mocap4r2_msgs/msg/RigidBodies needs the package mocap4r2_msgs: apt" in text
-
-
-def test_the_command_is_known(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("sys.argv", ["wam-power", "doctor", "--config", "geodude"])
-    assert main.main() == 1
-    assert "Next, once the drivers conform" in capsys.readouterr().out

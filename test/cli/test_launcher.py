@@ -3,38 +3,17 @@
 
 from __future__ import annotations
 
-import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import yaml
 
-from wam_power_ros.cli import main
 from wam_power_ros.cli.launcher import Devices, Launcher, short_path
 from wam_power_ros.cli.plan import Plan
 from wam_power_ros.cli.processes import Processes
 from wam_power_ros.params import overlay
 from wam_power_ros.params.franka_driver_params import FrankaDriverParams
-
-
-def devices(*words: str) -> Devices:
-    _, values = main._command(main._parser().parse_args(["learn", *words]))
-    return values["devices"]
-
-
-@pytest.mark.parametrize(
-    ("words", "with_stand_ins"),
-    [
-        ([], True),
-        (["--config", "geodude"], False),
-        (["--config", "geodude", "--config", "full_speed", "--simulate"], True),
-    ],
-)
-def test_a_command_to_resume_selects_the_same_set_up(
-    words: list[str], with_stand_ins: bool
-) -> None:
-    assert devices(*words).words == words
-    assert devices(*words).stand_ins == with_stand_ins
 
 
 def test_a_path_below_the_working_directory_is_shown_relative_to_it(
@@ -45,9 +24,7 @@ def test_a_path_below_the_working_directory_is_shown_relative_to_it(
     assert short_path(Path("/elsewhere")) == Path("/elsewhere")
 
 
-def test_nodes_get_their_parameters_whatever_characters_are_in_them(
-    tmp_path: Path,
-) -> None:
+def test_nodes_get_their_parameters_whatever_characters_are_in_them(tmp_path: Path) -> None:
     odd = str(tmp_path / "séries: 'a' #1.json")
     plan = Plan(tmp_path, Devices().parameters(), stand_ins=True)
     plan.file.parent.mkdir()
@@ -63,6 +40,7 @@ def test_nodes_get_their_parameters_whatever_characters_are_in_them(
 @pytest.mark.parametrize(
     ("names", "simulate", "first"),
     [
+        ([], False, "wam_sim"),
         (["franka_fci"], False, "franka_driver"),
         (["franka_fci"], True, "wam_sim"),
         (["franka"], False, "torque_controller"),
@@ -71,7 +49,8 @@ def test_nodes_get_their_parameters_whatever_characters_are_in_them(
 def test_a_driver_of_ours_is_started_on_the_arm_whose_address_is_known(
     names: list[str], simulate: bool, first: str, tmp_path: Path
 ) -> None:
-    nodes = Plan(tmp_path, Devices(names, simulate).parameters(), stand_ins=simulate).nodes
+    devices = Devices(names, simulate)
+    nodes = Plan(tmp_path, devices.parameters(), devices.stand_ins).nodes
     assert nodes[0] == first and len(nodes) == 2 + (first != "torque_controller")
 
 
@@ -92,9 +71,8 @@ def test_other_set_ups_override_that_of_the_task(tmp_path: Path) -> None:
     assert overlay.setup(task="reach")["wam_sim"]["pace"] == "lockstep"
 
 
-def test_the_printed_parameters_are_those_of_the_task(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main.main(["config", "--task", "reach"]) == 0
-    nodes = yaml.safe_load(capsys.readouterr().out)
+def test_the_printed_parameters_are_those_of_task_and_set_up(said: Callable[..., str]) -> None:
+    nodes = yaml.safe_load(said("config", "--task", "reach", "--config", "geodude", "--simulate"))
     assert nodes["/**/learner"]["ros__parameters"]["task"] == "reach"
     assert nodes["/**/pancake_tracker"]["ros__parameters"]["body"] == ""
-    assert sys.stdin is not None
+    assert nodes["/**/wam_sim"]["ros__parameters"]["joint_names"][6] == "right_j7"

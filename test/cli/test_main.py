@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command line: same entry points as ros2 run, errors that say what to do instead."""
+"""The command line: same entry points as ros2 run; sessions are begun, resumed and reported."""
 
 import io
 import re
@@ -11,7 +11,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-import yaml
+from conftest import ROOT
 from rich.console import Console
 from toss_task import demonstrated_policy, some_records
 
@@ -22,13 +22,14 @@ from wam_power_ros.practice.session import Session
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.reporting import terminal
 
-ROOT = Path(__file__).resolve().parents[2]
 TASK = preset("flip", "hindsight").make_task({})
-OUTCOME = TASK.outcome
 
 
-def begun_session(folder: Path, seed: int = 5) -> Path:
-    Session.begin(folder, preset("flip", "hindsight"), seed, [demonstrated_policy()]).close()
+@pytest.fixture
+def begun(tmp_path: Path) -> Path:
+    """A session that has just begun."""
+    folder, settings = tmp_path / "s", preset("flip", "hindsight")
+    Session.begin(folder, settings, 5, [demonstrated_policy()]).close()
     return folder
 
 
@@ -37,11 +38,7 @@ def test_wam_power_run_starts_what_ros2_run_starts() -> None:
     points = dict(re.findall(r'"([\w-]+) = (wam_power_ros\.entry:\w+)"', setup))
     assert points.pop("wam-power") == "wam_power_ros.entry:wam_power"
     assert points == {name: point.value for name, point in main.NODES.items()}
-
-
-@pytest.mark.parametrize("node", main.NODES)
-def test_every_node_has_a_module(node: str) -> None:
-    assert find_spec(main.NODES[node].load().args[0]) is not None
+    assert all(find_spec(point.load().args[0]) for point in main.NODES.values())
 
 
 def test_a_node_gets_its_arguments_from_the_command_line() -> None:
@@ -55,19 +52,9 @@ def test_a_node_gets_its_arguments_from_the_command_line() -> None:
     assert b"Started without a parameter file" in ended.stdout + ended.stderr
 
 
-def test_an_unknown_node_is_refused_with_the_known_ones(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    with pytest.raises(SystemExit):
-        main.main(["run", "torque_controler"])
-    message = capsys.readouterr().err
-    assert all(node in message for node in main.NODES)
-
-
 def test_seed_and_settings_of_a_session_cannot_be_changed(
-    tmp_path: Path, refusal: Callable[..., str]
+    begun: Path, refusal: Callable[..., str]
 ) -> None:
-    begun_session(tmp_path / "s")
     for words, own in (
         ("--seed 6", "seed 5; omit seed"),
         ("--trials 9", "trials 60; omit trials"),
@@ -76,7 +63,7 @@ def test_seed_and_settings_of_a_session_cannot_be_changed(
         ("--learner cma_es", "learner power; omit learner"),
         ("--preset paper", "other settings than preset paper; omit preset"),
     ):
-        assert f"was begun with {own}" in refusal("learn", "--session", "s", *words.split())
+        assert f"was begun with {own}" in refusal("learn", "--session", begun.name, *words.split())
 
 
 def test_the_command_that_began_a_session_resumes_it(tmp_path: Path) -> None:
@@ -91,10 +78,6 @@ def test_the_command_that_began_a_session_resumes_it(tmp_path: Path) -> None:
         chosen(tmp_path / "s", replace(asked, bags=bags[:1]), Devices())
 
 
-def test_resuming_needs_a_session(refusal: Callable[..., str]) -> None:
-    assert "holds no session" in refusal("learn", "--resume", "--session", "none")
-
-
 def test_no_controller_starts_on_an_arm_without_a_person_to_confirm(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -106,39 +89,9 @@ def test_no_controller_starts_on_an_arm_without_a_person_to_confirm(
     assert "no answer: standard input is closed" in message
 
 
-def test_an_unknown_set_up_starts_nothing(refusal: Callable[..., str]) -> None:
-    message = refusal("learn", "--session", "s", "--config", "geodud")
-    assert "no set-up 'geodud'" in message
-
-
-def test_the_parameters_of_a_set_up_are_printed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main.main(["config", "--config", "geodude", "--simulate"]) == 0
-    nodes = yaml.safe_load(capsys.readouterr().out)
-    assert nodes["/**/wam_sim"]["ros__parameters"]["joint_names"][6] == "right_j7"
-
-
-def test_a_report_needs_a_session(refusal: Callable[..., str]) -> None:
-    assert "no session.yaml" in refusal("report", ".")
-
-
-def test_the_report_command_writes_the_report(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder = begun_session(tmp_path / "s")
-    assert main.main(["report", str(folder)]) == 0
-    assert str(folder / "report.html") in capsys.readouterr().out
-    assert (folder / "report.html").stat().st_size > 1000
-
-
-def test_a_log_shows_every_rollout_once_on_a_line_of_its_own() -> None:
-    records = some_records(9)
-    text = io.StringIO()
-    with terminal.Display(Console(file=text, width=80)) as display:
-        for count in (0, 2, 2, 9):
-            display.show(records[:count], preset("flip", "hindsight"), TASK)
-    _, *lines = text.getvalue().splitlines()
-    assert [int(line.split()[0]) for line in lines] == list(range(1, 10))
-    assert all(f"return {record.ret:.3f}" in line for record, line in zip(records, lines, strict=1))
+def test_the_report_command_writes_the_report(begun: Path, said: Callable[..., str]) -> None:
+    assert "s/report.html" in said("report", begun)
+    assert (begun / "report.html").stat().st_size > 1000
 
 
 def test_a_terminal_shows_the_newest_rollouts_and_the_best_return_so_far(
@@ -146,7 +99,7 @@ def test_a_terminal_shows_the_newest_rollouts_and_the_best_return_so_far(
 ) -> None:
     records = some_records(40)
     monkeypatch.setattr(terminal, "ROLLOUTS_SHOWN", 5)
-    table = terminal.rollout_table(records, OUTCOME)
+    table = terminal.rollout_table(records, TASK.outcome)
     numbers, bests = (list(table.columns[place].cells) for place in (0, -2))
     assert numbers == ["36", "37", "38", "39", "40"]
     assert bests[-1] == f"{max(record.ret or 0.0 for record in records):.3f}"

@@ -38,7 +38,7 @@ from wam_power_ros.ros import interface, pose_messages
 from wam_power_ros.ros.action_server import Action
 from wam_power_ros.ros.diagnostics import LAST_STOP, diagnostics_message
 from wam_power_ros.ros.outcomes import Answer, Code, Ended
-from wam_power_ros.tasks.reset import Move
+from wam_power_ros.tasks.reset import BodyState, Move
 
 POLICY = lift("trial-0002")
 MOVE, EXECUTE, SCENE = "move_to_start", "execute", "reset"
@@ -199,18 +199,12 @@ def test_a_ground_truth_that_is_lost_with_a_simulation_ends_no_session(
     assert "trial-0002 has no ground truth" in capfd.readouterr().err
 
 
-@pytest.mark.parametrize("kind", [FaultKind.TOOL_SPEED, FaultKind.STATES_LOST])
-def test_the_fault_of_a_rollout_that_was_cut_short_keeps_its_kind(
-    client: Rollouts, cell: Cell, kind: FaultKind
+@pytest.mark.parametrize("fault", [Fault(FaultKind.TOOL_SPEED, "about the workspace"), None])
+def test_a_rollout_that_was_cut_short_has_its_fault_if_any(
+    client: Rollouts, cell: Cell, fault: Fault | None
 ) -> None:
-    cell.end, cell.fault = 0.2, Fault(kind, "a sentence about a limit of the workspace")
-    executed = client.execute(POLICY, WHOLE, lambda state: "")
-    assert executed.rollout.fault == cell.fault
-
-
-def test_a_rollout_that_ended_early_without_a_fault_has_none(client: Rollouts, cell: Cell) -> None:
-    cell.end = 0.2
-    assert client.execute(POLICY, WHOLE, lambda state: "").rollout.fault is None
+    cell.end, cell.fault = 0.2, fault
+    assert client.execute(POLICY, WHOLE, lambda state: "").rollout.fault == fault
 
 
 def test_a_fault_before_the_rollout_is_reset_and_it_begins_again(
@@ -267,9 +261,9 @@ def test_a_controller_that_is_not_active_is_waited_for_without_asking_it_again_a
 
 def test_the_enabling_switch_is_waited_for(connect: Connect, cell: Cell) -> None:
     client = connect(service_timeout=1.0)
-    cell.answers[EXECUTE] = [Answer(Code.SWITCH, "not held") for _ in range(30)]
+    cell.answers[EXECUTE] = [Answer(Code.SWITCH, "not held") for _ in range(8)]
     client.execute(POLICY, WHOLE, lambda state: "")
-    assert cell.requests == [MOVE, *[EXECUTE] * 31]
+    assert cell.requests == [MOVE, *[EXECUTE] * 9]  # for longer than the service's time
     assert client.awaited() is None
 
 
@@ -318,40 +312,9 @@ def test_a_fault_that_comes_again_and_again_ends_it_by_name(client: Rollouts, ce
         client.execute(POLICY, WHOLE, lambda state: "")
 
 
-@pytest.mark.parametrize("scene_reset", [True, False])
-def test_a_body_thrown_off_is_put_back_again_by_the_simulation_or_without_limit_by_a_person(
-    scene_reset: bool,
-    connect: Connect,
-    cell: Cell,
-    monkeypatch: pytest.MonkeyPatch,
-    capfd: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.setattr(rollouts, "READY_TIMEOUT", 0.5)
-    monkeypatch.setattr(link, "LOG_AFTER", 0.5)
-    cell.offer_scene()
-    start_ns, t = START_NS, np.arange(0.0, WHOLE, 0.01)
-    path = BodyPath(POLICY.id, t, np.zeros((len(t), 3)), np.tile(LEVEL, (len(t), 1)))
-    topic = interface.rollout_topic("pancake")
-    paths = cell.node.create_publisher(Path, topic, interface.LATCHED)
-    paths.publish(pose_messages.path_message(path, start_ns, "wam_base"))
-    topic = interface.body_topic("pancake", "state")
-    states, sent = cell.node.create_publisher(Odometry, topic, interface.STATE_OUT), []
-
-    def publish() -> None:  # on the floor until the second reset of the scene, or for 2 s
-        sent.append(start_ns + len(sent))
-        height = float(cell.requests.count(SCENE) > 1 or (not scene_reset and len(sent) > 100))
-        zero, position = np.zeros(3), np.array([0.0, 0.0, height])
-        state = pose_messages.StateReading(sent[-1], "wam_base", position, LEVEL, zero, zero, 1e-6)
-        states.publish(pose_messages.odometry_message(state, "pancake"))
-
-    cell.node.create_timer(0.02, publish)
-    patience = 20.0 if scene_reset else 0.5
-    client = connect("pancake", scene_reset=scene_reset, patience=patience)
-    client.execute(POLICY, WHOLE, lambda state: "" if state.position[2] > 0.5 else "on the floor")
-    begun = [MOVE, SCENE]
-    assert cell.requests == ([*begun, *begun, EXECUTE] if scene_reset else [MOVE, EXECUTE])
-    said = "waiting for the pancake to be ready, which a person puts back: on the floor"
-    assert (said in capfd.readouterr().err) == (not scene_reset)
+def in_place(state: BodyState) -> str:
+    """What a body lacks before a rollout may begin."""
+    return "" if state.position[2] > 0.5 else "on the floor"
 
 
 def awaited_by(client: Rollouts, cell: Cell) -> list[Awaited]:
@@ -379,7 +342,7 @@ class Ball:
         self.path(start_ns, WHOLE)
         topic = interface.body_topic("ball", "state")
         self._states = cell.node.create_publisher(Odometry, topic, interface.STATE_OUT)
-        self._sent_ns = 10**9
+        self.sent = 0  # number of states
         cell.node.create_timer(0.02, self._publish)
 
     def path(self, start_ns: int, end: float) -> None:
@@ -395,14 +358,39 @@ class Ball:
         return answer
 
     def _publish(self) -> None:
-        self._sent_ns += 33_000_000
+        self.sent += 1
         self.off -= SCENE in self.cell.requests
         there = self.moves > 0 or self.off < 0
         zero, place = np.zeros(3), np.array([0.0, 0.0, float(there)])
         state = pose_messages.StateReading(
-            self._sent_ns, "wam_base", place, LEVEL, zero, zero, 1e-6
+            10**9 + 33_000_000 * self.sent, "wam_base", place, LEVEL, zero, zero, 1e-6
         )
         self._states.publish(pose_messages.odometry_message(state, "ball"))
+
+
+@pytest.mark.parametrize("scene_reset", [True, False])
+def test_a_body_thrown_off_is_put_back_again_by_the_simulation_or_without_limit_by_a_person(
+    scene_reset: bool,
+    connect: Connect,
+    cell: Cell,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(rollouts, "READY_TIMEOUT", 0.5)
+    monkeypatch.setattr(link, "LOG_AFTER", 0.5)
+    cell.offer_scene()
+    ball = Ball(cell)
+
+    def place() -> None:  # on the floor until the second reset of the scene, or for 2 s
+        ball.moves = int(cell.requests.count(SCENE) > 1 or (not scene_reset and ball.sent > 100))
+
+    cell.node.create_timer(0.02, place)
+    client = connect("ball", scene_reset=scene_reset, patience=20.0 if scene_reset else 0.5)
+    client.execute(POLICY, WHOLE, in_place)
+    begun = [MOVE, SCENE]
+    assert cell.requests == ([*begun, *begun, EXECUTE] if scene_reset else [MOVE, EXECUTE])
+    said = "waiting for the ball to be ready, which a person puts back: on the floor"
+    assert (said in capfd.readouterr().err) == (not scene_reset)
 
 
 def test_the_arm_puts_the_body_back_once_the_switch_is_held_and_who_did_is_known(
@@ -413,13 +401,7 @@ def test_the_arm_puts_the_body_back_once_the_switch_is_held_and_who_did_is_known
     names = [f"j{number}" for number in range(7)]
     client = connect("ball", joint_names=names)
     seen = awaited_by(client, cell)
-    executed = client.execute(
-        POLICY,
-        WHOLE,
-        lambda state: "" if state.position[2] > 0.5 else "on the floor",
-        lambda state: move,
-        rest_time=0.2,
-    )
+    executed = client.execute(POLICY, WHOLE, in_place, lambda state: move, rest_time=0.2)
     assert Awaited("switch", "the enabling switch to be held, to put the ball back") in seen
     assert client.awaited() is None
     assert cell.requests == [MOVE, "replay", "replay", MOVE, EXECUTE]
@@ -444,9 +426,7 @@ def test_a_fault_while_the_body_is_waited_for_takes_the_arm_to_its_start_again(
     cell.node.create_timer(0.1, diagnose)
     client = connect("ball", joint_names=["j1"], reset_faults=False, patience=0.1)
     seen = awaited_by(client, cell)
-    executed = client.execute(
-        POLICY, WHOLE, lambda state: "" if state.position[2] > 0.5 else "on the floor"
-    )
+    executed = client.execute(POLICY, WHOLE, in_place)
     assert cell.requests == [MOVE, MOVE, MOVE, EXECUTE]
     assert executed.reset is not None and executed.reset["by"] == "person"
     assert Awaited("reset", "a person to reset the controller: no state for 21 ms") in seen
@@ -475,9 +455,7 @@ def test_a_person_is_waited_for_only_where_the_body_has_not_come_to_rest_by_itse
     seen = awaited_by(client, cell)
     ball = Ball(cell)
     placed = cell.node.create_timer(4.0, lambda: (placed.cancel(), setattr(ball, "moves", 1)))
-    executed = client.execute(
-        POLICY, WHOLE, lambda state: "" if state.position[2] > 0.5 else "on the floor"
-    )
+    executed = client.execute(POLICY, WHOLE, in_place)
     assert executed.reset is not None and executed.reset["by"] == "person"
     what = "the ball to be ready, which a person puts back: on the floor"
     asked = [each for each in seen if each.what == what]
@@ -491,12 +469,8 @@ def test_the_arm_leaves_a_body_alone_that_comes_to_rest_where_a_simulation_has_p
     cell.offer_scene()
     Ball(cell, states=5)
     move = Move(np.linspace(0.0, 1.0, 6), np.zeros((6, 7)))
-    executed = connect("ball", joint_names=["j1"], scene_reset=True).execute(
-        POLICY,
-        WHOLE,
-        lambda state: "" if state.position[2] > 0.5 else "on the floor",
-        lambda state: move,
-    )
+    client = connect("ball", joint_names=["j1"], scene_reset=True)
+    executed = client.execute(POLICY, WHOLE, in_place, lambda state: move)
     assert cell.requests == [MOVE, SCENE, EXECUTE] and executed.reset is None
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Feedback of a person: one request and one answer for every kind."""
+"""Feedback of a person on the command line."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from conftest import python_path
 from std_srvs.srv import Trigger
 from toss_task import demonstrated_policy
 
-from wam_power_interfaces.srv import Pause
 from wam_power_ros.cli import main
 from wam_power_ros.cli.plan import DOMAIN_FILE
 from wam_power_ros.client.feedback import SERVICES
@@ -23,16 +22,7 @@ from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import interface
 
 if TYPE_CHECKING:
-    from conftest import Probe, Processes
-
-
-GIVE = """
-from wam_power_ros.client.feedback import answered, connected
-with connected() as learner:
-    for kind in ("pause", "continue", "reward"):
-        answer = answered(lambda: learner.give(kind))
-        print((answer.success, answer.text))
-"""
+    from conftest import Probe
 
 
 def test_every_kind_of_feedback_can_be_given_on_the_command_line() -> None:
@@ -41,33 +31,6 @@ def test_every_kind_of_feedback_can_be_given_on_the_command_line() -> None:
     assert main._parser().parse_args(["stop"]).command.keywords["kind"] == "stop"
     with pytest.raises(SystemExit):
         main._parser().parse_args(["feedback", "applause"])
-
-
-def test_the_answer_of_the_learner_is_returned_and_a_pause_is_not_a_continuation(
-    probe: Probe, processes: Processes
-) -> None:
-    asked: list[bool] = []
-
-    def pause(request: Pause.Request, response: Pause.Response) -> Pause.Response:
-        asked.append(request.pause)
-        response.success, response.message = True, "paused"
-        return response
-
-    def reward(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success, response.message = False, "no rollout has finished"
-        return response
-
-    probe.node.create_service(Pause, interface.LEARNER_PAUSE, pause)
-    probe.node.create_service(Trigger, interface.LEARNER_REWARD, reward)
-    given = processes.script(GIVE)
-    probe.until(lambda: given.poll() is not None, "the answers", 60.0)
-    said = [line for line in processes.output(given).splitlines() if line.startswith("(")]
-    assert said == [
-        "(True, 'paused')",
-        "(True, 'paused')",
-        "(False, 'no rollout has finished')",
-    ], processes.output(given)
-    assert asked == [True, False]
 
 
 def test_an_arm_is_stopped_from_the_command_line_while_no_learner_runs(

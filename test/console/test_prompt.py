@@ -4,11 +4,9 @@
 from __future__ import annotations
 
 import io
-import os
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from pathlib import Path
 from types import SimpleNamespace
 from typing import NoReturn
 
@@ -18,7 +16,7 @@ from conftest import lift
 from rigid_arm import HOME, MODEL
 
 from wam_power_ros.console import replay, run_policy
-from wam_power_ros.console.prompt import ask, cue, let_go_after, show
+from wam_power_ros.console.prompt import ask, let_go_after
 
 T, Q = np.array([0.0, 1.0]), np.array([HOME, HOME])
 
@@ -69,7 +67,7 @@ class Broken:
     "move",
     [
         lambda robot, person: replay.replay(robot, "bag", T, Q, 1.0, person),
-        lambda robot, person: run_policy.run(robot, [lift("lift")], None, 1, person),
+        lambda robot, person: run_policy.run(robot, lift("lift"), None, 1, person),
     ],
     ids=["replay", "run-policy"],
 )
@@ -79,33 +77,3 @@ def test_each_command_that_moves_the_arm_asks_for_support_also_after_an_unexpect
     with pytest.raises(RuntimeError):
         move(Broken(), person)
     assert ("Support the arm" in capsys.readouterr().err) is person
-
-
-def test_a_line_is_written_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Terminal(io.StringIO):
-        flushed = 0
-
-        def flush(self) -> None:
-            self.flushed = len(self.getvalue())
-
-    terminal = Terminal()
-    monkeypatch.setattr(sys, "stdout", terminal)
-    show("one of three")
-    assert terminal.getvalue() == "one of three\n"
-    assert terminal.flushed == len("one of three\n")
-
-
-def test_a_cue_rings_and_is_spoken_where_a_speech_program_is_installed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("PATH", str(tmp_path))
-    cue(True, "recording")
-    assert capsys.readouterr().err == "\a"
-    spoken = tmp_path / "spoken"
-    os.mkfifo(spoken)
-    speaker = tmp_path / "espeak"
-    speaker.write_text(f'#!/bin/sh\necho "$1" > {spoken}\n')
-    speaker.chmod(0o755)
-    cue(False, "nothing")
-    cue(True, "recorded")
-    assert spoken.read_text() == "recorded\n"

@@ -15,25 +15,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import Probe, Processes
+from bag_samples import REACH, WAM
+from conftest import ROOT
 from rclpy.node import Node
-from stand_ins import Hardware
 from std_srvs.srv import SetBool, Trigger
 
 from wam_power_interfaces.action import Replay
 from wam_power_ros.bags import layout, reader
-from wam_power_ros.cli import main
 from wam_power_ros.client.robot import Robot
 from wam_power_ros.console.replay import replay, with_possible_speed
 from wam_power_ros.control import replay_trajectory
-from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.action_server import Action
 from wam_power_ros.ros.outcomes import Answer, Code, ServiceError, fill
-
-ROOT = Path(__file__).resolve().parents[2]
-NAMES = [f"wam_j{number}" for number in range(1, 8)]
-REACH = min(share("bags").glob("reach_*"))
 
 
 def replaying(*arguments: object) -> subprocess.Popen[str]:
@@ -54,77 +48,31 @@ def test_a_shipped_bag_is_replayed_and_its_tracking_error_reported(tmp_path: Pat
     assert said.count(" rad, at most ") == 7
     (made,) = (tmp_path / "bags").iterdir()
     assert f"recorded: {made}" in said
-    _, wanted = reader.read_demonstration(REACH, NAMES)
-    _, done = reader.read_demonstration(made, NAMES)
+    _, wanted = reader.read_demonstration(REACH, WAM)
+    _, done = reader.read_demonstration(made, WAM)
     np.testing.assert_allclose(done[-1], wanted[-1], atol=0.03)
     assert np.abs(done - wanted[0]).max(axis=1).min() < 0.03  # at the start
 
 
-def test_on_running_nodes_their_arm_replays_and_nothing_else_is_started_or_recorded(
-    probe: Probe, processes: Processes, tmp_path: Path
-) -> None:
-    hardware = Hardware(probe, processes, "lockstep")
-    hardware.control()
-    module = "wam_power_ros.console.replay_running"
-    command = [sys.executable, "-m", module, str(REACH), "--speed", "2"]
-    process = processes.start(command)
-    process.wait(600.0)  # a busy machine
-    said = processes.output(process)
-    assert process.returncode == 0, said
-    assert "tool: rms" in said and "recorded:" not in said
-    _, wanted = reader.read_demonstration(REACH, NAMES)
-
-    def arrived() -> bool:  # messages from before are still in the queue
-        newest = hardware.messages[-1] if hardware.messages else None
-        q = dict(zip(newest.name, newest.position, strict=True)) if newest else {}
-        return bool(q) and np.allclose([q[name] for name in NAMES], wanted[-1], atol=0.03)
-
-    hardware.messages.clear()
-    probe.until(arrived, "the arm at the end of the movement")
-
-
-def test_without_nodes_a_replay_on_them_says_what_to_do(processes: Processes, probe: Probe) -> None:
-    code = """
-from wam_power_ros.console import replay_running
-replay_running.APPEAR_TIMEOUT = 1.0
-raise SystemExit(replay_running.main())
-"""
-    process = processes.start([sys.executable, "-c", code, str(REACH)])
-    assert process.wait(60.0) == 2
-    assert "no node torque_controller in this domain" in processes.output(process)
-
-
-@pytest.mark.parametrize("speed", [0.5, 2.0])
-def test_the_possible_speed_is_given_as_a_value_of_the_option(speed: float) -> None:
+def test_the_possible_speed_is_given_as_a_value_of_the_option() -> None:
     too_fast = Answer(Code.TOO_FAST, "refused", speed=0.4)
-    assert with_possible_speed(too_fast, speed) == (
-        f"refused; possible at --speed {0.4 * speed:.2f}"
-    )
-    assert with_possible_speed(Answer(Code.STOPPED, "stopped"), speed) == "stopped"
+    assert with_possible_speed(too_fast, 2.0) == "refused; possible at --speed 0.80"
+    assert with_possible_speed(Answer(Code.STOPPED, "stopped"), 2.0) == "stopped"
     jump = Answer(Code.TOO_FAST, "refused", speed=0.001)
-    assert with_possible_speed(jump, speed) == "refused; no --speed is slow enough"
+    assert with_possible_speed(jump, 2.0) == "refused; no --speed is slow enough"
 
 
 def test_an_invalid_bag_or_speed_is_refused_before_any_node_starts(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    refusal: Callable[..., str],
 ) -> None:
-    assert main.main(["replay", str(tmp_path / "none"), "--folder", str(tmp_path / "r")]) == 2
-    assert "is not a bag" in capsys.readouterr().err
-    for speed in ("0", "9"):
-        asked = ["replay", str(REACH), "--speed", speed, "--folder", str(tmp_path / "r")]
-        assert main.main(asked) == 2
-        assert f"speed {speed}.0 of a replay must be from 0.01 to 5" in capsys.readouterr().err
-    assert not (tmp_path / "r").exists()
+    assert "is not a bag" in refusal("replay", "none", "--folder", "r")
+    said = refusal("replay", str(REACH), "--speed", "9", "--folder", "r")
+    assert "speed 9.0 of a replay must be from 0.01 to 5" in said
 
 
 @pytest.mark.parametrize(
     ("code", "kept"),
-    [
-        (Code.TOO_FAST, False),
-        (Code.REFUSED, False),
-        (Code.BUSY, False),  # or is never read
-        (Code.FAULT, True),
-    ],
+    [(Code.TOO_FAST, False), (Code.FAULT, True)],
 )
 def test_a_replay_that_is_refused_leaves_no_bag(
     server: Node,
@@ -150,8 +98,8 @@ def test_a_replay_that_is_refused_leaves_no_bag(
     Action(server, Replay, interface.REPLAY_MOVEMENT, refuse)
     server.create_service(Trigger, interface.STOP, answer(""))
     server.create_service(SetBool, interface.RECORD, answer(str(made)))
-    robot.joint_names = NAMES
-    movement = replay_trajectory.movement(*reader.read_demonstration(REACH, NAMES), 1.0)
+    robot.joint_names = WAM
+    movement = replay_trajectory.movement(*reader.read_demonstration(REACH, WAM), 1.0)
     assert replay(robot, "reach", *movement, 1.0, person=False) == 1
     assert made.exists() == kept
     assert ("nothing was recorded" in capsys.readouterr().out) != kept
@@ -166,8 +114,8 @@ def test_only_a_controller_that_is_still_starting_is_asked_again(
     stops = [Answer(Code.DONE), Answer(Code.DONE if still_active else Code.NOT_ACTIVE)]
     Action(server, Replay, interface.REPLAY_MOVEMENT, lambda id, goal: answers.pop(0))
     server.create_service(Trigger, interface.STOP, lambda _, sent: fill(sent, stops.pop(0)))
-    robot.joint_names = NAMES
-    t, q = replay_trajectory.movement(*reader.read_demonstration(REACH, NAMES), 1.0)
+    robot.joint_names = WAM
+    t, q = replay_trajectory.movement(*reader.read_demonstration(REACH, WAM), 1.0)
     if still_active:
         assert robot.follow(t, q) == "followed"
     else:
@@ -207,5 +155,5 @@ def test_a_replay_that_is_stopped_leaves_the_arm_holding_and_its_bag_closed(
     assert "Stopped: the arm holds." in said
     (made,) = (tmp_path / "bags").iterdir()
     assert not made.name.endswith(layout.UNFINISHED)
-    _, q = reader.read_demonstration(made, NAMES)
+    _, q = reader.read_demonstration(made, WAM)
     assert np.abs(q[-1] - q[-10]).max() < 1e-3  # at rest

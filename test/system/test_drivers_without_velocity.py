@@ -41,7 +41,7 @@ def test_a_driver_that_leaves_values_out_is_taught_with_replayed_and_learnt_from
         for found, how in zip((state.velocity, state.effort), SENT["taught"], strict=True):
             assert len(found) == (0 if how == "empty" else 7)
             assert np.isnan(found).any() == (how == "nan")
-    assert "good" in done("bags", "list", "--quality", "taught")
+    assert "good" in done("bags", "show", str(bag))
 
     part = tmp_path / "part"
     done("bags", "import", str(bag), "--part", "0.1", "1.9", "--output", str(part))

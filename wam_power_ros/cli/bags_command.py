@@ -7,14 +7,13 @@ import argparse
 import math
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from wam_power_ros import installed
 from wam_power_ros.cli.launcher import UsageError, short_path, task_stems
-from wam_power_ros.cli.node_log import progress_messages
 from wam_power_ros.cli.parser import add_command, config_option, task_option
 from wam_power_ros.cli.session_options import DEFAULT_TASK
 from wam_power_ros.durable_files import check_name, printable
@@ -23,11 +22,9 @@ from wam_power_ros.params import overlay
 if TYPE_CHECKING:
     import numpy as np
 
-    from wam_power_ros.bags.quality import Grade, Limits, Remark
+    from wam_power_ros.bags.quality import Limits, Remark
     from wam_power_ros.bags.takes import Take
     from wam_power_ros.control.arm import Arm
-
-NAME_WIDTH_MAX = 40  # columns of a name in the table
 
 
 class InspectedTake(NamedTuple):
@@ -42,14 +39,11 @@ class InspectedTake(NamedTuple):
 def add_to(subparsers: argparse._SubParsersAction) -> None:
     """Add the command to the command line."""
     group = add_command(subparsers, "bags", None, "inspect and import recordings")
-    group.set_defaults(command=group.print_help)
     add = partial(add_command, group.add_subparsers(metavar="COMMAND"))
     listing = add("list", list_, "print a line for each take: task, duration and outcome")
     listing.add_argument("folder", type=Path, nargs="*", help="of takes (default: the usual ones)")
-    help_quality = "read each take, and grade it with reasons"
-    listing.add_argument("--quality", action="store_true", help=help_quality)
-    shown = add("show", show, "print topics, joints and quality of a take")
-    shown.add_argument("bag", type=Path)
+    shown = add("show", show, "print quality, topics and joints of takes")
+    shown.add_argument("bag", type=Path, nargs="+")
     plotted = add("plot", plot, "draw joint angles and speeds of takes, with the arm's limits")
     plotted.add_argument("bag", type=Path, nargs="+")
     plotted.add_argument("--output", type=Path, help=".png or .svg (default: BAG.png)")
@@ -71,59 +65,84 @@ def add_to(subparsers: argparse._SubParsersAction) -> None:
     exported = add("export", export, "write a table of a bag or a session")
     exported.add_argument("recorded", type=Path, metavar="BAG|SESSION")
     exported.add_argument("--output", type=Path, required=True, help="new .csv file")
-    for command in (listing, shown, plotted, imported, exported):
+    for command in (shown, plotted, imported, exported):
         config_option(command, "set-up of the arm")
 
 
-def list_(folder: Sequence[Path], quality: bool, config: Sequence[str]) -> None:
-    """Print a line for each take."""
+def list_(folder: Sequence[Path]) -> None:
+    """Print a line for each take, by its name and description alone."""
     from wam_power_ros.bags import takes
 
     folders = folder or [Path(name) for name in takes.FOLDERS]
     found = takes.find(folders)
     if not found:
         raise UsageError(f"no bags below {', '.join(map(str, folders))}")
-    outcomes: dict[Path, str] = {}
-    tasks, setup = task_stems(), overlay.setup(config)
-    judge = partial(_verdict, names=setup.joint_names, arm=setup.arm(), tasks=tasks)
-    width = min(max(len(printable(path.name)) for path in found), NAME_WIDTH_MAX)
-    print(f"{'take':{width}}  {'task':9}  {'time':>6}  {'quality  reasons' * quality}".rstrip())
-    shown = None
+    width, tasks = max(len(printable(path.name)) for path in found), task_stems()
+    shown, outcomes = None, dict[Path, str]()
     for path in found:
         if path.parent != shown:
-            shown, outcomes = path.parent, _outcomes([path])
+            shown, outcomes = path.parent, _outcomes(path)
             print(f"{printable(short_path(shown.resolve()))}/", flush=True)
-        kind, row, reasons = _row(path, judge if quality else _noted)
-        kind = "/".join(sorted(tasks.get(kind, {kind})))
-        notes = "; ".join(filter(None, (outcomes.get(path.resolve(), ""), reasons)))
-        name = printable(path.name)
-        print(f"{name:{width}}  {kind:9}  {row}  {notes}".rstrip(), flush=True)
+        kind = path.resolve().name.partition("_")[0]
+        kind = "/".join(sorted(tasks.get(kind, {printable(kind)})))
+        note = outcomes.get(path.resolve(), "")
+        print(f"{printable(path.name):{width}}  {kind:9}  {_recorded(path)}  {note}".rstrip())
 
 
-def show(bag: Path, config: Sequence[str]) -> None:
-    """Print what is in a take."""
+def _recorded(path: Path) -> str:
+    """Duration of a recording by its description, or why that cannot be read."""
+    from wam_power_ros.bags.bag import information
+
+    try:
+        duration = information(path).get("duration")
+    except (ValueError, OSError) as error:
+        return str(error).removeprefix(printable(path)).lstrip(": ")
+    ns = duration.get("nanoseconds") if isinstance(duration, dict) else None
+    return f"{1e-9 * ns:4.1f} s" if isinstance(ns, int) else f"{'–':>6}"
+
+
+def show(bag: Sequence[Path], config: Sequence[str]) -> None:
+    """Print what is in takes, each with its grade and the reasons."""
+    setup = overlay.setup(config)
+    tasks, refused = task_stems(), []
+    for path in bag:
+        try:
+            _show(path, setup.joint_names, setup.arm(), tasks)
+        except (ValueError, OSError) as error:
+            named = str(error).startswith(printable(path))
+            refused.append(str(error) if named else f"{printable(path)}: {error}")
+    if refused:
+        raise UsageError("\n".join(refused))
+
+
+def _show(path: Path, names: Sequence[str], arm: Arm | None, tasks: Mapping[str, set[str]]) -> None:
     from wam_power_ros.bags import quality
 
-    setup = overlay.setup(config)
-    arm = setup.arm()
-    limits = _limits(arm)
-    take, t, q, remarks = _judged(bag, setup.joint_names, arm, task_stems())
-    graded = quality.grade(remarks)
-    qd = quality.joint_speeds(t, q)
-    print(f"{take.bag.path}: {take.bag.kind}, {take.duration:.2f} s, {graded.name.lower()}")
-    for remark in remarks:
-        print(f"  {remark.text}")
-    if outcome := _outcomes([bag]).get(bag.resolve()):
+    judged = _inspected(path, names, arm, tasks)
+    take, t, q, _ = judged
+    qd, limits = quality.joint_speeds(t, q), _limits(arm)
+    print(f"{take.bag.path}: {take.bag.kind}, {_graded(judged)}")
+    if outcome := _outcomes(path).get(path.resolve()):
         print(f"  {outcome}")
     speed = (qd**2).sum(axis=1) ** 0.5
-    print(f"  smoothness {quality.smoothness(speed, t[1] - t[0]):.2f} (spectral arc length)")
+    if speed.any():
+        print(f"  smoothness {quality.smoothness(speed, t[1] - t[0]):.2f} (spectral arc length)")
     for name, count in take.counts.items():
         lost = f", {take.missing[name]} missing" if take.missing.get(name) else ""
         print(f"  {count:6} {name}{lost}")
-    for joint, name in enumerate(setup.joint_names):
+    for joint, name in enumerate(names):
         low, high, fastest = q[:, joint].min(), q[:, joint].max(), abs(qd[:, joint]).max()
         of_limit = f", {fastest / limits.qd_max[joint]:.0%} of its limit" if limits else ""
         print(f"  {name}: {low:+.2f} to {high:+.2f} rad, at most {fastest:.2f} rad/s{of_limit}")
+
+
+def _graded(judged: InspectedTake) -> str:
+    """Duration and grade of a take, and below it each remark."""
+    from wam_power_ros.bags import quality
+
+    grade = quality.grade(judged.remarks).name.lower()
+    texts = (remark.text for remark in judged.remarks)
+    return "\n  ".join([f"{judged.take.duration:.2f} s, {grade}", *texts])
 
 
 def plot(bag: Sequence[Path], output: Path | None, config: Sequence[str]) -> None:
@@ -133,8 +152,8 @@ def plot(bag: Sequence[Path], output: Path | None, config: Sequence[str]) -> Non
 
     setup = overlay.setup(config)
     names, limits = setup.joint_names, _limits(setup.arm())
-    takes = {path.resolve().name: inspect(path, names, limits) for path in bag}
-    movements = {name: (inspected.t, inspected.q) for name, inspected in takes.items()}
+    inspected = {path.resolve().name: _inspected(path, names, None, {}) for path in bag}
+    movements = {name: (each.t, each.q) for name, each in inspected.items()}
     drawn = figures.joints(movements, names, limits)
     output = output or Path(f"{bag[0].resolve().name}.png")
     if output.suffix not in (".png", ".svg"):
@@ -143,8 +162,10 @@ def plot(bag: Sequence[Path], output: Path | None, config: Sequence[str]) -> Non
     print(f"Figure: {output}")
 
 
-def inspect(path: Path, names: Sequence[str], limits: Limits | None = None) -> InspectedTake:
-    """Open a take and judge its quality, also by the limits of the arm, if known.
+def _inspected(
+    path: Path, names: Sequence[str], arm: Arm | None, tasks: Mapping[str, set[str]]
+) -> InspectedTake:
+    """Open a take and judge it, a demonstration of a task also as its fit would cut it.
 
     Raises:
         ValueError: The bag cannot be read, or nothing can be learnt from it.
@@ -152,24 +173,13 @@ def inspect(path: Path, names: Sequence[str], limits: Limits | None = None) -> I
     from wam_power_ros.bags import quality, takes
     from wam_power_ros.bags.bag import Bag
     from wam_power_ros.learning.demonstration import smooth_joints
+    from wam_power_ros.learning.policy import DURATION_MAX
 
     take = takes.read(Bag(path), names)
     t, q = smooth_joints(take.states.stamps, take.states.q)
     remarks = [*take.states.remarks]
-    remarks += quality.movement_remarks(t, q, names, limits)
+    remarks += quality.movement_remarks(t, q, names, _limits(arm))
     remarks += quality.completeness_remarks(take.counts, take.missing, take.ended)
-    return InspectedTake(take, t, q, remarks)
-
-
-def _judged(
-    path: Path, names: Sequence[str], arm: Arm | None, tasks: Mapping[str, set[str]]
-) -> InspectedTake:
-    """Inspect a take; a demonstration of a task is also judged as its fit would cut it."""
-    from wam_power_ros.bags import quality
-    from wam_power_ros.learning.policy import DURATION_MAX
-
-    found = inspect(path, names, _limits(arm))
-    take, remarks = found.take, found.remarks
     if arm is not None and take.bag.kind in tasks:
         task = installed.task_type(min(tasks[take.bag.kind]))
         try:
@@ -180,7 +190,7 @@ def _judged(
         else:
             remarks += [quality.left_out_remark(*each) for each in fitted.left_out]
             remarks += quality.length_remarks(fitted.duration, DURATION_MAX)
-    return found
+    return InspectedTake(take, t, q, remarks)
 
 
 def _limits(arm: Arm | None) -> Limits | None:
@@ -189,54 +199,18 @@ def _limits(arm: Arm | None) -> Limits | None:
     return None if arm is None else Limits(arm.q_min, arm.q_max, arm.qd_max)
 
 
-def _row(path: Path, judge: Callable[[Path], tuple[str, str, str]]) -> tuple[str, str, str]:
-    """Return what `judge` returns about a take, see `_verdict`, or why it cannot be read."""
-    try:
-        with progress_messages(f"reading {path.name}"):
-            return judge(path)
-    except (ValueError, OSError) as error:
-        reason = str(error).removeprefix(printable(path)).lstrip(": ")
-        return printable(path.name.partition("_")[0]), f"{'–':>6}  poor   ", reason
-
-
-def _noted(path: Path) -> tuple[str, str, str]:
-    """What `_verdict` returns, without a quality, from name and description of a take alone."""
-    from wam_power_ros.bags.bag import information
-
-    duration = information(path).get("duration")
-    ns = duration.get("nanoseconds") if isinstance(duration, dict) else None
-    time = f"{1e-9 * ns:4.1f} s" if isinstance(ns, int) else f"{'–':>6}"
-    return path.resolve().name.partition("_")[0], time, ""
-
-
-def _verdict(
-    path: Path, names: Sequence[str], arm: Arm | None, tasks: Mapping[str, set[str]]
-) -> tuple[str, str, str]:
-    """Kind of a take, its duration and quality in columns, and the reasons for its quality."""
-    return _columns(_judged(path, names, arm, tasks))
-
-
-def _columns(judged: InspectedTake) -> tuple[str, str, str]:
-    from wam_power_ros.bags import quality
-
-    graded: Grade = quality.grade(judged.remarks)
-    row = f"{judged.take.duration:4.1f} s  {graded.name.lower():7}"
-    reasons = (each.text for each in judged.remarks if each.grade is not quality.Grade.GOOD)
-    return judged.take.bag.kind, row, "; ".join(reasons)
-
-
-def _outcomes(found: Sequence[Path]) -> dict[Path, str]:
-    """Outcomes of those bags that are rollouts, from the logs of their sessions."""
+def _outcomes(path: Path) -> dict[Path, str]:
+    """Outcomes of the rollouts beside a bag, from the log of their session; empty without one."""
     from wam_power_ros.practice import session
 
-    outcomes = {}
-    for folder in dict.fromkeys(path.resolve().parent for path in found):
-        if folder.name == "bags" and session.Session.exists(folder.parent):
-            found_session = session.read(folder.parent)
-            for record in found_session.records:
-                if record.bag:
-                    ret = "no return" if record.ret is None else f"return {record.ret:.3f}"
-                    outcomes[folder / record.bag] = f"{found_session.task.outcome(record)}, {ret}"
+    folder = path.resolve().parent
+    if folder.name != "bags" or not session.Session.exists(folder.parent):
+        return {}
+    found, outcomes = session.read(folder.parent), {}
+    for record in found.records:
+        if record.bag:
+            ret = "no return" if record.ret is None else f"return {record.ret:.3f}"
+            outcomes[folder / record.bag] = f"{found.task.outcome(record)}, {ret}"
     return outcomes
 
 
@@ -252,6 +226,8 @@ def import_(
     degrees: bool,
 ) -> None:
     """Make a demonstration of bags of any recorder; what nothing can be learnt from is not kept."""
+    from rich.console import Console
+
     from wam_power_ros.bags import importing, layout
     from wam_power_ros.bags.bag import Bag
 
@@ -263,7 +239,8 @@ def import_(
     output = output or layout.free_path(Path(), f"{kind}_{bag[0].resolve().stem}")
     called = ", ".join(map(str, bag))
     within = part and (part[0], part[1])
-    with progress_messages(f"importing {called}"), tempfile.TemporaryDirectory() as folder:
+    progress = Console(stderr=True, markup=False).status(f"importing {called} …")
+    with progress, tempfile.TemporaryDirectory() as folder:
         try:
             opened = Bag(*_as_bags(bag, Path(folder), degrees))
             made, remarks = importing.import_bag(
@@ -272,7 +249,7 @@ def import_(
         except ValueError as error:
             raise ValueError(str(error).replace(f"{folder}/", "")) from None
         try:
-            judged = _judged(made, names, arm, {kind: {task}})
+            judged = _inspected(made, names, arm, {kind: {task}})
         except ValueError as error:
             shutil.rmtree(made)
             why = str(error).removeprefix(f"{made}: ")
@@ -280,8 +257,7 @@ def import_(
     print(f"Bag: {short_path(made.resolve())}")
     for remark in remarks:
         print(f"  {remark.text}")
-    _, row, reasons = _columns(judged)
-    print(f"  {row.strip()}  {reasons}".rstrip())
+    print(f"  {_graded(judged)}")
 
 
 def _as_bags(paths: Sequence[Path], folder: Path, degrees: bool) -> list[Path]:
@@ -310,14 +286,8 @@ def export(recorded: Path, output: Path, config: Sequence[str]) -> None:
         columns = session_log.columns(session.read(recorded).records)
         if not columns["number"]:
             raise UsageError(f"{recorded} has no rollout yet")
-    elif recorded.is_dir() and not (recorded / "metadata.yaml").is_file():
-        raise UsageError(
-            f"{recorded} is neither a session nor a bag: it has no session.yaml and no "
-            f"metadata.yaml; if it is a damaged bag: wam-power recover {recorded}"
-        )
     else:
-        with progress_messages(f"reading {recorded}"):
-            columns, remarks = _bag_columns(recorded, overlay.setup(config))
+        columns, remarks = _bag_columns(recorded, overlay.setup(config))
     rows = table.write(columns, output)
     print(f"Table: {output}, {rows} rows, {len(columns)} columns")
     for remark in remarks:
@@ -331,18 +301,17 @@ def _bag_columns(path: Path, setup: overlay.Setup) -> tuple[dict[str, list[Any]]
     from wam_power_ros.bags.bag import Bag
 
     bag, arm = Bag(path), setup.arm()
-    identity = None if arm is None else arm.identity()
-    states = reader.read_states(bag, setup.joint_names, arm=identity)
+    states = reader.read_states(bag, setup.joint_names, arm=arm and arm.identity())
     columns = table.joint_columns(bag, states)
     texts = [remark.text for remark in states.remarks]
-    if arm is None or identity is None:
+    if arm is None:
         texts.append("no pose of the tool: the set-up has no URDF file")
     else:
         poses = [arm.tool_pose(q) for q in states.q]
         columns |= table.pose_columns(
             "tool", [[*p.tolist(), *rotations.quat_xyzw(R).tolist()] for p, R in poses]
         )
-        texts.append(arm_identity.remark(bag.arm, identity))
+        texts.append(arm_identity.remark(bag.arm, arm.identity()))
     bodies, remarks = table.body_columns(bag, states.stamps)
     return columns | bodies, [*filter(None, texts), *(remark.text for remark in remarks)]
 

@@ -4,8 +4,6 @@
 from __future__ import annotations
 
 import os
-import re
-import shlex
 import signal
 import subprocess
 import sys
@@ -23,12 +21,11 @@ from wam_power_ros.cli.launcher import (
     interrupt,
     launch,
     learner_is_running,
-    program_command,
     session_domain,
     short_path,
     timestamp,
 )
-from wam_power_ros.cli.node_log import PROBLEMS, NodeLogs, progress_messages
+from wam_power_ros.cli.node_log import PROBLEMS, NodeLogs
 from wam_power_ros.cli.plan import LEARNER, RECORDER, TRACKER, Plan
 from wam_power_ros.cli.processes import ProcessError, Processes, Running
 from wam_power_ros.cli.session_options import (
@@ -41,7 +38,6 @@ from wam_power_ros.cli.session_options import (
     settings_of,
     with_origin,
 )
-from wam_power_ros.console import prompt
 from wam_power_ros.durable_files import check_name
 from wam_power_ros.entry import INTERRUPTED
 from wam_power_ros.params import overlay
@@ -50,7 +46,6 @@ if TYPE_CHECKING:
     from wam_power_ros.practice.session import Session
 
 RATINGS = tuple("0123456789")  # of a rollout, from worst to as it should be
-NAMESPACE = re.compile(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 
 # On the arm or its stand-in
 
@@ -61,7 +56,6 @@ def teach(
     demonstrations: int,
     seed: int | None,
     devices: Devices,
-    bell: bool,
 ) -> int:
     """Record demonstrations and add them to the series of the folder."""
     from wam_power_ros.bags import series
@@ -78,24 +72,20 @@ def teach(
         parameters = devices.parameters(task or DEFAULT_TASK, seed, folder)
         plan = Plan(folder, parameters, devices.stand_ins)
         with launch(plan, text) as launcher:
-            _teach(launcher, file, demonstrations, bell, review=sys.stdin.isatty())
+            _teach(launcher, file, demonstrations, review=sys.stdin.isatty())
     except KeyboardInterrupt:
         status = INTERRUPTED
         print("\nStopped.")
     if bags := series.read(file):
-        words = ["learn", "--bags", *map(str, map(short_path, bags))]
-        words += ["--task", task] if task else []
-        purpose = f"To learn from {counted(len(bags), 'demonstration')}:"
-        _print_command(purpose, [*words, *devices.words])
+        taught = counted(len(bags), "demonstration")
+        print(f"To learn from {taught}: wam-power learn --bags {short_path(folder)}/bags/*")
     return status
 
 
 def learn(
     asked: SessionOptions,
     session: Path | None,
-    resume: bool,
     devices: Devices,
-    bell: bool,
     in_process: bool = False,
 ) -> int:
     """Start or resume a session, run it to its end and write its report."""
@@ -109,16 +99,13 @@ def learn(
             "--in-process simulates arm and demonstrations: it takes no --bags, no --from, and "
             "--config only with --simulate"
         )
-    if resume:
-        folder = existing_session(session)
-    else:
-        folder = (session or SESSIONS / f"{timestamp()}-seed-{asked.seed or 0}").resolve()
+    folder = (session or SESSIONS / f"{timestamp()}-seed-{asked.seed or 0}").resolve()
     asked = with_origin(asked, devices)
     seed, task = chosen(folder, asked, devices)
     if resumed := Session.exists(folder):
         begun = read(folder)
         if _has_ended(begun):
-            return _report_ended(begun, devices)
+            return _report_ended(begun)
         text = f"Resuming {folder} with {len(begun.records)} recorded rollouts."
     else:
         text = f"New session {folder}; Ctrl-C stops it, and it can be resumed."
@@ -136,10 +123,10 @@ def learn(
         with launch(plan, text) as launcher:
             taught: dict[str, list[str]] = {}
             if not resumed and not asked.bags:
-                bags = _record_demonstrations(launcher, folder, asked.demonstrations, bell)
+                bags = _record_demonstrations(launcher, folder, asked.demonstrations)
                 taught = {"demonstrations": [*map(str, bags)]}
             practising = launcher.node(LEARNER, **taught)
-            _follow(folder, launcher.processes, practising, bell)
+            _follow(folder, launcher.processes, practising)
     except KeyboardInterrupt:
         print("\nStopped.")
         _print_how_to_go_on(folder)
@@ -170,11 +157,7 @@ def _learn_in_process(
 
 
 def _print_how_to_go_on(folder: Path) -> None:
-    """Print the command as it was typed, with the folder of the session, which it goes on with."""
-    words = sys.argv[1:]
-    named = any(word.partition("=")[0] == "--session" for word in words)
-    words += [] if named else ["--session", str(short_path(folder))]
-    _print_command("To go on with what is recorded:", words)
+    print(f"To go on: the same command with --session {short_path(folder)}")
 
 
 def _has_ended(session: Session) -> bool:
@@ -183,14 +166,12 @@ def _has_ended(session: Session) -> bool:
     return 0 < session.header.settings.practice.retests <= done
 
 
-def _report_ended(session: Session, devices: Devices) -> int:
+def _report_ended(session: Session) -> int:
     """Print the result of a session that has ended and how to practise longer; start nothing."""
-    folder, budget = session.folder, session.header.settings.practice.budget
+    folder = session.folder
     print(f"{short_path(folder)} has ended: all its re-tests are recorded. Nothing is started.")
     _print_summary(session)
-    words = ["learn", "--from", str(short_path(folder)), "--trials", str(2 * budget)]
-    purpose = "To practise longer, in a new session from its policy:"
-    _print_command(purpose, [*words, *devices.words])
+    print(f"A new session goes on from its policy: wam-power learn --from {short_path(folder)}")
     return 0 if (folder / "report.html").is_file() else report(folder)
 
 
@@ -204,11 +185,6 @@ def _print_summary(session: Session) -> None:
     lines = [f"{method[0].upper()}{method[1:]}", terminal.summary(records, session.task)]
     lines += terminal.failed(why_failed(records, session.task, settings, session.start))
     print(terminal.wrapped("\n".join(lines)))
-
-
-def _print_command(purpose: str, words: Sequence[str]) -> None:
-    """Print a `wam-power` command to be pasted, below its purpose."""
-    print(f"{purpose}\n  {program_command()} {shlex.join(words)}")
 
 
 def replay(bag: Path, speed: float, task: str | None, folder: Path | None, devices: Devices) -> int:
@@ -239,25 +215,11 @@ def run_policy(
     policy: Path, rollouts: int, task: str | None, folder: Path | None, devices: Devices
 ) -> int:
     """Execute a saved policy with the arm, as often as asked."""
-    return _run([policy], rollouts, task, folder, devices)
-
-
-def compare(
-    first: Path, second: Path, pairs: int, task: str | None, folder: Path | None, devices: Devices
-) -> int:
-    """Execute two saved policies by turns until it is known which is better."""
-    return _run([first, second], pairs, task, folder, devices)
-
-
-def _run(
-    paths: list[Path], rollouts: int, task: str | None, folder: Path | None, devices: Devices
-) -> int:
     from wam_power_ros.console import run_policy as running
-    from wam_power_ros.practice.comparison import Comparison
     from wam_power_ros.practice.session import Session, read, read_policy
 
-    files = [path / "policy.json" if path.is_dir() else path for path in paths]
-    beside = files[0].resolve().parent
+    file = policy / "policy.json" if policy.is_dir() else policy
+    beside = file.resolve().parent
     session = read(beside) if Session.exists(beside) else None
     name = task or (session.header.settings.task if session else DEFAULT_TASK)
     folder = (folder or Path("runs") / timestamp()).resolve()
@@ -266,18 +228,14 @@ def _run(
     )
     if (arm := parameters.arm()) is None:
         raise UsageError("the set-up has no URDF file of the arm: choose one with --config")
-    saved = [read_policy(file, arm.identity()) for file in files]
+    saved = read_policy(file, arm.identity())
     scoring, unscored = running.task_of(session, name)
-    comparison = Comparison() if len(saved) > 1 else None
-    if comparison and unscored:
-        raise UsageError(f"without returns nothing can be compared: {unscored}")
     signal.signal(signal.SIGTERM, interrupt)
     plan = Plan(folder, parameters, devices.stand_ins, (TRACKER,))
     with launch(plan) as launcher, launcher.robot() as robot:
         if unscored:
             print(f"No returns: {unscored}")
-        person = not devices.stand_ins
-        status = running.run(robot, saved, scoring, rollouts, person, comparison)
+        status = running.run(robot, saved, scoring, rollouts, person=not devices.stand_ins)
     print(f"Bags: {short_path(folder / 'bags')}")
     return status
 
@@ -289,7 +247,7 @@ def enable() -> int:
     return enabling_switch.main()
 
 
-def _record_demonstrations(launcher: Launcher, folder: Path, wanted: int, bell: bool) -> list[Path]:
+def _record_demonstrations(launcher: Launcher, folder: Path, wanted: int) -> list[Path]:
     """Record the demonstrations that a session lacks; return the bags of all.
 
     A person continues an interrupted series. The simulated demonstrator starts over: its movements
@@ -307,11 +265,11 @@ def _record_demonstrations(launcher: Launcher, folder: Path, wanted: int, bell: 
             recorded = []
             series.write(file, recorded)
         review = person and sys.stdin.isatty()
-        _teach(launcher, file, wanted - len(recorded), bell, review)
+        _teach(launcher, file, wanted - len(recorded), review)
     return series.read(file)
 
 
-def _teach(launcher: Launcher, file: Path, count: int, bell: bool, review: bool) -> None:
+def _teach(launcher: Launcher, file: Path, count: int, review: bool) -> None:
     """Record demonstrations and add them to a series."""
     from wam_power_ros.console.teach import record_series
     from wam_power_ros.reporting.terminal import counted
@@ -320,10 +278,10 @@ def _teach(launcher: Launcher, file: Path, count: int, bell: bool, review: bool)
     teacher = "a person" if person else "the simulated demonstrator"
     print(f"Teaching: {counted(count, 'demonstration')} by {teacher}", flush=True)
     with launcher.robot() as robot:
-        record_series(robot, file, count, person=person, review=review, bell=bell)
+        record_series(robot, file, count, person=person, review=review)
 
 
-def _follow(folder: Path, processes: Processes, learner: Running, bell: bool) -> None:
+def _follow(folder: Path, processes: Processes, learner: Running) -> None:
     """Display a session until its learner ends."""
     from wam_power_ros.practice import session
     from wam_power_ros.reporting import terminal
@@ -343,10 +301,10 @@ def _follow(folder: Path, processes: Processes, learner: Running, bell: bool) ->
                 display.show(found.log, found.header.settings, found.task)
             for entry in logs.new():
                 display.show_message(entry.text, entry.severity in PROBLEMS)
-                prompt.cue(bell and entry.severity == "ERROR", "fault")
             display.tick(time.monotonic())
             time.sleep(0.2)
-    processes.finish(learner)
+    if learner.process.returncode:
+        raise learner.error()
 
 
 # Sessions
@@ -402,11 +360,13 @@ def view(path: Path | None, address: str, port: int) -> int:
 
 def report(session: Path) -> int:
     """Write the report of a session, with a film of the arm if it was simulated."""
+    from rich.console import Console
+
     from wam_power_ros.practice.session import read
     from wam_power_ros.reporting import session_report
 
     records = read(session).records
-    with progress_messages("writing the report"):
+    with Console(stderr=True).status("writing the report …"):
         if any(record.truth for record in records):
             _report_with_film(session)
         else:

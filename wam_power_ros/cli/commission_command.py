@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import argparse
 import signal
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +22,7 @@ from wam_power_ros.cli.launcher import (
     short_path,
     timestamp,
 )
+from wam_power_ros.cli.parser import add_command, arm_options
 from wam_power_ros.cli.plan import RECORDER, SIMULATION, TRACKER, Plan
 from wam_power_ros.commissioning.acceptance import notes, refusals
 from wam_power_ros.commissioning.excitation import Excitation, excitation
@@ -39,6 +39,30 @@ MOVEMENT = "movement.npz"
 SCENE = "markers"  # of the stand-in
 LOG_PERIOD = 30.0  # [s] between two lines about the movement under way
 WARNING = "Tool below 1.2 m/s: nobody within reach, a hand on the pendant. "
+
+
+def add_to(subparsers: argparse._SubParsersAction) -> None:
+    """Add the command to the command line."""
+    parser = add_command(
+        subparsers,
+        "commission",
+        commission,
+        "let the arm measure its zeros, friction, tool and cameras; writes a set-up file",
+        "Move the arm for about four minutes, with markers fixed to its empty tool, and compare "
+        "what encoders, torques and cameras say. An arm that takes positions needs no markers, and "
+        "half a minute. Hardware: nobody within reach.",
+    )
+    mass = "of what the last joint carries [kg], weighed"
+    parser.add_argument("--tool-mass", type=float, help=mass)
+    flat = (
+        "the tracked body lies flat in the tool, its z axis along the tool's: then the zero of the "
+        "last joint is found, too"
+    )
+    parser.add_argument("--flat", action="store_true", help=flat)
+    parser.add_argument("--output", type=Path, help="set-up file (default: arm.yaml in the folder)")
+    folder = "of the recording; an existing one is analysed again"
+    parser.add_argument("--folder", type=Path, help=folder)
+    arm_options(parser)
 
 
 def commission(
@@ -101,8 +125,7 @@ def _servo(arm: Arm, path: Path, setup: overlay.Setup, file: Path) -> int:
     """Measure how an arm that takes positions follows them; write it; returns the exit status."""
     bag, names = Bag(path), setup.joint_names
     states = read_states(bag, names)
-    topic = setup["torque_controller"]["command_topic"]
-    stamps, sent = read_set_points(bag, topic if topic.startswith("/") else f"/{topic}", names)
+    stamps, sent = read_set_points(bag, _command_topic(setup), names)
     origin = states.stamps[0]
     try:
         t, sent_t = (1e-9 * (each - origin) for each in (states.stamps, stamps))
@@ -148,57 +171,24 @@ def _recording(path: Path, setup: overlay.Setup) -> Recording:
     """Read states, torques and poses of a bag."""
     bag, names = Bag(path), setup.joint_names
     states = read_states(bag, names)
-    topic = setup["torque_controller"]["command_topic"]
-    tau = read_commands(bag, topic if topic.startswith("/") else f"/{topic}", states.stamps, names)
-    body = setup[TRACKER]["body"]
+    tau = read_commands(bag, _command_topic(setup), states.stamps, names)
+    body, origin = f"body.{setup[TRACKER]['body']}", states.stamps[0]
     columns, _ = body_columns(bag, states.stamps)
-    stamps = np.array([-1 if s is None else s for s in columns.get(f"body.{body}.stamp_ns", [])])
-    rows = np.flatnonzero(np.diff(stamps, prepend=-1) > 0) if len(stamps) else np.array([], int)
-    pose = (
-        [np.array(columns[f"body.{body}.{part}"], float)[rows] for part in _POSE]
-        if len(rows)
-        else []
-    )
-    origin = states.stamps[0]
-    position = np.stack(pose[:3], axis=1) if pose else np.empty((0, 3))
-    rotation = rotations.matrix(np.stack(pose[3:], axis=1)) if pose else np.empty((0, 3, 3))
+    seen = [each for each in columns.get(f"{body}.stamp_ns", []) if each is not None]
+    stamps, rows = np.unique(np.array(seen, dtype=np.int64), return_index=True)
+    rows += len(states.q) - len(seen)  # in the first rows it was not seen yet
+    parts = (columns.get(f"{body}.{part}", []) for part in ("x", "y", "z", "qx", "qy", "qz", "qw"))
+    pose = np.stack([np.array(part, dtype=float)[rows] for part in parts], axis=1)
     return Recording(
         t=(states.stamps - origin) * 1e-9,
         q=states.q,
         tau=tau,
-        seen_t=(stamps[rows] - origin) * 1e-9,
-        position=position,
-        rotation=rotation,
+        seen_t=(stamps - origin) * 1e-9,
+        position=pose[:, :3],
+        rotation=rotations.matrix(pose[:, 3:]) if len(pose) else np.empty((0, 3, 3)),
     )
 
 
-_POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
-
-
-def add_to(
-    add: Callable[..., argparse.ArgumentParser],
-    arm_options: Callable[[argparse.ArgumentParser], None],
-) -> None:
-    """Add the command to the parser."""
-    parser = add(
-        "commission",
-        commission,
-        "let the arm measure its zeros, friction, tool and cameras; writes a set-up file",
-        "Move the arm for about four minutes, with markers fixed to its empty tool, and compare "
-        "what encoders, torques and cameras say. An arm that takes positions needs no markers, and "
-        "half a minute. Hardware: nobody within reach.",
-    )
-    parser.add_argument(
-        "--tool-mass", type=float, help="of what the last joint carries [kg], weighed"
-    )
-    parser.add_argument(
-        "--flat",
-        action="store_true",
-        help="the tracked body lies flat in the tool, its z axis along the tool's: then the zero "
-        "of the last joint is found, too",
-    )
-    parser.add_argument("--output", type=Path, help="set-up file (default: arm.yaml in the folder)")
-    parser.add_argument(
-        "--folder", type=Path, help="of the recording; an existing one is analysed again"
-    )
-    arm_options(parser)
+def _command_topic(setup: overlay.Setup) -> str:
+    topic: str = setup["torque_controller"]["command_topic"]
+    return topic if topic.startswith("/") else f"/{topic}"

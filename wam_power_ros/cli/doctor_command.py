@@ -9,16 +9,14 @@ from __future__ import annotations
 import argparse
 import os
 import resource
-import shlex
-from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from wam_power_ros import compiled
-from wam_power_ros.cli.launcher import Devices, program_command
-from wam_power_ros.cli.parser import task_option
+from wam_power_ros.cli.launcher import Devices
+from wam_power_ros.cli.parser import add_command, arm_options, task_option
 from wam_power_ros.cli.set_up_checks import mistakes
 from wam_power_ros.params import overlay
 from wam_power_ros.params.body_tracker_params import BodyTrackerParams, missing_package
@@ -38,26 +36,29 @@ class Row(NamedTuple):
     then: str = ""
 
 
+def add_to(subparsers: argparse._SubParsersAction) -> None:
+    """Add the command to the command line."""
+    text = "say what is missing before the first demonstration; status 1 if something is"
+    parser = add_command(subparsers, "doctor", doctor, text)
+    task_option(parser, "none")
+    arm_options(parser)
+
+
 def doctor(devices: Devices, task: str | None = None) -> int:
     """Print the rows and what comes next; returns 0 if nothing is missing, else 1."""
     setup = devices.parameters(task or "")
-    words = shlex.join(devices.words)
     wrong = [Row("set-up", NO, text, "config") for text in mistakes(setup)]
     rows = [*machine(), *described(setup), *wrong, *eyes(setup), *measured(setup)]
     for number, row in enumerate(rows, start=1):
         print(f"{number:2d} {row.name:12s} {row.verdict:4s}  {row.text}")
     missing = [row for row in rows if row.verdict == NO]
-    program = program_command()
-    check = f"ros2 run wam_power_ros check_driver {words}".rstrip()
-    if not missing:
-        print("Nothing is missing here. What the drivers do is not looked at; ask them once a day:")
-        print(f"  {check}")
-        return 0
-    names = ", ".join(dict.fromkeys(row.name for row in missing))
-    print(f"Missing: {names}. Next, once the drivers conform")
-    print(f"({check}):")
-    print(f"  {program} {missing[0].then} {words}".rstrip())
-    return 1
+    if missing:
+        names = ", ".join(dict.fromkeys(row.name for row in missing))
+        print(f"Missing: {names}. Next, with the same set-ups: wam-power {missing[0].then}")
+    else:
+        print("Nothing is missing here. What the drivers do is not looked at.")
+    print("Once a day, and after each change: ros2 run wam_power_ros check_driver")
+    return 1 if missing else 0
 
 
 def machine() -> list[Row]:
@@ -65,17 +66,16 @@ def machine() -> list[Row]:
     root = os.geteuid() == 0
     priority = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
     locked = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
-    unlimited = locked == resource.RLIM_INFINITY or locked >= MEMLOCK
-    granted = root or (priority >= 60 and unlimited)
-    shown = "unlimited" if locked == resource.RLIM_INFINITY else f"{locked / 1e6:.0f} MB"
-    real_time = Path("/sys/kernel/realtime")
-    preemptible = real_time.exists() and real_time.read_text().strip() == "1"
-    text = f"rtprio {'any' if root else priority}, memlock {'any' if root else shown}"
+    unlimited = locked == resource.RLIM_INFINITY
+    granted = root or (priority >= 60 and (unlimited or locked >= MEMLOCK))
+    memory = "any" if root or unlimited else f"{locked / 1e6:.0f} MB"
+    text = f"rtprio {'any' if root else priority}, memlock {memory}"
     if not granted:
         text += "; at least 60 and 512 MB are needed: /etc/security/limits.d"
-    kernel = (
-        "PREEMPT_RT" if preemptible else "an ordinary kernel: about 1 of 10 000 torques is late"
-    )
+    real_time = Path("/sys/kernel/realtime")
+    preemptible = real_time.exists() and real_time.read_text().strip() == "1"
+    ordinary = "an ordinary kernel: about 1 of 10 000 torques is late"
+    kernel = "PREEMPT_RT" if preemptible else ordinary
     loops = "compiled" if compiled.kernel is not None else "in Python: install gcc, then again"
     return [
         Row("rights", OK if granted else WARN, text),
@@ -85,22 +85,23 @@ def machine() -> list[Row]:
 
 def described(setup: overlay.Setup) -> list[Row]:
     """What the set-up says of arm and limits."""
-    params = TorqueControllerParams.of_setup(setup)
-    arm = setup.arm()
+    params, arm = TorqueControllerParams.of_setup(setup), setup.arm()
     name = "from /robot_description" if arm is None else arm.name
     kind = "simulated" if params.simulation else "a real arm"
-    rows = [Row("arm", OK, f"{name}, {len(params.joint_names)} joints, {kind}")]
-    sends = {"torque": "torques", "trajectory": "trajectories"}.get(params.output, "positions")
-    lost = "" if params.output == "torque" else ": no stiffness, no checks of torques"
-    rows.append(Row("output", OK, f"{sends}{lost}"))
+    sent = "torques"
+    if params.output != "torque":
+        sent = f"{params.output}: no stiffness, no checks of torques"
     fast = params.elbow_speed_max >= ELBOW_FLIP
     limit = f"elbow {params.elbow_speed_max:g} m/s, tool {params.tool_speed_max:g} m/s"
     need = "" if fast else f"; a flip needs about {ELBOW_FLIP:g} m/s of the elbow (full_speed)"
-    rows.append(Row("speeds", OK if fast else WARN, f"{limit}{need}"))
     held = params.hold_to_run or params.simulation
-    text = "an enabling switch is required" if params.hold_to_run else "no enabling switch required"
-    rows.append(Row("switch", OK if held else WARN, text))
-    return rows
+    switch = f"{'an' if params.hold_to_run else 'no'} enabling switch is required"
+    return [
+        Row("arm", OK, f"{name}, {len(params.joint_names)} joints, {kind}"),
+        Row("output", OK, sent),
+        Row("speeds", OK if fast else WARN, f"{limit}{need}"),
+        Row("switch", OK if held else WARN, switch),
+    ]
 
 
 def eyes(setup: overlay.Setup) -> list[Row]:
@@ -116,25 +117,21 @@ def eyes(setup: overlay.Setup) -> list[Row]:
 def measured(setup: overlay.Setup) -> list[Row]:
     """What was measured on this arm."""
     params, cameras = TorqueControllerParams.of_setup(setup), setup["pancake_tracker"]
-    frame = np.array(cameras["world_to_base"])
-    known = not np.allclose(frame, [0, 0, 0, 0, 0, 0, 1])
-    zeros = np.array(params.joint_zeros)
-    friction = np.array(params.coulomb_friction)
-    loads = not (np.allclose(params.torque_scales, 1.0) and np.allclose(params.payload, 0.0))
-    largest = f"largest {np.rad2deg(np.abs(zeros).max()):.1f} degrees"
-    frame_row = _row("frame", known, "of the cameras, in world_to_base")
+    rows = []
+    if cameras["body"]:
+        known = not np.allclose(cameras["world_to_base"], [0, 0, 0, 0, 0, 0, 1])
+        rows.append(_row("frame", known, "of the cameras, in world_to_base"))
     if params.output != "torque":  # the arm carries itself, and nothing is measured by torques
         delay, lag = 1e3 * params.servo_delay, 1e3 * params.servo_lag
-        known = delay + lag > 0.0
-        text = (
-            f"{delay:.0f} ms late, {lag:.0f} ms of lag" if known else "never measured: commission"
-        )
-        servo = Row("servo", OK if known else WARN, text)
-        return [frame_row, servo] if cameras["body"] else [servo]
+        if delay + lag > 0.0:
+            return [*rows, Row("servo", OK, f"{delay:.0f} ms late, {lag:.0f} ms of lag")]
+        return [*rows, Row("servo", WARN, "never measured: commission")]
+    zeros = np.abs(params.joint_zeros)
+    loads = not (np.allclose(params.torque_scales, 1.0) and np.allclose(params.payload, 0.0))
     return [
-        *([frame_row] if cameras["body"] else []),
-        _row("zeros", bool(zeros.any()), largest if zeros.any() else "of the joints"),
-        _row("friction", bool(np.any(friction >= 0.0)), "of the joints"),
+        *rows,
+        _row("zeros", bool(zeros.any()), f"largest {np.rad2deg(zeros.max()):.1f} degrees"),
+        _row("friction", bool(np.any(np.array(params.coulomb_friction) >= 0.0)), "of the joints"),
         _row("loop delay", params.loop_delay > 0.0, f"{params.loop_delay * 1e3:.0f} ms"),
         _row("motors, tool", loads, "torque constants, payload, tilt"),
     ]
@@ -142,18 +139,3 @@ def measured(setup: overlay.Setup) -> list[Row]:
 
 def _row(name: str, done: bool, text: str) -> Row:
     return Row(name, OK, text) if done else Row(name, NO, "never measured", "commission")
-
-
-def add_to(
-    add: Callable[..., argparse.ArgumentParser],
-    arm_options: Callable[[argparse.ArgumentParser], None],
-) -> None:
-    """Add the command to the parser."""
-    parser = add(
-        "doctor",
-        doctor,
-        "say what is missing before the first demonstration, and what comes next",
-        "Read this machine and the set-up; start nothing. Status 1 if something is missing.",
-    )
-    task_option(parser, "none")
-    arm_options(parser)

@@ -5,11 +5,9 @@ from __future__ import annotations
 
 import fcntl
 import os
-import shlex
 import shutil
 import signal
-import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from datetime import datetime
@@ -60,20 +58,12 @@ class Devices:
         """Whether stand-ins take the place of the devices."""
         return self.simulate or not self.config
 
-    @property
-    def words(self) -> list[str]:
-        """Command-line words that make the same choice."""
-        words = [word for name in self.config for word in ("--config", name)]
-        return [*words, "--simulate"] if self.simulate else words
-
     def parameters(
         self, task: str = "", seed: int = 0, folder: Path | None = None
     ) -> overlay.Setup:
-        """Parameters by node.
+        """Parameters by node: the task's, which those of the set-ups override.
 
-        Args:
-            task: Name of the task whose set-up the others override; empty for none.
-            folder: Folder whose bags/ gets the recordings; None for that of the set-up.
+        Bags go to `folder`/bags; None for the folder of the set-up.
 
         Raises:
             ValueError: A set-up or the task is unknown or invalid, the scene of the stand-ins has
@@ -152,8 +142,7 @@ class Launcher:
 def launch(plan: Plan, text: str = "") -> Iterator[Launcher]:
     """Start the nodes of a plan, except a learner, and activate the controller of an arm.
 
-    Args:
-        text: What is shown once nothing stands against it; empty for nothing.
+    `text` is shown once nothing stands against it.
 
     Raises:
         UsageError: Another session or learner uses the folder, or its disk is nearly full.
@@ -173,12 +162,16 @@ def launch(plan: Plan, text: str = "") -> Iterator[Launcher]:
             domain = exported(os.environ)
             if lock := hold(domain):
                 stack.enter_context(lock)
-            environment = {network.RANGE: discovery_range(os.environ)} | shared(domain)
+            reach = os.environ.get(network.RANGE) or "LOCALHOST"  # this machine alone
+            environment = {network.RANGE: reach} | shared(domain)
         stack.enter_context(folder_lock(plan.folder))
         if text:
             show(text)
         if plan.stand_ins:
-            _print_domain(domain)
+            show(
+                f"The simulation uses ROS_DOMAIN_ID {domain} so that it reaches no robot. To see "
+                f"its topics in another terminal: export ROS_DOMAIN_ID={domain}"
+            )
         else:
             _confirm_activation()
         for file, text in files.items():
@@ -239,20 +232,6 @@ def session_domain(folder: Path) -> int | None:
     return int(text) if text else None
 
 
-def discovery_range(environment: Mapping[str, str]) -> str:
-    """DDS discovery range of started nodes: this machine, unless the environment names one."""
-    return environment.get(network.RANGE) or "LOCALHOST"
-
-
-def _print_domain(domain: int) -> None:
-    yours = os.environ.get("ROS_DOMAIN_ID")
-    unused = f", not yours, {yours}," if yours else ""
-    show(
-        f"The simulation uses ROS_DOMAIN_ID {domain}{unused} so that it reaches no robot. To see "
-        f"its topics in another terminal: export ROS_DOMAIN_ID={domain}"
-    )
-
-
 def task_stems() -> dict[str, set[str]]:
     """Map each stem of bag names to the tasks whose demonstrations have it."""
     tasks: dict[str, set[str]] = {}
@@ -274,17 +253,6 @@ def _confirm_activation() -> None:
         "Keep a hand on the pendant, then press Enter: "
     ):
         raise UsageError("no answer: standard input is closed")
-
-
-def program_command() -> str:
-    """Command that started this program, to be typed again, such as .venv/bin/wam-power."""
-    program = Path(sys.argv[0])
-    if program.name == "__main__.py":
-        return f"{shlex.quote(str(short_path(Path(sys.executable))))} -m wam_power_ros.cli"
-    found = shutil.which(program.name)
-    if found and program.exists() and Path(found).samefile(program):
-        return program.name
-    return shlex.quote(str(short_path(program)))
 
 
 def timestamp() -> str:

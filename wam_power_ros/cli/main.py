@@ -26,14 +26,13 @@ from wam_power_ros.cli import (
     commission_command,
     doctor_command,
     new_arm_command,
-    score_command,
     sessions_command,
 )
 from wam_power_ros.cli.launcher import Devices, UsageError
 from wam_power_ros.cli.parser import (
-    Parser,
     add_command,
-    config_option,
+    arm_options,
+    demonstrations_option,
     natural,
     positive,
     seed_option,
@@ -51,15 +50,7 @@ NODES = {  # executable of `ros2 run` -> entry point, as setup.py declares them
     entry.name: entry for entry in metadata.entry_points(group="wam_power_ros.nodes")
 }
 
-
-HEADINGS = {
-    "First": ("learn", "teach", "replay", "view", "doctor"),
-    "Session": ("sessions", "feedback", "stop", "report", "score", "run-policy", "compare"),
-    "Arm": ("new-arm", "commission", "enable"),
-    "Recordings": ("bags", "recover"),
-    "Names, set-ups, nodes": ("list", "config", "run"),
-}
-LISTED = ("tasks", "learners", "presets", "set-ups", "sessions")
+LISTED = ("tasks", "learners", "presets", "set-ups")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -115,207 +106,99 @@ def _replace_unencodable_characters() -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = Parser(
+    parser = argparse.ArgumentParser(
         prog=COMMAND_LINE,
-        usage=f"{COMMAND_LINE} COMMAND [option ...]",
         description="Teach a robot arm by hand; let it improve by practising.",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"wam_power_ros {__version__}")
     parser.set_defaults(command=parser.print_help)
-    subparsers = parser.add_subparsers(metavar="COMMAND", prog=COMMAND_LINE, help=argparse.SUPPRESS)
+    subparsers = parser.add_subparsers(metavar="COMMAND", prog=COMMAND_LINE)
 
     add = partial(add_command, subparsers)
-    learn = add(
-        "learn",
-        commands.learn,
-        "teach and learn in simulation, or with --config on an arm; resumes a session",
-        "Start the nodes, record demonstrations, run the learning session, write its report.",
-    )
-    _skill_options(learn)
+    learn = add("learn", commands.learn, "teach and learn; or resume a session")
+    demonstrations_option(learn)
     session_options(learn)
     learn.add_argument("--session", type=Path, help="folder; resumed if it holds a session")
-    learn.add_argument(
-        "--resume", action="store_true", help="resume --session, or the newest session"
-    )
-    learn.add_argument(
-        "--in-process",
-        action="store_true",
-        help="simulate arm, controller and cameras in this process: without ROS, and faster",
-    )
-    _arm_options(learn)
+    in_process = "simulate arm, controller and cameras in this process: without ROS, and faster"
+    learn.add_argument("--in-process", action="store_true", help=in_process)
+    arm_options(learn)
 
     teach = add("teach", commands.teach, "record kinesthetic demonstrations")
-    _skill_options(teach)
+    demonstrations_option(teach)
     task_option(teach)
     seed_option(teach)
     teach.add_argument("--folder", type=Path, help="for the bags (default: demonstrations/NOW)")
-    _arm_options(teach)
+    arm_options(teach)
 
-    config = add(
-        "config",
-        commands.config,
-        "print the parameters of every node for the given set-ups",
-        "Print the parameter file that learn starts the nodes with, for "
-        "ros2 run wam_power_ros NODE --ros-args --params-file FILE.",
-    )
-    task_option(config)
-    _arm_options(config)
-
-    sessions_command.add_to(subparsers)
-    listing = add("list", _list, "print a line for each task, learner, preset, ...")
-    listing.add_argument("what", choices=LISTED, metavar="WHAT", help=", ".join(LISTED))
-
-    commission_command.add_to(add, _arm_options)
-    doctor_command.add_to(add, _arm_options)
-    new_arm_command.add_to(add)
-
-    feedback = add(
-        "feedback",
-        commands.feedback,
-        "rate, reward or punish the last rollout, or give a demonstration, during a session",
-    )
-    feedback.add_argument(
-        "kind",
-        choices=("rate", "reward", "punish", "demonstration", "pause", "continue"),
-        help="rate: the rollout for whose rating the session waits (task rated); reward or punish: "
-        "the last finished rollout; demonstration: learn from it if its reproduction is better; "
-        "pause: stop after the current trial, e.g. to teach in between",
-    )
-    text = "bag of the demonstration; rating from 0 (worst) to 9 (as it should be)"
-    feedback.add_argument("given", nargs="?", metavar="BAG|RATING", help=text)
-    feedback.add_argument("--session", type=Path, help="folder (default: the newest session)")
-
-    stop = add(
-        "stop",
-        partial(commands.feedback, kind="stop", given=None),
-        "stop the arm and pause its session, until wam-power feedback continue",
-        "Stop the arm and pause the session. No safety function.",
-    )
-    stop.add_argument("--session", type=Path, help="folder (default: the newest session)")
-
-    view = add(
-        "view",
-        commands.view,
-        "serve a page that shows a session in a browser",
-        "Show arm and learning curve in a browser; with buttons while a session runs.",
-    )
-    view.add_argument(
-        "path", type=Path, nargs="?", metavar="SESSION", help="folder (default: newest session)"
-    )
-    view.add_argument(
-        "--address",
-        default="127.0.0.1",
-        help="address to serve the page at (default 127.0.0.1: this machine only). At any other "
-        "address, everyone who can reach it can press the buttons",
-    )
-    view.add_argument(
-        "--port", type=natural, default=8080, help="port, or the next free one (default 8080)"
-    )
-
-    report = add("report", commands.report, "write the report of a session")
-    report.add_argument("session", type=Path, help="folder of the session")
-
-    replay = add(
-        "replay",
-        commands.replay,
-        "repeat a recorded movement with the arm and print the tracking error",
-        "Move the arm to the start of a bag and follow its joint positions; Ctrl-C stops the arm.",
-    )
+    replay = add("replay", commands.replay, "repeat a recorded movement; print the tracking error")
     replay.add_argument("bag", type=Path, help="a demonstration, or any bag with joint states")
     replay.add_argument("--speed", type=float, default=1.0, help="1: as recorded (default)")
     task_option(replay, "none")
     replay.add_argument("--folder", type=Path, help="for the recording (default: replays/NOW)")
-    _arm_options(replay)
+    arm_options(replay)
 
-    run_policy = add(
-        "run-policy",
-        commands.run_policy,
-        "execute a saved policy with the arm, record it and print its return",
-        "Move the arm to the start of a policy and execute it; nothing is learnt; Ctrl-C stops the "
-        "arm.",
+    view = add("view", commands.view, "serve a page that shows a session in a browser")
+    shown = "folder (default: newest session)"
+    view.add_argument("path", type=Path, nargs="?", metavar="SESSION", help=shown)
+    address = (
+        "to serve the page at (default 127.0.0.1: this machine only). At any other address, "
+        "everyone who can reach it can press the buttons"
     )
+    view.add_argument("--address", default="127.0.0.1", help=address)
+    port = "or the next free one (default 8080)"
+    view.add_argument("--port", type=natural, default=8080, help=port)
+
+    doctor_command.add_to(subparsers)
+    sessions_command.add_to(subparsers)
+    feedback = add("feedback", commands.feedback, "rate the last rollout, or teach, in a session")
+    kinds = (
+        "rate: the rollout for whose rating the session waits (task rated); reward or punish: the "
+        "last finished rollout; demonstration: learn from it if its reproduction is better; pause: "
+        "stop after the current trial, e.g. to teach in between"
+    )
+    choices = ("rate", "reward", "punish", "demonstration", "pause", "continue")
+    feedback.add_argument("kind", choices=choices, help=kinds)
+    given = "bag of the demonstration; rating from 0 (worst) to 9 (as it should be)"
+    feedback.add_argument("given", nargs="?", metavar="BAG|RATING", help=given)
+    stop = add(
+        "stop",
+        partial(commands.feedback, kind="stop", given=None),
+        "stop the arm and pause its session, until wam-power feedback continue; no safety function",
+    )
+    for each in (feedback, stop):
+        each.add_argument("--session", type=Path, help="folder (default: the newest session)")
+    report = add("report", commands.report, "write the report of a session")
+    report.add_argument("session", type=Path, help="folder of the session")
+
+    run_policy = add("run-policy", commands.run_policy, "execute a saved policy; print its return")
     run_policy.add_argument("policy", type=Path, help="policy.json, or the folder of a session")
     run_policy.add_argument("--rollouts", type=positive, default=1, help="number (default 1)")
-    compare = add(
-        "compare",
-        commands.compare,
-        "say which of two saved policies is better, by as few rollouts as show it",
-        "Execute two policies by turns. A pair is won by the success, of two alike by the higher "
-        "return; it ends once the better policy is known with a probability of error below 5 %.",
-    )
-    for name, default in (
-        ("first", "A; its session, if it is in one, scores both"),
-        ("second", "B"),
-    ):
-        text = f"policy.json or the folder of a session, called {default}"
-        compare.add_argument(name, type=Path, help=text)
-    text = "largest number of pairs of rollouts (default 30); a decision takes at least 8"
-    compare.add_argument("--pairs", type=positive, default=30, help=text)
-    for command in (run_policy, compare):
-        task_option(command)
-        command.add_argument("--folder", type=Path, help="for the recordings (default: runs/NOW)")
-        _arm_options(command)
+    task_option(run_policy)
+    run_policy.add_argument("--folder", type=Path, help="for the recordings (default: runs/NOW)")
+    arm_options(run_policy)
 
+    new_arm_command.add_to(subparsers)
+    commission_command.add_to(subparsers)
+    add("enable", commands.enable, "use the keyboard as the switch that hold_to_run requires")
     bags_command.add_to(subparsers)
-    score_command.add_to(subparsers)
-
-    recover = add(
-        "recover",
-        bags_command.recover,
-        "recover a bag damaged by a killed recorder, a full disk or an incomplete copy",
-    )
+    recover = add("recover", bags_command.recover, "recover bags damaged by a kill or a full disk")
     recover.add_argument("bag", type=Path, nargs="+", help="folder of the bag, or .mcap file")
-
-    add(
-        "enable",
-        commands.enable,
-        "use the keyboard as the enabling switch that hold_to_run requires",
-        "Publish /controller/enable: true while a key of this terminal is held down.",
-    )
-
-    run = add(
-        "run",
-        _run,
-        "start one node, as ros2 run does",
-        "wam-power run NODE --ros-args ... equals ros2 run wam_power_ros NODE --ros-args ...",
-    )
-    run.add_argument("node", choices=NODES, metavar="NODE", help=", ".join(NODES))
+    listing = add("list", _list, "print a line for each task, learner, preset, ...")
+    listing.add_argument("what", choices=LISTED)
+    config = add("config", commands.config, "print the parameters of every node for set-ups")
+    task_option(config)
+    arm_options(config)
+    run = add("run", _run, "start one node, as ros2 run wam_power_ros NODE --ros-args ... does")
+    run.add_argument("node", choices=NODES)
     run.add_argument("rest", nargs=argparse.REMAINDER, metavar="...", help="arguments of the node")
-    parser.list_commands(subparsers.choices, HEADINGS)
     return parser
-
-
-def _skill_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--demonstrations", type=positive, default=3, help="number to record (default 3)"
-    )
-    parser.add_argument(
-        "--bell",
-        action="store_true",
-        help="ring the terminal's bell at start, end and fault; speak with spd-say or espeak",
-    )
-
-
-def _arm_options(parser: argparse.ArgumentParser) -> None:
-    config_option(
-        parser,
-        "set-up of a driver, a motion capture, ... (`wam-power list set-ups`), or a .yaml file; "
-        "may be repeated, later ones override earlier ones. Starts no stand-ins",
-    )
-    parser.add_argument(
-        "--simulate",
-        action="store_true",
-        help="with --config: replace the devices by stand-ins with the same interfaces",
-    )
 
 
 def _list(what: str) -> None:
     """Print a line for each name of a kind, with what it is."""
     from wam_power_ros.practice.settings import preset
 
-    if what == "sessions":
-        return sessions_command.sessions([])
     tasks, kind = installed.names("task"), what.removesuffix("s")
     if what == "presets":
         pairs = [(task, name) for task in tasks for name in installed.task_type(task).presets]

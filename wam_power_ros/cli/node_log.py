@@ -1,19 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""New entries in the logs of the nodes; messages while a long activity goes on."""
+"""New entries in the logs of the nodes."""
 
 from __future__ import annotations
 
 import re
-import threading
-import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
-from wam_power_ros.console.prompt import show
-
-MESSAGE_PERIOD = 5.0  # [s]
 LOG_LINE = re.compile(r"\[(DEBUG|INFO|WARN|ERROR|FATAL)\] \[[\d.]+\] \[([^\]]+)\]: (.*)")
 PROBLEMS = ("WARN", "ERROR", "FATAL")  # severities shown as problems
 
@@ -42,21 +36,3 @@ class NodeLogs:
             for line in text.decode(errors="replace").splitlines():
                 if found := LOG_LINE.match(line):
                     yield LogEntry(found[1], f"{found[2]}: {found[3]}")
-
-
-@contextmanager
-def progress_messages(activity: str) -> Iterator[None]:
-    """Print every MESSAGE_PERIOD how long an activity has taken so far."""
-    ended, start = threading.Event(), time.monotonic()
-
-    def print_messages() -> None:
-        while not ended.wait(MESSAGE_PERIOD):
-            show(f"{activity}, {time.monotonic() - start:.0f} s")
-
-    thread = threading.Thread(target=print_messages, daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        thread.join()

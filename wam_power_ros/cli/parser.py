@@ -1,64 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Argument parser that suggests the nearest valid name for a misspelt one; options of commands."""
+"""Options that commands share."""
 
 from __future__ import annotations
 
 import argparse
 import math
-import shutil
-import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from wam_power_ros import installed
 from wam_power_ros.cli.session_options import DEFAULT_TASK
-
-
-class Parser(argparse.ArgumentParser):
-    """An `ArgumentParser` whose errors suggest the nearest valid name; options are written out.
-
-    Attributes:
-        summary: What a command does, for the list of commands.
-    """
-
-    summary = ""
-
-    def __init__(self, **given: Any) -> None:  # noqa: ANN401 - of any kind
-        super().__init__(**given, allow_abbrev=False)
-
-    def list_commands(
-        self, commands: Mapping[str, Parser], headings: Mapping[str, Sequence[str]]
-    ) -> None:
-        """Let the help end with the commands, under their headings."""
-        width = max(shutil.get_terminal_size().columns - 2, 40)
-        lines = []
-        for heading, names in headings.items():
-            lines.append(f"\n{heading}:")
-            for name in names:
-                text = f"  {name:12}{commands[name].summary}"
-                lines += textwrap.wrap(text, width, subsequent_indent=14 * " ")
-        self.epilog = "\n".join(lines).lstrip()
-
-    def _check_value(self, action: argparse.Action, value: Any) -> None:  # noqa: ANN401
-        """Refuse a value that is not a choice; argparse calls this for every value."""
-        if action.choices is not None and value not in action.choices:
-            known = ", ".join(map(str, action.choices))
-            hint = installed.did_you_mean(str(value), map(str, action.choices))
-            raise argparse.ArgumentError(action, f"{value!r} is not one of {known}{hint}")
-
-    def parse_known_args(  # type: ignore[override]
-        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
-    ) -> tuple[argparse.Namespace, list[str]]:
-        """Parse; each subcommand refuses its own unknown options, whose nearest names it knows."""
-        found, rest = super().parse_known_args(args, namespace)
-        if unknown := [word for word in rest if word.startswith("-")]:
-            options = [name for action in self._actions for name in action.option_strings]
-            meant = partial(installed.did_you_mean, known=options)
-            hints = [f"{word}{meant(word.partition('=')[0])}" for word in unknown]
-            self.error(f"unknown option {', '.join(hints)}")
-        return found, rest
 
 
 def _at_least(minimum: int, text: str) -> int:
@@ -86,10 +38,8 @@ def add_command(
     Its description is the sentence above its options, if omitted its summary.
     """
     description = description or f"{summary.capitalize()}."
-    added: Parser = subparsers.add_parser(name, help=summary, description=description)
-    added.summary = summary
-    if command is not None:
-        added.set_defaults(command=command)
+    added = subparsers.add_parser(name, help=summary, description=description, allow_abbrev=False)
+    added.set_defaults(command=command or added.print_help)
     return added
 
 
@@ -98,10 +48,15 @@ def config_option(parser: argparse.ArgumentParser, text: str) -> None:
     parser.add_argument("--config", action="append", default=[], metavar="NAME", help=text)
 
 
-def preset_option(parser: argparse.ArgumentParser) -> None:
-    """Add the option `--preset`."""
-    text = "settings of the task (default: its first)"
-    parser.add_argument("--preset", metavar="NAME", default="", help=text)
+def arm_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `Devices`."""
+    config_option(
+        parser,
+        "set-up of a driver, a motion capture, ... (`wam-power list set-ups`), or a .yaml file; "
+        "may be repeated, later ones override earlier ones. Starts no stand-ins",
+    )
+    text = "with --config: replace the devices by stand-ins with the same interfaces"
+    parser.add_argument("--simulate", action="store_true", help=text)
 
 
 def goal_value(text: str) -> tuple[str, float]:
@@ -129,6 +84,12 @@ def _task(text: str) -> str:
         raise argparse.ArgumentTypeError(str(error)) from None
 
 
+def demonstrations_option(parser: argparse.ArgumentParser) -> None:
+    """Add the option `--demonstrations`."""
+    text = "number to record (default 3)"
+    parser.add_argument("--demonstrations", type=positive, default=3, help=text)
+
+
 def seed_option(parser: argparse.ArgumentParser) -> None:
     """Add the option `--seed`."""
     parser.add_argument("--seed", type=natural, help="of exploration and simulation (default 0)")
@@ -140,7 +101,8 @@ def session_options(parser: argparse.ArgumentParser) -> None:
     seed_option(parser)
     learners = f"one of {', '.join(installed.names('learner'))} (default: the preset's)"
     parser.add_argument("--learner", metavar="NAME", default="", help=learners)
-    preset_option(parser)
+    preset = "settings of the task (default: its first)"
+    parser.add_argument("--preset", metavar="NAME", default="", help=preset)
     trials = "at most so many rollouts, before the re-tests (default: the preset's)"
     parser.add_argument("--trials", type=positive, help=trials)
     minutes = "at most so long, before the re-tests (default: no limit)"

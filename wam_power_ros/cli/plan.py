@@ -18,19 +18,12 @@ DRIVER = "franka_driver"
 
 @dataclass(frozen=True)
 class Plan:
-    """What is started for a session, a series of demonstrations or a replay.
+    """What is started for a session, a series of demonstrations or a replay."""
 
-    Attributes:
-        folder: Folder whose logs/ gets the parameter file and the logs.
-        parameters: Parameters by node.
-        stand_ins: Whether stand-ins take the place of the devices.
-        also: Nodes beside controller and recorder; a tracker only if there is a body to track.
-    """
-
-    folder: Path
+    folder: Path  # whose logs/ gets the parameter file and the logs
     parameters: overlay.Setup
-    stand_ins: bool
-    also: tuple[str, ...] = ()
+    stand_ins: bool  # whether they take the place of the devices
+    also: tuple[str, ...] = ()  # beside controller and recorder; a tracker if there is a body
 
     @property
     def nodes(self) -> list[str]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -21,23 +22,12 @@ from pathlib import Path
 LIBC = ctypes.CDLL(None)  # loaded before a process is forked, when other threads may load, too
 PR_SET_PDEATHSIG = 1
 TAIL_LINES = 15  # of a log, shown when a process dies
-
-
 LOG_FORM = {  # that `node_log` reads, whatever the terminal has
     "RCUTILS_CONSOLE_OUTPUT_FORMAT": "[{severity}] [{time}] [{name}]: {message}",
     "RCUTILS_COLORIZED_OUTPUT": "0",
 }
 MEMORY = " (by a person, or by the kernel for lack of memory: see `dmesg`)"
 SPACE_MIN = 1e6  # free bytes of a disk, below which nothing can be logged
-
-
-def full_disk(folder: Path) -> str:
-    """Say that the disk of a folder is full or read-only, so that no log says it; "" if not."""
-    disk = os.statvfs(folder)
-    if disk.f_flag & os.ST_RDONLY:
-        return f"The disk of {folder} is read-only."
-    full = disk.f_bavail * disk.f_frsize < SPACE_MIN
-    return f"The disk of {folder} is full, and so are the logs: free some space." if full else ""
 
 
 class ProcessError(RuntimeError):
@@ -66,7 +56,9 @@ class Running:
             cause = f"was ended by {signal.Signals(-status).name}"
             cause += MEMORY if -status == signal.SIGKILL else ""
         text = f"{self.name} {cause}. End of {self.log}:\n{self.tail}"
-        return ProcessError("\n".join(filter(None, [text, full_disk(self.log.parent)])))
+        if shutil.disk_usage(self.log.parent).free < SPACE_MIN:  # then no log says it
+            text += f"\nThe disk of {self.log.parent} is full: free some space."
+        return ProcessError(text)
 
 
 class Processes:
@@ -95,17 +87,6 @@ class Processes:
         self._running.append(Running(name, process, log))
         return self._running[-1]
 
-    def finish(self, running: Running) -> None:
-        """Wait for a process that ends by itself.
-
-        Raises:
-            ProcessError: It failed.
-        """
-        failed = running.process.wait()
-        self._running.remove(running)
-        if failed:
-            raise running.error()
-
     def check(self, but: Running | None = None) -> None:
         """Check that no process has ended, whatever its exit status, except one that may end.
 
@@ -120,11 +101,7 @@ class Processes:
     def watched(self, fail: Callable[[ProcessError], object]) -> Iterator[None]:
         """Raise in the main thread once a process ends, even while it waits for a person's input.
 
-        Args:
-            fail: Called before, so that what is cleaned up waits for no answer of that process.
-
-        Raises:
-            ProcessError: A process has ended.
+        `fail` is called before, so that what is cleaned up waits for no answer of that process.
         """
 
         def check(*_: object) -> None:

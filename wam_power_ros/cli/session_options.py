@@ -62,8 +62,7 @@ def chosen(folder: Path, asked: SessionOptions, devices: Devices) -> tuple[int, 
     Raises:
         UsageError: What is asked differs from what the session was begun with, or a bag is a
             demonstration of another task.
-        ValueError: Task, learner, preset or set-up is unknown (the message lists the known ones) or
-            cannot work, see `SessionSettings.check`, or a bag cannot be read or is of another arm.
+        ValueError: A name is unknown or cannot work, or a bag cannot be read or is of another arm.
     """
     from wam_power_ros.practice import session
 
@@ -140,18 +139,13 @@ def _differences(asked: SessionOptions, header: SessionHeader) -> Iterator[str]:
     """What a session was begun with and is asked otherwise, with what to do."""
     from wam_power_ros.practice.settings import preset
 
-    own = header.settings
-    budget, minutes = own.practice.budget, own.practice.minutes
-    for name, given, begun in (
-        ("seed", asked.seed, header.seed),
-        ("task", asked.task, own.task),
-        ("learner", asked.learner or None, own.learner),
-        ("trials", asked.trials, budget),
-        ("minutes", asked.minutes, minutes),
-    ):
-        if given not in (None, begun):
-            yield f"{name} {begun}; omit {name}"
-    budgets = {"budget": budget, "minutes": minutes}
+    own, limits = header.settings, header.settings.practice
+    begun = {"seed": header.seed, "task": own.task, "learner": own.learner}
+    begun |= {"trials": limits.budget, "minutes": limits.minutes}
+    for name, value in begun.items():
+        if getattr(asked, name) not in (None, "", value):
+            yield f"{name} {value}; omit {name}"
+    budgets = {"budget": limits.budget, "minutes": limits.minutes}
     if asked.preset and preset(own.task, asked.preset, {"name": own.learner}, **budgets) != own:
         yield f"other settings than preset {asked.preset}; omit preset"
     used = set(header.demonstrations)  # without those that were of no use
@@ -167,11 +161,11 @@ def _check_new(folder: Path, task: str, asked: SessionOptions, devices: Devices)
     taught = max(asked.demonstrations, len(series.read(folder / series.FILE)))
     settings.check(1 if asked.origin else len(asked.bags) or taught)
     setup, tasks = devices.parameters(task), task_stems()
-    arm = setup.arm()
+    arm, stem = setup.arm(), setup["demonstration_recorder"]["stem"]
     for path in asked.bags:
         bag = Bag(path)
         reader.read_states(bag, setup.joint_names, arm=arm and arm.identity())
-        tasks_of_bag = tasks.get(bag.kind, {task})
-        if task not in tasks_of_bag and bag.kind != setup["demonstration_recorder"]["stem"]:
-            listed = ", ".join(tasks_of_bag)
-            raise UsageError(f"{path} is a demonstration of {listed}, not of {task}: use --task")
+        known = tasks.get(bag.kind, {task})
+        if task not in known and bag.kind != stem:
+            of = ", ".join(known)
+            raise UsageError(f"{path} is a demonstration of {of}, not of {task}: use --task")

@@ -20,12 +20,7 @@ ASK_PERIOD = 2.0  # [s of wall time] between questions for a result: a new serve
 
 
 class Goal:
-    """A goal that was sent.
-
-    Attributes:
-        result: Its result; None before its end, or if it was lost.
-        answer: Its outcome; None before its end.
-    """
+    """A goal that was sent; `answer` is its outcome, `result` its result, None before its end."""
 
     def __init__(self, link: Link, what: str, sent: Future) -> None:
         self._link, self.what, self._sent, self._asked_at = link, what, sent, time.monotonic()
@@ -48,7 +43,7 @@ class Goal:
 
     @property
     def accepted(self) -> bool:
-        """Whether the goal has been accepted."""
+        """Whether a server has accepted it."""
         return bool(self._sent.done())
 
     @property

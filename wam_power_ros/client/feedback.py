@@ -30,17 +30,13 @@ SERVICES = {  # kind of feedback, or stop -> service and its data
 
 
 class Feedback:
-    """Gives feedback to the learner."""
+    """Gives feedback to the learner; the answer may be a refusal."""
 
     def __init__(self, link: Link) -> None:
         self._link = link
 
     def give(self, kind: str, bag: Path | None = None, value: float | None = None) -> Answer:
-        """Give feedback; the answer may be a refusal.
-
-        Args:
-            kind: One of `SERVICES`, "demonstration" or "rate".
-            value: Rating, from 0 to 1.
+        """Give feedback: of `SERVICES`, a "demonstration", or "rate" with a value from 0 to 1.
 
         Raises:
             ServiceError: The learner does not appear or does not answer.

@@ -48,12 +48,10 @@ Data = bool | Transition | Pause.Request | AddDemonstration.Request | Rate.Reque
 
 
 class Link:
-    """Calls services and waits for conditions; a context manager, which ends its thread.
+    """Calls services of other nodes and waits for conditions, for a node that nothing else spins.
 
-    Args, which are attributes, too:
-        node: Node that nothing else spins.
-        appear_timeout: Time for a service to appear [s of wall time].
-        log_period: Time between two log entries about one wait [s of wall time].
+    A context manager, which ends its thread. Times are [s of wall time]: `appear_timeout` for a
+    service to appear, `log_period` between two log entries about one wait.
     """
 
     def __init__(
@@ -108,14 +106,9 @@ class Link:
         what: str | Callable[[], str] = "",
         timeout: float = TIMEOUT,
     ) -> bool:
-        """Wait until a condition holds or the timeout is over.
+        """Wait until a condition holds; False after the timeout [s of wall time].
 
-        Args:
-            what: Noun phrase for the log, or a function that returns it at the time of logging;
-                nothing is logged if empty.
-
-        Returns:
-            True if the condition holds, False after the timeout.
+        `what` is a noun phrase for the log, or returns it; nothing is logged if it is empty.
 
         Raises:
             ExternalShutdownException: The node is being ended.
@@ -214,24 +207,22 @@ class Link:
 
     def offers(self, name: str) -> bool:
         """Whether a service, of which there is a client, is available now."""
-        ready = not self._ended and bool(self._clients[name].service_is_ready())
-        if not ready:
+        if self._ended or not self._clients[name].service_is_ready():
             self._ready_times.pop(name, None)
-        else:
-            self._ready_times.setdefault(name, time.monotonic())
-        return ready
+            return False
+        self._ready_times.setdefault(name, time.monotonic())
+        return True
 
     def _discovered(self, name: str) -> bool:
         """Whether a service is available and has had the time to discover its client."""
-        now = time.monotonic()
-        return self.offers(name) and now - self._ready_times.get(name, now) >= DISCOVERY
+        return self.offers(name) and time.monotonic() - self._ready_times[name] >= DISCOVERY
 
     def _full(self, name: str) -> str:
         """Name of a service with its namespace, for messages."""
         return str(self.node.resolve_service_name(name))
 
     def begin(self, name: str, data: Data = None) -> Future:
-        """Send a request; see `answer` for what to do with the future.
+        """Send a request; returns the future of the response.
 
         Raises:
             ServiceError: The service does not appear in time.
@@ -245,28 +236,8 @@ class Link:
         future.add_done_callback(self.notify)
         return future
 
-    def answer(self, name: str, future: Future) -> Answer | None:
-        """Answer received so far; if None, the request is abandoned and its answer ignored."""
-        if not future.done():
-            self._clients[name].remove_pending_request(future)
-            return None
-        response = future.result()
-        code = Code.DONE if response.success else Code.UNKNOWN
-        text = getattr(response, "message", "")  # of a transition: none
-        return Answer(code, text, under_way=getattr(response, "under_way", False))
-
-    def call(
-        self,
-        name: str,
-        data: Data = None,
-        timeout: float = TIMEOUT,
-        abandon: Callable[[], bool] = lambda: False,
-    ) -> Answer | None:
+    def call(self, name: str, data: Data = None, timeout: float = TIMEOUT) -> Answer | None:
         """Call a service.
-
-        Args:
-            data: Data of a SetBool or a ChangeState; None for a Trigger.
-            abandon: Returns True to stop waiting earlier.
 
         Returns:
             The answer, which may be a refusal; None if none came. The request may have been done
@@ -276,15 +247,19 @@ class Link:
             ServiceError: The service does not appear in time.
         """
         future = self.begin(name, data)
-        self.until(lambda: future.done() or abandon(), f"answer of {self._full(name)}", timeout)
-        return self.answer(name, future)
+        if not self.until(future.done, f"answer of {self._full(name)}", timeout):
+            self._clients[name].remove_pending_request(future)
+            return None
+        response = future.result()
+        code = Code.DONE if response.success else Code.UNKNOWN
+        text = getattr(response, "message", "")  # of a transition: none
+        return Answer(code, text, under_way=getattr(response, "under_way", False))
 
     def insist(self, name: str, data: Data = None) -> Answer:
         """Call a service until it succeeds; a node that has just started may lack inputs.
 
         Raises:
-            ServiceError: The service does not appear, does not answer or still refuses after
-                TIMEOUT.
+            ServiceError: It does not appear, does not answer or still refuses after TIMEOUT.
         """
         end = time.monotonic() + TIMEOUT
         while True:
@@ -300,8 +275,7 @@ class Link:
     def parameters(self, node: str, names: Sequence[str], timeout: float) -> list[ParameterValue]:
         """Ask a node for parameters, those that it lacks are not set; [] without an answer.
 
-        Args:
-            timeout: Longest wait for the node, and for its answer [s of wall time].
+        The timeout [s of wall time] is for the node to appear, and for its answer.
         """
         client = self.node.create_client(GetParameters, f"{node}/get_parameters")
         if not self.until(client.service_is_ready, timeout=timeout):

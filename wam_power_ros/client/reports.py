@@ -11,14 +11,7 @@ from wam_power_ros.ros import diagnostics, interface
 
 
 class ControllerReports:
-    """Subscribes to the diagnostics.
-
-    Attributes:
-        mode: Mode of the controller; "" before the first report.
-        text: Summary, such as a fault; "" before the first report.
-        refusal: Last refusal of the controller; "" for none.
-        last_stop: Id of the last stop by a person; "" for none.
-    """
+    """Mode, summary, last refusal and id of the last stop by a person; "" for none, or before."""
 
     def __init__(self, link: Link) -> None:
         self._namespace = link.node.get_namespace()

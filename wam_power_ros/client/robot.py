@@ -42,11 +42,7 @@ REST_TIMES = np.linspace(0.0, 0.1, 6)  # [s] of a movement that rests at one pos
 
 
 class Stopped(KeyboardInterrupt):
-    """An interrupt, after which the arm was stopped.
-
-    Attributes:
-        answer: Answer of the controller to the movement that was stopped; None if none came.
-    """
+    """An interrupt after which the arm was stopped, with the controller's answer, if one came."""
 
     def __init__(self, answer: Answer | None) -> None:
         super().__init__(answer.text if answer else "")
@@ -55,39 +51,22 @@ class Stopped(KeyboardInterrupt):
 
 @dataclass(frozen=True, eq=False)
 class RobotState:
-    """State of an arm.
+    """State of an arm."""
 
-    Attributes:
-        q: Joint angles [rad]. Shape (n,).
-        qd: Joint speeds [rad/s], None if the driver sends none. Shape (n,).
-        position: Position of the tool in the base frame [m]. Shape (3,).
-        rotation: Axes of the tool as columns. Shape (3, 3).
-        mode: Mode of the controller in its last report, sent once a second; "" before the first.
-        report: Text of that report, such as a fault; "" before the first.
-    """
-
-    q: np.ndarray
-    qd: np.ndarray | None
-    position: np.ndarray
-    rotation: np.ndarray
-    mode: str
-    report: str
+    q: np.ndarray  # joint angles [rad]. Shape (n,)
+    qd: np.ndarray | None  # joint speeds [rad/s], None if the driver sends none. Shape (n,)
+    position: np.ndarray  # of the tool in the base frame [m]. Shape (3,)
+    rotation: np.ndarray  # axes of the tool as columns. Shape (3, 3)
+    mode: str  # of the controller in its last report, sent once a second; "" before the first
+    report: str  # its text, such as a fault
 
 
 class Robot:
     """An arm whose nodes are running, see `connect`.
 
     Publishers and clients are made when they are used. Every method raises ServiceError if a
-    service does not appear, does not answer in time or refuses.
-
-    Attributes:
-        joint_names: Joint names of the driver, base to tip.
-        arm: Model of the arm; only for `state`, `move_to` and `replay`.
-
-    Args:
-        link: Link in whose namespace the nodes run.
-        body: Name of the tracked body; "" for none.
-        settle_time: Time after the movement of a policy that belongs to its rollout [s].
+    service does not appear, does not answer in time or refuses. `settle_time` [s] after the
+    movement of a policy belongs to its rollout.
     """
 
     def __init__(
@@ -149,14 +128,7 @@ class Robot:
         self.follow(REST_TIMES, np.tile(q, (len(REST_TIMES), 1)))
 
     def replay(self, bag: Path | str, speed: float = 1.0) -> str:
-        """Replay a recorded movement and hold.
-
-        Args:
-            bag: Path of a bag with joint states of this arm.
-            speed: Speed relative to the recording.
-
-        Returns:
-            Tracking error as text, reported by the controller.
+        """Replay a recorded movement, at a speed relative to the recording; see `follow`.
 
         Raises:
             ValueError: The bag or the speed is not acceptable.
@@ -199,14 +171,7 @@ class Robot:
             raise Stopped(goal and goal.answer) from None
 
     def rollout(self, policy: Policy, ready: Ready = lambda state: "") -> Executed:
-        """Move to the start of a policy, execute it once and hold.
-
-        Args:
-            ready: Returns what is missing before it may begin, given the state of the tracked body,
-                as `Task.ready` does; "" for nothing.
-
-        Returns:
-            Paths of tool and body, fault if any, bag, and ground truth of a simulation.
+        """Move to the start of a policy, execute it once, when the body is `Task.ready`, and hold.
 
         Raises:
             Stopped: After an interrupt.
@@ -257,9 +222,8 @@ class Robot:
     def teach(self, lead: Callable[[], object] | None = None) -> Path:
         """Record a demonstration under gravity compensation; the arm holds afterwards.
 
-        Args:
-            lead: Returns when the person has finished guiding the arm by hand, such as
-                `lambda: input("Enter")`; None for the simulated demonstrator.
+        `lead` returns when the person has finished guiding the arm by hand, such as
+        `lambda: input("Enter")`; None for the simulated demonstrator.
         """
         self.await_recorder()
         with self.guided():
@@ -308,10 +272,9 @@ class Robot:
 
 @contextmanager
 def connect(*config: str, namespace: str = "", domain: int | None = None) -> Iterator[Robot]:
-    """Connect to an arm whose nodes run.
+    """Connect to an arm whose nodes run, with the set-ups that they were started with.
 
     Args:
-        config: Set-ups with which the nodes were started.
         namespace: Namespace of the nodes, such as `left`.
         domain: DDS domain of the nodes; that of ROS_DOMAIN_ID by default.
 

@@ -32,7 +32,6 @@ from wam_power_ros.params.node_params import Timeout
 from wam_power_ros.ros import interface, pose_messages
 from wam_power_ros.ros.joint_messages import JointMovement, movement_message
 from wam_power_ros.ros.outcomes import NO_ANSWER, Answer, Code, Ended, ServiceError
-from wam_power_ros.ros.pose_messages import PathReading
 from wam_power_ros.tasks.reset import Action as ResetAction
 from wam_power_ros.tasks.reset import BodyState, Move, Resetting
 from wam_power_ros.tasks.task import MISSING_MAX
@@ -53,15 +52,12 @@ PutBack = Callable[[BodyState | None], ResetAction]  # what is to be done then
 class Awaited(NamedTuple):
     """What is waited for, without limit, before a rollout goes on.
 
-    Attributes:
-        state: "rest": the body comes to rest by itself; "unseen": no state of it comes; otherwise
-            what a person must do: put the body back, reset a fault, activate the controller, hold
-            the enabling switch, or rate the rollout.
-        what: Noun phrase.
+    "rest": the body comes to rest by itself; "unseen": no state of it comes; otherwise what a
+    person must do.
     """
 
     state: Literal["rest", "unseen", "put back", "reset", "activate", "switch", "rate"]
-    what: str
+    what: str  # noun phrase
 
 
 class RolloutError(ServiceError):
@@ -71,9 +67,7 @@ class RolloutError(ServiceError):
 class EndedByPersonError(ServiceError):
     """A person has stopped the arm or taken it in the hand: nothing moves until a person says so.
 
-    Attributes:
-        ran: Whether that ended the rollout; otherwise it came before.
-        bag: Name of the recording of the rollout, "" without one.
+    `ran`: whether that ended the rollout; otherwise it came before. `bag`: name of its recording.
     """
 
     def __init__(self, answer: Answer, ran: bool = False) -> None:
@@ -113,14 +107,9 @@ class Executed:
 class Rollouts:
     """Executes policies by actions of controller and stand-in, and services of the recorder.
 
-    Attributes:
-        motions: Actions of the controller.
-        awaited: Returns what is waited for without limit, None if nothing; for every thread.
-
-    Args:
-        body: Name of the tracked body, "" for none.
-        joint_names: Joint names of the driver, for movements that put the body back; without them
-            a person does.
+    `motions` are actions of the controller. `awaited` returns what is waited for without limit,
+    None if nothing; for every thread. Without the joint names of the driver a person puts the body
+    back, not the arm.
     """
 
     def __init__(
@@ -160,8 +149,7 @@ class Rollouts:
     def go_on(self) -> float:
         """Let a session go on after the last stop; a later one ends what it asks for.
 
-        Returns:
-            When that stop was, by the clock of the controller [s]; 0 before the first.
+        Returns when that stop was, by the clock of the controller [s]; 0 before the first.
         """
         self._known_stop = self._reports.last_stop
         return int(self._known_stop or 0) * 1e-9
@@ -178,10 +166,8 @@ class Rollouts:
 
         Args:
             duration: Duration of its complete rollout [s].
-            ready: Returns what is missing before it may begin, empty if nothing.
-            put_back: Returns what is to be done then, see `Task.reset`; a scene that is reset
-                does not need it.
-            rest_time: Time for which the body must have been ready, there [s].
+            put_back: See `Task.reset`; a scene that is reset does not need it.
+            rest_time: Time for which the body must have been ready [s].
 
         Raises:
             EndedByPersonError: A person has ended it, or a movement or wait before it.
@@ -332,10 +318,8 @@ class Rollouts:
     def _prepare(self, policy: Policy, resetting: Resetting) -> dict[str, Any] | None:
         """Move the arm to the start of the policy, and see to it that the body is ready there.
 
-        Waits without limit for a body that a person puts back, or that is not seen.
-
-        Returns:
-            Who put the body back, in which time; None if the scene was reset, or without a body.
+        Waits without limit for a body that a person puts back, or that is not seen. Returns who put
+        it back, in which time; None if the scene was reset, or without a body.
         """
         if self._settings.scene_reset:
             self._reset_scene(policy, resetting.ready)
@@ -418,10 +402,8 @@ class Rollouts:
     def _reach_start(self, policy: Policy) -> bool:
         """Move the arm to the start of the policy, after a reset of a fault if needed.
 
-        Waits without limit for a person to activate the controller, or to reset its fault.
-
-        Returns:
-            Whether a person was needed.
+        Waits without limit for a person to activate the controller, or to reset its fault. Returns
+        whether one was needed.
         """
         by_person = False
         end = time.monotonic() + self._settings.patience
@@ -433,10 +415,7 @@ class Rollouts:
             resets = self._settings.reset_faults
             if answer.code is Code.NOT_ACTIVE or (answer.code is Code.FAULT and not resets):
                 by_person = True
-                if answer.code is Code.NOT_ACTIVE:
-                    self._await_activation()
-                else:
-                    self._await_reset(answer)
+                self._await_person(answer)
                 end = time.monotonic() + self._settings.patience
                 continue
             if time.monotonic() > end or answer.code is Code.REFUSED:
@@ -449,55 +428,42 @@ class Rollouts:
                 self._log.warning(f"the arm cannot move to its start yet: {answer.said}", once=True)
             self._link.sleep(BUSY_PERIOD if answer.code is Code.BUSY else RETRY_PERIOD)
 
-    def _await_reset(self, refused: Answer) -> None:
-        """Wait until the diagnostics say that the controller has no fault."""
-        count = self._reports.count  # the last one may be out of date
-        awaited = Awaited("reset", f"a person to reset the controller: {refused.said}")
-        self._until(
-            lambda: self._reports.count > count + 1 and self._reports.fault is None, lambda: awaited
-        )
-
-    def _await_activation(self) -> None:
-        """Wait until the diagnostics say that the controller is active."""
-        self._reports.mode = ""  # the last one may be out of date
-        what = "the torque controller to be active (ros2 lifecycle set)"
-        self._until(
-            lambda: self._reports.mode not in INACTIVE_MODES, lambda: Awaited("activate", what)
-        )
+    def _await_person(self, refused: Answer) -> None:
+        """Wait until the diagnostics say that the controller is active, or has no fault."""
+        reports, count = self._reports, self._reports.count  # the last one may be out of date
+        if refused.code is Code.FAULT:
+            awaited = Awaited("reset", f"a person to reset the controller: {refused.said}")
+            done = lambda: reports.count > count + 1 and reports.fault is None  # noqa: E731
+        else:
+            reports.mode = ""
+            what = "the torque controller to be active (ros2 lifecycle set)"
+            awaited = Awaited("activate", what)
+            done = lambda: reports.mode not in INACTIVE_MODES  # noqa: E731
+        self._until(done, lambda: awaited)
 
     def _collect(self, policy: Policy, duration: float, result: ExecutePolicy.Result) -> Executed:
         """Wait for the messages of the rollout that has ended.
 
         The latched topics may have those of an earlier one; paths have the stamp of its start.
         """
-        end = Ended.of(result.end)
-
-        def awaited(last: Callable[[], Any], fits: Callable[[Any], bool], what: str) -> Any:  # noqa: ANN401
-            found: list[Any] = []
-
-            def there() -> bool:
-                found[:] = [message for message in [last()] if message and fits(message)]
-                return bool(found)
-
-            self.until(there, f"the {what} of {policy.id}", self._settings.rollout_timeout)
-            return found[0]
-
-        def same(path: PathReading) -> bool:
-            return path.start_ns == end.start_ns
-
+        end, timeout = Ended.of(result.end), self._settings.rollout_timeout
         tool = EndEffectorPath(policy.id, *pose_messages.path(result.path)[1:])
         body = truth = None
         if self._body:
-            path = awaited(self._body_path, same, f"path of the {self._body}")
-            body = BodyPath(policy.id, *path[1:])
+            what = f"the path of the {self._body} of {policy.id}"
+            there = lambda: (it := self._body_path()) and it.start_ns == end.start_ns  # noqa: E731
+            self.until(there, what, timeout)
+            body = BodyPath(policy.id, *self._body_path()[1:])
         bag = self._end_bag() if self._settings.record_rollouts else ""
         if self._node.count_publishers(self._truth_topic):
+
+            def known() -> bool:
+                it = self._truth()
+                return it and it.policy_id == policy.id and it.end_ns >= end.start_ns
+
             try:
-                truth = awaited(
-                    self._truth,
-                    lambda it: it.policy_id == policy.id and it.end_ns >= end.start_ns,
-                    "ground truth",
-                ).values
+                self.until(known, f"the ground truth of {policy.id}", timeout)
+                truth = self._truth().values
             except RolloutError as error:  # of a simulation that was restarted meanwhile
                 self._log.warning(f"{policy.id} has no ground truth: {error}")
         fault = end.fault if tool.t[-1] < duration - MISSING_MAX else None

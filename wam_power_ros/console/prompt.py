@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import shutil
-import subprocess
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -51,14 +49,3 @@ def choose(default: str, keys: Mapping[str, str]) -> str:
             return entered
         if entered in keys:
             return keys[entered]
-
-
-def cue(enabled: bool, word: str) -> None:
-    """Ring the terminal bell, and speak a word if a speech program is installed."""
-    if not enabled:
-        return
-    sys.stderr.write("\a")
-    sys.stderr.flush()
-    if speaker := shutil.which("spd-say") or shutil.which("espeak"):
-        quiet = subprocess.DEVNULL
-        subprocess.Popen([speaker, word], stdin=quiet, stdout=quiet, stderr=quiet)

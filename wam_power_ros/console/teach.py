@@ -12,23 +12,20 @@ from pathlib import Path
 
 from wam_power_ros.bags import series
 from wam_power_ros.client.robot import Robot
-from wam_power_ros.console.prompt import ask, choose, cue, show
+from wam_power_ros.console.prompt import ask, choose, show
 from wam_power_ros.ros.outcomes import ServiceError
 
 KEEP, AGAIN, DISCARD, DONE = "keep", "again", "discard", "done"
 KEYS = {"a": AGAIN, "d": DISCARD, "q": DONE}
 
 
-def record_series(
-    robot: Robot, file: Path, wanted: int, *, person: bool, review: bool, bell: bool
-) -> None:
+def record_series(robot: Robot, file: Path, wanted: int, *, person: bool, review: bool) -> None:
     """Record demonstrations; the arm holds its position afterwards.
 
     Args:
         file: List of bags, to which new ones are added.
         person: Whether a person guides the arm by hand, or the demonstrator of the stand-in.
         review: Whether to ask a person after each take to keep, repeat or discard it.
-        bell: Whether to give a cue at begin and end of a recording, see `prompt.cue`.
 
     Raises:
         ServiceError: A service does not appear, does not answer in time, or refuses.
@@ -38,7 +35,7 @@ def record_series(
         if not person:  # who is slower than the start of any node
             robot.await_recorder()
         while number <= wanted:
-            bag = _take(robot, number, person, bell)
+            bag = _take(robot, number, person)
             bags.append(bag)
             series.write(file, bags)  # at once: kept even if interrupted
             show(f"  {number} of {wanted}: {bag}")
@@ -50,19 +47,17 @@ def record_series(
             number += choice in (KEEP, DONE)
 
 
-def _take(robot: Robot, number: int, person: bool, bell: bool) -> Path:
+def _take(robot: Robot, number: int, person: bool) -> Path:
     """Record one demonstration; returns the path of its bag."""
     if person:
         _ask(f"demonstration {number}: press Enter, then guide the arm by hand ")
     else:
         robot.put_back()
     with robot.record() as bag:
-        cue(bell, "recording")
         if person:
             _ask("press Enter when the movement is over ")
         else:
             robot.demonstrate()
-    cue(bell, "recorded")
     return bag
 
 
