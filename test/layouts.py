@@ -15,14 +15,12 @@ from conftest import ROOT
 
 FOLDER = ROOT / "config/visualization"
 DISPLAYS = {  # of RViz
-    "MarkerArray": "visualization_msgs/msg/MarkerArray",
     "Path": "nav_msgs/msg/Path",
     "Odometry": "nav_msgs/msg/Odometry",
     "RobotModel": "std_msgs/msg/String",
 }
 PANELS = {  # of Foxglove: what its 3D panel, its models and its summary draw
     **dict.fromkeys(("/rollout/pancake", "/rollout/end_effector"), "nav_msgs/msg/Path"),
-    "/learner/markers": "visualization_msgs/msg/MarkerArray",
     "/robot_description": "std_msgs/msg/String",
     "/joint_states": "sensor_msgs/msg/JointState",
     "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",

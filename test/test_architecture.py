@@ -27,7 +27,6 @@ ROS = {
     "std_msgs",
     "std_srvs",
     "trajectory_msgs",
-    "visualization_msgs",
 }
 SIMULATOR = {"mujoco"}
 OUTSIDE_WORLD = {"socket", "subprocess", "threading", "multiprocessing", "os", "time", "datetime"}

@@ -135,40 +135,6 @@ def test_messages_that_wait_in_the_queue_at_a_request_are_not_recorded(
     assert (stamps_ns - START).tolist() == [5, 6, 7, 8]
 
 
-def test_a_demonstration_longer_than_a_policy_may_be_is_said_once_and_a_rollout_is_not(
-    domain_id: int,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capfd: pytest.CaptureFixture[str],
-) -> None:
-    config = ["--params-file", str(share("config") / CONFIG), "-p", f"directory:={tmp_path}"]
-    config += ["-p", "realtime_priority:=0"]  # the node is in this process
-    rclpy.init(args=["--ros-args", *config], domain_id=domain_id)
-    try:
-        node, now_ns = DemonstrationRecorder(), START
-        monkeypatch.setattr(node, "_now", lambda: now_ns)
-        monkeypatch.setattr(node._topics, "msgtype", lambda topic: layout.JOINT_STATE)
-        monkeypatch.setattr(node._topics, "offered", lambda topic: ())
-        state = serialize_message(
-            joint_messages.JointStateWriter(NAMES)(START, np.zeros(7), (), ())
-        )
-        for policy_id, said in (("", {59: 0, 61: 1, 70: 1}), ("trial-0001", {70: 0})):
-            node._policy_id, now_ns = policy_id, START
-            node._start()
-            node._on_message(node._state_topic, state)
-            output = ""
-            for seconds, times in said.items():
-                now_ns = START + seconds * 1_000_000_000
-                node._check_disk()
-                output += "".join(capfd.readouterr())
-                words = "longer than 60 s: a movement of more than 60 s cannot be learnt"
-                assert output.count(words) == times
-            node._stop(layout.STOP_REQUESTED)
-        node.destroy_node()
-    finally:
-        rclpy.shutdown()
-
-
 def test_in_lockstep_states_that_arrive_after_the_request_to_end_are_waited_for(
     probe: Probe, processes: Processes, tmp_path: Path
 ) -> None:

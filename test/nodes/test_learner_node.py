@@ -64,19 +64,6 @@ def test_a_learner_refuses_what_cannot_work_before_it_reads_a_bag_or_begins_a_se
     assert not (tmp_path / "s").exists()
 
 
-def test_nodes_that_were_started_with_different_set_ups_notice_it_before_anything_moves(
-    processes: Processes, tmp_path: Path
-) -> None:
-    controller = "wam_power_ros.nodes.torque_controller"
-    processes.node(controller, "simulation.yaml", tool_speed_max=3.5)
-    given = {"session": tmp_path / "s", "demonstrations": f"[{next(ROOT.glob('bags/demo_*'))}]"}
-    learner = processes.node(LEARNER, "simulation.yaml", **given)
-    assert learner.wait(60.0) == 2
-    said = processes.output(learner)
-    assert "started with another set-up than this node: tool_speed_max 3.5, here 4.0. Give" in said
-    assert read(tmp_path / "s").records == ()
-
-
 def begun_session(processes: Processes, folder: Path, **params: object) -> Session:
     """Session that a learner began, which waits for an arm and is stopped there."""
     learner = processes.node(LEARNER, "learner.yaml", session=folder, **params)

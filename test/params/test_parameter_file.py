@@ -10,7 +10,7 @@ import pytest
 import yaml
 from conftest import ROOT
 
-from wam_power_ros.params import overlay, parameter_file
+from wam_power_ros.params import parameter_file
 
 
 def written(folder: Path, text: str) -> Path:
@@ -73,12 +73,6 @@ def test_ambiguous_contents_are_refused_with_their_line(
     assert "\n" not in str(refused.value)
 
 
-def test_a_node_that_is_given_twice_is_refused(tmp_path: Path) -> None:
-    file = written(tmp_path, "    heat: 1.0\n" + "oven:\n  ros__parameters:\n    heat: 2.0\n")
-    with pytest.raises(ValueError, match="oven is given twice, in line 1 and in line 4"):
-        overlay.setup([str(file)])
-
-
 def test_a_fifo_and_a_large_file_are_refused_at_once(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "fifo.yaml")
     with pytest.raises(ValueError, match="is a FIFO"):
@@ -88,16 +82,7 @@ def test_a_fifo_and_a_large_file_are_refused_at_once(tmp_path: Path) -> None:
 
 
 def test_parameter_files_are_found_among_the_arguments_of_a_process() -> None:
-    arguments = [
-        "node",
-        "--ros-args",
-        "--params-file",
-        "a.yaml",
-        "-r",
-        "a:=b",
-        "--params-file",
-        "b",
-    ]
+    arguments = "node --ros-args --params-file a.yaml -r a:=b --params-file b".split()
     assert parameter_file.given(arguments) == [Path("a.yaml"), Path("b")]
     assert parameter_file.given(["node", "--params-file"]) == []
 
@@ -106,5 +91,5 @@ def test_a_list_that_a_launch_file_has_written_is_read(tmp_path: Path) -> None:
     # what launch_ros writes for `parameters=[{"demonstrations": ["a", "b"]}]`
     text = "/**:\n  ros__parameters:\n    demonstrations: !!python/tuple\n    - a\n    - b\n"
     (tmp_path / "launch_params").write_text(text)
-    found = parameter_file.read(tmp_path / "launch_params", parameter_file.PlainLoader)
+    found = parameter_file.read(tmp_path / "launch_params")
     assert found == {"/**": {"demonstrations": ["a", "b"]}}

@@ -3,48 +3,21 @@
 
 from __future__ import annotations
 
-import pytest
-
 from wam_power_ros.ros import interface
 
 
 def test_what_is_of_one_arm_has_a_relative_name_and_only_what_all_share_is_absolute() -> None:
     names = {
-        name
-        for key, name in vars(interface).items()
-        if key.isupper() and isinstance(name, str) and not key.endswith("_FRAME")
+        name for key, name in vars(interface).items() if key.isupper() and isinstance(name, str)
     }
     names |= {interface.body_topic("pancake", leaf) for leaf in interface.BODY_LEAVES}
     shared = {"/clock", "/diagnostics", "/rosout", "/tf", "/tf_static"}
     assert {name for name in names if name.startswith("/")} == shared
 
 
-def test_frames_have_the_namespace_of_their_arm_as_prefix() -> None:
+def test_frames_and_topics_have_the_arm_and_the_body_in_their_names() -> None:
     assert interface.frame("/", "wam_base") == "wam_base"
     assert interface.frame("/left", "wam_base") == "left/wam_base"
-
-
-def test_topics_follow_the_name_of_the_tracked_body() -> None:
     assert interface.body_topic("pancake", "state") == "pancake/state"
-    assert interface.body_topic("ball", "drop") == "ball/drop"
     assert interface.rollout_topic("ball") == "rollout/ball"
     assert interface.body_topic("", "truth") == "scene/truth"
-
-
-@pytest.mark.parametrize(("body", "leaf"), [("ball", "poses"), ("", "pose"), ("", "state")])
-def test_a_topic_that_no_body_has_is_refused_with_those_there_are(body: str, leaf: str) -> None:
-    with pytest.raises(ValueError, match=rf"'{leaf}'.*truth"):
-        interface.body_topic(body, leaf)
-
-
-@pytest.mark.parametrize("body", ["a ball", "/ball", "2balls", "scene", "end_effector"])
-def test_a_body_whose_name_makes_no_topic_of_its_own_is_refused(body: str) -> None:
-    with pytest.raises(ValueError, match=r"name .* of a tracked body"):
-        interface.body_topic(body, "pose")
-    with pytest.raises(ValueError, match=r"name .* of a tracked body"):
-        interface.rollout_topic(body)
-
-
-def test_a_path_of_no_body_has_no_topic() -> None:
-    with pytest.raises(ValueError, match=r"name '' of a tracked body"):
-        interface.rollout_topic("")

@@ -68,12 +68,6 @@ def recorder(domain_id: int) -> Iterator[Recorder]:
         rclpy.shutdown()
 
 
-def test_without_a_publisher_there_is_no_subscription(recorder: Recorder) -> None:
-    recorder.topics.discover()
-    assert recorder.topics.names == ["/notes"]
-    assert recorder.node.count_subscribers("/notes") == 0
-
-
 def test_what_has_arrived_is_passed_on_before_it_is_dispatched(recorder: Recorder) -> None:
     publisher = recorder.publish("first", RELIABLE, VOLATILE)
     publisher.publish(String(data="last"))
@@ -106,6 +100,8 @@ def test_what_arrives_faster_than_it_is_passed_on_keeps_nobody(recorder: Recorde
 
 
 def test_a_subscription_follows_publishers_that_offer_less(recorder: Recorder) -> None:
+    recorder.topics.discover()
+    assert recorder.node.count_subscribers("/notes") == 0  # without a publisher
     recorder.publish("first", RELIABLE, LATCHED)
     assert recorder.topics.msgtype("/notes") == "std_msgs/msg/String"
     (offered,) = recorder.topics.offered("/notes")
@@ -115,19 +111,14 @@ def test_a_subscription_follows_publishers_that_offer_less(recorder: Recorder) -
     assert len(recorder.topics.offered("/notes")) == 2
 
 
-def test_the_first_type_of_a_topic_is_recorded_and_every_other_is_named(
-    recorder: Recorder,
-) -> None:
+def test_the_first_type_of_a_topic_is_recorded(recorder: Recorder) -> None:
     recorder.publish("first", RELIABLE, VOLATILE)
     recorder.other.create_publisher(Float64, "notes", QoSProfile(depth=1, reliability=BEST_EFFORT))
     for _ in range(200):
         recorder.topics.discover()
-        if "'other'" in str(recorder.topics.unmatched["/notes"]):
+        if recorder.node.count_publishers("notes") == 2:
             break
         time.sleep(0.05)
-    (text,) = recorder.topics.unmatched["/notes"]
-    assert text.startswith("node 'other' publishes std_msgs/msg/Float64 (best effort, volatile)")
-    assert "not std_msgs/msg/String: messages of another type" in text
     recorder.publish("next", RELIABLE, VOLATILE)
     assert recorder.topics.msgtype("/notes") == "std_msgs/msg/String"
     assert recorder.topics._subscribed["/notes"].reliable  # whatever the other type offers
@@ -138,10 +129,9 @@ def test_a_topic_of_an_expected_type_waits_for_it(recorder: Recorder) -> None:
     recorder.other.create_publisher(String, "count", 1)
     for _ in range(200):
         topics.discover()
-        if topics.unmatched.get("/count"):
+        if recorder.node.count_publishers("count"):
             break
         time.sleep(0.05)
-    assert "not std_msgs/msg/Float64" in topics.unmatched["/count"][0]
     assert recorder.node.count_subscribers("/count") == 0
     later = recorder.sender.create_publisher(Float64, "count", 1)
     for _ in range(200):

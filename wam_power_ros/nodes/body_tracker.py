@@ -12,7 +12,6 @@ if __name__ == "__main__":  # before the other imports, which a signal may inter
 
     raise SystemExit(start("wam_power_ros.nodes.body_tracker"))
 
-import math
 import time
 from typing import NamedTuple
 
@@ -28,20 +27,16 @@ from wam_power_ros.ros import endpoints, interface, node_runner, pose_messages
 from wam_power_ros.ros.body_sources import BodySource
 from wam_power_ros.ros.diagnostics import Diagnostics
 from wam_power_ros.tracking.tracker import (
-    OFFSET_WINDOW,
     ClockOffset,
     FrameFault,
     TrackedState,
     Tracker,
     Validity,
-    free_fall_acceleration,
     late_stamps,
 )
 
 DISCOVERY_PERIOD = 0.1  # [s] between two looks for the publisher of the frames in lockstep
-AT_REST = 0.05  # [m/s] of a body that rests, with the noise of its velocity
 REPAIR_TIME = 5.0  # [s of wall time] in lockstep: Fast DDS's own profile repairs in 3 s
-STANDSTILL_MIN = 0.5  # [s] between two runs of a timer, after which the node stood still
 LEVELS = {Validity.OK: "ok", Validity.OCCLUDED: "warn"}  # any other validity is an error
 
 
@@ -65,8 +60,6 @@ class BodyTracker(Node):
         self._body_frame = interface.frame(namespace, params.body)
         self._pending: _Rollout | None = None
         self._clock_offset = ClockOffset()
-        self._stood_still = self._stood_still_ns = 0.0  # how long [s]; when it ended, steady clock
-        self._ticked_ns = time.monotonic_ns()  # when a timer last ran
         self._problem = ""  # with the last refused message or path
         self._sim_time = self.get_parameter("use_sim_time").value
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -81,8 +74,7 @@ class BodyTracker(Node):
         )
         self._paths = publish(Path, interface.rollout_topic(params.body), interface.LATCHED)
         self._diagnostics = Diagnostics(self, params.body, "motion capture")
-        self._source, self._qos = BodySource(self, params), interface.MOCAP_BEST_EFFORT
-        self._unmatched = ""  # publishers from which nothing is received, as text
+        self._source = BodySource(self, params)
         self._discovery = self.create_timer(DISCOVERY_PERIOD, self._discover, clock=steady)
         if not self._sim_time:
             self._subscribe_frames(interface.MOCAP_BEST_EFFORT)
@@ -90,15 +82,6 @@ class BodyTracker(Node):
         self.create_timer(0.5 / params.rate, self._check_silence, clock=steady)
         self.get_logger().info(f"waiting for frames of the {params.body} on {self._source.topic}")
         self.create_timer(1.0, self._report, clock=steady)
-        params.follow(self, self._accept)
-
-    def _accept(self, params: BodyTrackerParams) -> None:
-        """Track by other gates from now on, as after a start; not while a path may be under way."""
-        state = self._tracker.at(self._tracker.latest_ns)
-        if self._pending is not None or (state and math.hypot(*state.velocity) > AT_REST):
-            raise ValueError(f"the {params.body} moves, or its path is waited for: set it at rest")
-        counts, self._tracker = self._tracker.counts, Tracker(params)
-        self._params, self._tracker.counts = params, counts
 
     def _discover(self) -> None:
         """In lockstep, subscribe to the frames once their publisher is known: reliably if it is.
@@ -114,7 +97,6 @@ class BodyTracker(Node):
 
     def _subscribe_frames(self, qos: QoSProfile) -> None:
         self._discovery.cancel()
-        self._qos = qos
         self.create_subscription(self._source.kind, self._source.topic, self._on_frame, qos)
 
     def _on_frame(self, message: object) -> None:
@@ -175,7 +157,6 @@ class BodyTracker(Node):
 
         In lockstep, simulated time goes on while frames that were lost are sent again.
         """
-        self._look_for_standstill()
         now_ns = self._timeout_clock.now().nanoseconds
         silent_ns = max(now_ns - self._frame_ns, 0)
         state = self._tracker.at(self._tracker.latest_ns + silent_ns)
@@ -196,60 +177,28 @@ class BodyTracker(Node):
         rollout, self._pending = self._pending, None
         name = f"rollout-{rollout.start_ns}"
         path = self._tracker.path(name, rollout.start_ns, rollout.end_ns)
-        down = None if self._params.tethered else free_fall_acceleration(path)
-        if down is not None and down[2] > -0.87 * math.hypot(*down):  # 30 degrees
-            self._log_error(
-                f"the {self._params.body} falls with {down.round(1)} m/s^2 in the base frame, not "
-                "along -z: correct up_axis or world_to_base"
-            )
         offset, offset_max = self._clock_offset.seconds, self._params.clock_offset_max
         if abs(offset) > offset_max:
-            self._log_error(
-                f"{name} not scored: more than {offset_max:.3f} s late; {self._late(offset)}"
-            )
+            late = f"more than {offset_max:.3f} s late; {late_stamps(offset)}"
+            self._problem = f"{name} not scored: {late}"
+            self.get_logger().error(self._problem)
             nothing = np.zeros(0)
             path = BodyPath(name, nothing, nothing.reshape(0, 3), nothing.reshape(0, 4))
         message = pose_messages.path_message(path, rollout.start_ns, self._frame)
         self._paths.publish(message)
 
-    def _look_for_standstill(self) -> None:
-        ticked_ns, self._ticked_ns = self._ticked_ns, time.monotonic_ns()
-        if (stood_still := (self._ticked_ns - ticked_ns) * 1e-9) > STANDSTILL_MIN:
-            self._stood_still, self._stood_still_ns = stood_still, self._ticked_ns
-
-    def _late(self, offset: float) -> str:
-        """Why stamps are off, see `late_stamps`; frames of a standstill are late for a window."""
-        recent = time.monotonic_ns() - self._stood_still_ns < 2 * OFFSET_WINDOW
-        return late_stamps(offset, self._stood_still if recent else 0.0)
-
-    def _log_error(self, text: str) -> None:
-        self._problem = text
-        self.get_logger().error(text)
-
-    def _find_unmatched(self) -> None:
-        kinds, topic = (endpoints.type_name(self._source.kind),), self._source.topic
-        found = "; ".join(endpoints.unmatched_publishers(self, topic, kinds, self._qos))
-        if found and found != self._unmatched:
-            self.get_logger().error(found)
-        self._unmatched = found
-
     def _report(self) -> None:
         tracker = self._tracker
-        self._look_for_standstill()
-        self._find_unmatched()
         level, text = LEVELS.get(tracker.validity, "error"), tracker.validity.value
         offset, offset_max = self._clock_offset.seconds, self._params.clock_offset_max
         if not tracker.latest_ns:
             level, text = "stale", self._source.missing or "no frame yet"
         elif abs(offset) > 0.5 * offset_max:
             level = "error" if abs(offset) > offset_max else "warn"
-            text = self._late(offset)
-        if self._unmatched:
-            level, text = "warn" if level == "ok" else "error", self._unmatched
+            text = late_stamps(offset)
         values = {
             **tracker.counts,
             "clock offset [s]": f"{offset:.4f}",
-            "unmatched publishers": self._unmatched,
             "last problem": self._problem,
         }
         self._diagnostics.publish(level, text, values)

@@ -26,7 +26,6 @@ from pydantic import Field, model_validator
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
-from rclpy.parameter import parameter_value_to_python
 from std_srvs.srv import Trigger
 from typing_extensions import Self
 
@@ -43,7 +42,6 @@ from wam_power_ros.client.rollouts import (
 from wam_power_ros.durable_files import explained
 from wam_power_ros.learning.policy import Policy, with_id
 from wam_power_ros.nodes.demonstrations import Demonstrations
-from wam_power_ros.nodes.markers import Markers
 from wam_power_ros.nodes.simulated_arm import SimulatedArm
 from wam_power_ros.params.node_params import Names, Params
 from wam_power_ros.params.torque_controller_params import require_same_joints
@@ -57,7 +55,6 @@ from wam_power_ros.ros.diagnostics import LEARNER_STATE, Diagnostics
 from wam_power_ros.ros.node_runner import (
     end,
     interrupt_on_signals,
-    parameter_file_hint,
     started,
 )
 from wam_power_ros.ros.outcomes import Answer, Code, ServiceError, fill
@@ -100,10 +97,6 @@ class LearnerParams(Params, RolloutSettings):
         return self
 
 
-CONTROLLER = "torque_controller"  # node
-COMPARE_TIMEOUT = 5.0  # [s of wall time] for it to tell its parameters
-
-
 class SessionFailed(RuntimeError):
     """The session cannot go on; acknowledged trials and requests are on disk."""
 
@@ -141,7 +134,6 @@ class Learner(Node):
         self._demonstrations = Demonstrations(self._kind, self._arm, params.joint_names, log)
         self._link = Link(self, params.service_timeout)
         self._rollouts = Rollouts(self._link, params, self._kind.body, params.joint_names)
-        self._markers = Markers(self, params.base_frame, self._arm.region)
         self._diagnostics = Diagnostics(self, "session", self._kind.body)
         self.create_timer(1.0, self._report, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -267,24 +259,6 @@ class Learner(Node):
             f"session finished: {practice.stopped}. {'' if best is None else best.why}"
         )
 
-    def _compare(self) -> None:
-        """Ask the controller for its parameters: policies are planned with them."""
-        known = self._arm.parameters
-        values = self._link.parameters(CONTROLLER, list(known), COMPARE_TIMEOUT)
-        if not values:  # renamed, or secured
-            self.get_logger().info(f"{CONTROLLER} does not tell its parameters: not compared")
-        found = map(parameter_value_to_python, values)
-        other = [
-            f"{name} {plain(there)}, here {plain(known[name])}"
-            for name, there in zip(known, found, strict=False)
-            if plain(there) != plain(known[name])
-        ]
-        if other:
-            raise SessionFailed(
-                f"{CONTROLLER} was started with another set-up than this node: {'; '.join(other)}. "
-                "Give both the same parameter files"
-            )
-
     def _take_up(self, session: Session, practice: Practice) -> None:
         """Pause if the arm was stopped after the last line of the session, while no learner ran.
 
@@ -292,7 +266,6 @@ class Learner(Node):
         """
         reported = lambda: self._rollouts.reports  # noqa: E731
         self._link.until(reported, "a report of the controller", self.params.service_timeout)
-        self._compare()
         with self._lock:
             stopped = self._rollouts.go_on()
             if session.log and not practice.paused and stopped > _time(session.log[-1]):
@@ -413,7 +386,6 @@ class Learner(Node):
             )
         arm, q_start = self._arm.kinematics, trial.policy.q_start
         tool = Pose(*arm.tool_pose(q_start))
-        self._markers.plan(trial.policy, tool.position)
         try:
             executed = self._rollouts.execute(
                 trial.policy,
@@ -458,11 +430,6 @@ def _time(line: Line) -> float:
     return float(clock["at"] if "at" in clock else clock.get("begun", 0.0) + clock.get("took", 0.0))
 
 
-def plain(value: Any) -> Any:  # noqa: ANN401 - a number, a text or some
-    """Value of a parameter as a number, a text or a list."""
-    return value if isinstance(value, (bool, int, float, str)) else list(value or ())
-
-
 def _line(record: Record) -> str:
     ret = "-" if record.ret is None else f"{record.ret:.3f}"
     return f"{record.id} {KIND_NAMES[record.kind]}: return {ret} {record.why}"
@@ -478,7 +445,7 @@ def main() -> int:
     except (SessionFailed, ServiceError, ValueError, OSError) as error:
         log = node.get_logger() if node else rclpy.logging.get_logger("learner")
         text = explained(error) if isinstance(error, OSError) else str(error)
-        log.fatal(text if node else f"{text}{parameter_file_hint()}")
+        log.fatal(text)
         return 2
     except (KeyboardInterrupt, ExternalShutdownException):
         pass

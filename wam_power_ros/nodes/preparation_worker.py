@@ -15,7 +15,6 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
-from uuid import uuid4
 
 import numpy as np
 from control_msgs.action import FollowJointTrajectory
@@ -27,7 +26,6 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.logging import get_logger
 from rclpy.node import Node
-from rclpy.serialization import deserialize_message
 from trajectory_msgs.msg import JointTrajectory
 
 from wam_power_interfaces.action import ExecutePolicy, MoveToStart, Replay
@@ -35,7 +33,6 @@ from wam_power_interfaces.msg import Policy, RolloutEnd
 from wam_power_ros.control import policy_execution, replay_trajectory
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.modes import ControllerError
-from wam_power_ros.control.safety import Limits
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.rollout import EndEffectorPath
@@ -53,10 +50,7 @@ from wam_power_ros.ros.outcomes import NOT_ACTIVE, Answer, Code, Ended
 from wam_power_ros.ros.process_channel import Channel, Message
 from wam_power_ros.ros.stamps import sent_ns, time_message
 
-# Larger movements are refused unread: 20 MB are 200 000 points of seven joints with positions,
-# where the 600 s that may be replayed have 60 000 points.
-SIZE_MAX = 20_000_000
-POINTS_MAX = 200_000
+POINTS_MAX = 200_000  # of a movement, where the 600 s that may be replayed have 60 000
 TEXT_MAX = 2000  # characters of a refusal
 STAGE = "moving"  # of a request, once the arm moves
 # [s] Fast DDS may wait in its own end for ever, on one core, while another participant leaves.
@@ -100,8 +94,6 @@ class PreparationWorker(Node):
                 (FollowJointTrajectory, interface.FOLLOW_TRAJECTORY, self._follow, followed),
             )
         ]
-        topic, qos = interface.REPLAY, interface.REPLAYS
-        self.create_subscription(JointTrajectory, topic, self._on_movement, qos, raw=True)
         # Not Executor.wake(), after which the executor waits again without calling anything.
         self._arrived = self.create_guard_condition(self._handle_messages)
         threading.Thread(target=self._listen, daemon=True).start()
@@ -220,11 +212,11 @@ class PreparationWorker(Node):
         return begin
 
     def _prepare_policy(self, id: str, do: str, message: Policy, asked: tuple[int, str]) -> None:
-        settings, limits = self._arm()
+        settings = self._settings
         policy = policies.from_json(message.text)
         if message.id not in ("", policy.id):
             raise ValueError(f"the policy {policy.id!r} is named {message.id!r} in the goal")
-        prepared = vars(policy_execution.prepare(policy, limits, settings))
+        prepared = vars(policy_execution.prepare(policy, settings.limits, settings))
         arrays = {name: each for name, each in prepared.items() if isinstance(each, np.ndarray)}
         rest = {name: each for name, each in prepared.items() if name not in arrays}
         self._asked[id] = Policy(id=policy.id, text=message.text)
@@ -241,19 +233,6 @@ class PreparationWorker(Node):
             id, MOVEMENT, lambda: self._prepare_movement(id, goal.trajectory, asked, waypoints=True)
         )
 
-    def _on_movement(self, data: bytes, info: dict[str, int]) -> None:
-        """Take a movement from the topic, whose sender gets no answer."""
-        asked, id = (info["source_timestamp"], ""), uuid4().hex
-
-        def prepare() -> None:
-            if (size := len(data)) > SIZE_MAX:
-                raise ValueError(f"{size} bytes; at most {SIZE_MAX} allowed")
-            message = deserialize_message(data, JointTrajectory)
-            self._prepare_movement(id, message, asked, waypoints=True)
-
-        if (answer := self._prepare(id, MOVEMENT, prepare)) is not None:
-            self.get_logger().warning(f"movement refused: {answer.text}")
-
     def _prepare_movement(
         self,
         id: str,
@@ -261,21 +240,17 @@ class PreparationWorker(Node):
         asked: tuple[int, str],
         waypoints: bool = False,
     ) -> None:
-        settings, limits = self._arm()
+        settings = self._settings
         if (points := len(message.points)) > POINTS_MAX:
             raise ValueError(f"{points} points; at most {POINTS_MAX} allowed")
         t, q = joint_messages.movement(message, self._joint_names)
         if waypoints:
             t, q = replay_trajectory.through(t, q)
-        sampled = replay_trajectory.sampled(t, q, settings.period, limits)
+        sampled = replay_trajectory.sampled(t, q, settings.period, settings.limits)
         values = {"duration": sampled.duration, "period": sampled.period}
         arrays = {"q": sampled.q, "qd": sampled.qd, "qdd": sampled.qdd}
         about = {"what": "movement", "id": id, "movement": values, "asked": asked}
         self._hand_over(MOVEMENT, about, arrays)
-
-    def _arm(self) -> tuple[ControllerSettings, Limits]:
-        """Settings and limits of the arm."""
-        return self._settings, self._settings.limits
 
     def _hand_over(self, what: str, values: dict[str, Any], arrays: dict[str, np.ndarray]) -> None:
         shared = self._channel.send({**values, "configuration": self._configuration}, arrays)

@@ -14,11 +14,6 @@ from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import robot_description, share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 
-# Parameters of a controller on which no rollout depends: devices, names, the machine.
-ELSEWHERE = {"autostart", "simulation", "realtime_priority", "hardware_id", "state_topic"}
-ELSEWHERE |= {"velocity_topic", "command_topic", "command_type", "effort", "allow_no_realtime"}
-ELSEWHERE |= {"idle_service", "urdf", "base_frame", "state_timeout", "hold_to_run", "move_speed"}
-
 
 class SimulatedArm:
     """Simulates policies for the practice (`practice.ArmModel`); keeps the results.
@@ -47,8 +42,6 @@ class SimulatedArm:
         urdf = robot_description(urdf)
         setup = overlay.of_files([share(file) for file in controller])
         controller_params = TorqueControllerParams.of_setup(setup)
-        own = TorqueControllerParams.model_fields.keys() - ELSEWHERE
-        self.parameters = {name: setup["torque_controller"][name] for name in sorted(own)}
         corrections = controller_params.corrections
         base, limits = controller_params.base_frame, controller_params.position_limits
         self.kinematics = Arm(urdf, joint_names, tool_frame, (), corrections, base, limits)

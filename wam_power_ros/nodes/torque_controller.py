@@ -137,25 +137,6 @@ class TorqueController(LifecycleNode):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(0.1, self._supervise, clock=steady)
         self.create_timer(1.0, self._publish_report, clock=steady)
-        params.follow(self, self._accept)
-
-    def _accept(self, params: TorqueControllerParams) -> None:
-        """Move at another speed if the arm rests; limit torques more if the node is not active."""
-        lowered, core = params.torque_share - self._params.torque_share, self._controller
-        if lowered > 0.0:
-            raise ValueError("torque_share is only lowered while the node runs: restart it")
-        if self._active and (lowered or core.mode is not Mode.HOLD or not core.at_rest):
-            raise ValueError(
-                "move_speed is set while the arm holds still, torque_share while the controller is "
-                f"not active; it is active, in mode {core.mode.value}"
-            )
-        if core is not None and lowered:  # its arm and its tables are made anew
-            core = self._controller = params.controller(self._urdf, core.latched)
-            self._preparation.configure(core.settings, params.joint_names)
-        self._params = params
-        if core is not None:
-            speed = {"move_speed": params.move_speed}
-            core.settings = core.settings.model_copy(update=speed)
 
     # Life cycle
 
@@ -181,7 +162,7 @@ class TorqueController(LifecycleNode):
 
         In simulation it also requires that no node but a stand-in publishes states.
         """
-        reason = self._missing_state() or self._stranger() or self._other_clock() or None
+        reason = self._missing_state() or self._stranger()
         reason = reason or self._missing_realtime()
         reason = reason or self._unheard() or self._guard.begin()
         if reason is None and self._controller.mode is not Mode.FAULT:
@@ -281,9 +262,7 @@ class TorqueController(LifecycleNode):
             if now_ns - self._refused_ns < STATE_AGE_MAX_NS:
                 return f"joint states arrive, but are refused: {self._refusal}"
             unmatched = self._unmatched(params.state_topic, JointState, interface.STATE_IN)
-            there = self.count_publishers(params.state_topic)  # its clock would be known as well
-            clock = f"; {clock}" if there and (clock := self._other_clock()) else ""
-            return f"no joint state within the last second{unmatched}{clock}"
+            return f"no joint state within the last second{unmatched}"
         if params.velocity_topic and now_ns - self._qd_ns >= STATE_AGE_MAX_NS:
             unmatched = self._unmatched(params.velocity_topic, JointState, interface.STATE_IN)
             return f"no joint velocity on {params.velocity_topic} within the last second{unmatched}"
@@ -310,11 +289,6 @@ class TorqueController(LifecycleNode):
     def _stranger(self) -> str | None:
         """Publisher of joint states that a simulation must not answer; None on an arm."""
         return None if self._simulation_guard is None else self._simulation_guard.stranger()
-
-    def _other_clock(self) -> str:
-        """Clock of a stand-in that this node does not follow; empty on an arm."""
-        guard, lockstep = self._simulation_guard, not self._watchdog.enabled
-        return "" if guard is None else guard.other_clock(lockstep)
 
     def _missing_realtime(self) -> str | None:
         if self._params.allow_no_realtime or self._granted.complete:

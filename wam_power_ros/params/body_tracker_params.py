@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import os
 from importlib.util import find_spec
-from typing import ClassVar, Literal, get_args
+from typing import Literal, get_args
 
 from pydantic import BaseModel, Field, model_validator
 from typing_extensions import Self
@@ -72,16 +72,6 @@ class BodyTrackerParams(MocapTopics, Params, TrackerSettings):
     """
 
     file = "pancake_tracker.yaml"
-    settable: ClassVar[set[str]] = {
-        "latency_offset",
-        "workspace_low",
-        "workspace_high",
-        "speed_max",
-        "noise",
-        "silence",
-    }
-
-    tethered: bool  # by a string, say: its falls do not tell whether the base frame is right
     base_frame: str
     mocap_frame: str = Field(min_length=1)
     silence: float = Field(

@@ -4,23 +4,23 @@
 A node subclasses `Params` with typed fields and no defaults, is constructed with
 `automatically_declare_parameters_from_overrides=True`, and reads its parameters once:
 `MyParams.of(self)`. Every number has a lower and an upper bound; the field's description gives the
-reasons. What is `settable` may change later, if the node accepts it (`follow`).
+reasons. None can be set while the node runs.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from wam_power_ros.params import overlay, parameter_file
-from wam_power_ros.params.resources import share
 
 if TYPE_CHECKING:  # in-process simulations read the same parameters without ROS
     from pydantic_core import ErrorDetails
+    from rcl_interfaces.msg import SetParametersResult
     from rclpy.node import Node
     from rclpy.parameter import Parameter
 
@@ -30,7 +30,6 @@ Timeout = Annotated[
     float, Field(ge=0.1, le=86_400.0, description="in s: an answer takes 0.1 s; at most a day")
 ]
 AT_START = "read at start: change the YAML and restart the node"
-AT_REST = "may be set at rest; the node says what it refuses"
 SHOWN_LENGTH_MAX = 80  # characters of a refused value in its message
 
 
@@ -43,7 +42,6 @@ class Params(BaseModel):
 
     file: ClassVar[str] = ""  # file in config/ with defaults and comments, named after the node
     constants: ClassVar[set[str]] = set()  # included settings that are no parameters
-    settable: ClassVar[set[str]] = set()  # while the node runs
 
     model_config = ConfigDict(
         frozen=True, extra="forbid", strict=True, allow_inf_nan=False, str_max_length=10_000
@@ -51,7 +49,7 @@ class Params(BaseModel):
 
     @classmethod
     def of(cls: type[P], node: Node) -> P:
-        """Read the parameters of `node` and make them read-only.
+        """Read the parameters of `node`, after which none of them can be set.
 
         Raises:
             ValueError: Keys are unknown, of a wrong type, out of range, or missing without
@@ -70,7 +68,7 @@ class Params(BaseModel):
             if not name.startswith(parameter_file.ROS_PARAMETERS)
         }
         params = cls._checked(node.get_name(), values)
-        cls._describe(node)
+        node.add_on_set_parameters_callback(_refuse)
         return params
 
     @classmethod
@@ -106,51 +104,6 @@ class Params(BaseModel):
                 node.declare_parameter(each, value)
             elif _plain(node.get_parameter(each).value) == passed.get(each):
                 node.set_parameters([Parameter(each, value=value)])
-
-    @classmethod
-    def _describe(cls, node: Node) -> None:
-        """Set the description and range of every parameter, and make it read-only."""
-        from rcl_interfaces.msg import ParameterDescriptor
-
-        comments = parameter_file.comments(share(f"config/{cls.file}")) if cls.file else {}
-        for name in cls.model_fields.keys() - cls.constants:
-            field = cls.model_fields[name]
-            sentences = (comments.get(name), field.description and f"Range: {field.description}")
-            given = node.get_parameter(name)
-            descriptor = ParameterDescriptor(
-                type=given.type_.value,
-                description=". ".join(filter(None, sentences)),
-                additional_constraints=AT_REST if name in cls.settable else AT_START,
-                read_only=name not in cls.settable,
-                **_range(field.metadata, given.value),
-            )
-            node.set_descriptor(name, descriptor)
-        clock = ParameterDescriptor(
-            type=node.get_parameter("use_sim_time").type_.value,
-            description="Lockstep: time comes from /clock, and the watchdogs for states are off",
-            read_only=True,
-        )
-        node.set_descriptor("use_sim_time", clock)
-
-    def follow(self: P, node: Node, accept: Callable[[P], None]) -> None:
-        """Let `accept` take the parameters when some are set, or refuse them by a ValueError."""
-        from rcl_interfaces.msg import SetParametersResult
-
-        known = self
-
-        def on_set(given: Sequence[Parameter[Any]]) -> SetParametersResult:
-            nonlocal known
-            own = {each.name: each.value for each in given if each.name in type(self).settable}
-            own = {k: v if isinstance(v, (str, int, float)) else tuple(v) for k, v in own.items()}
-            try:
-                values = known.model_dump(exclude=type(self).constants) | own
-                accept(changed := self._checked(node.get_name(), values))
-            except ValueError as error:
-                return SetParametersResult(successful=False, reason=str(error))
-            known = changed
-            return SetParametersResult(successful=True)
-
-        node.add_on_set_parameters_callback(on_set)
 
     @classmethod
     def of_setup(cls: type[P], setup: overlay.Setup) -> P:
@@ -206,20 +159,9 @@ def _plain(value: object) -> object:
     return value if value is None or isinstance(value, (str, int, float)) else list(value)
 
 
-def _range(rules: Sequence[object], value: object) -> dict[str, list[Any]]:
-    """Range of a number from its rules, as a field of a descriptor; empty for other values."""
-    from rcl_interfaces.msg import FloatingPointRange, IntegerRange
+def _refuse(given: Sequence[Parameter[Any]]) -> SetParametersResult:
+    """Refuse to set parameters, `use_sim_time` included, on which the watchdogs depend."""
+    from rcl_interfaces.msg import SetParametersResult
 
-    bounds = {
-        name: bound
-        for rule in rules
-        for name in ("gt", "ge", "lt", "le")
-        if (bound := getattr(rule, name, None)) is not None
-    }
-    low, high = bounds.get("gt", bounds.get("ge")), bounds.get("lt", bounds.get("le"))
-    if low is None or high is None or type(value) not in (int, float):
-        return {}
-    if type(value) is int:
-        return {"integer_range": [IntegerRange(from_value=int(low), to_value=int(high))]}
-    limits = FloatingPointRange(from_value=float(low), to_value=float(high))
-    return {"floating_point_range": [limits]}
+    reason = f"{', '.join(each.name for each in given)}: {AT_START}"
+    return SetParametersResult(successful=False, reason=reason)

@@ -22,8 +22,6 @@ ROS_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrid
 ALL_NODES = "**"  # name, without namespace, of the section of all nodes: `/**`
 _TAG = "tag:yaml.org,2002:"
 _INT = re.compile(r"[-+]?(0|[1-9][0-9]*)$")
-_COMMENTED = re.compile(r"    (\w+):(?:[^#]*)(?:# ?(.*))?$")  # a parameter and its comment
-_CONTINUED = re.compile(r"     +# ?(.*)$")  # next line of the comment
 _FLOAT = re.compile(
     r"[-+]?([0-9]+\.[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?$|[-+]?[0-9]+[eE][-+]?[0-9]+$"
 )
@@ -46,23 +44,6 @@ class Loader(plain_yaml.Loader):
         return dict(super().construct_mapping(node, deep))
 
 
-class PlainLoader(Loader):
-    """Loads what ROS itself can read: every list of one kind."""
-
-    def construct_sequence(self, node: yaml.SequenceNode, deep: bool = False) -> list[Any]:
-        """Refuse a list of several kinds or none, as ROS does without naming file or parameter."""
-        if not node.value:
-            line = node.start_mark.line + 1
-            raise yaml.YAMLError(f'line {line}: ROS has no empty lists; write [""] for no names')
-        if len({item.tag for item in node.value}) > 1:
-            shown = ", ".join(str(getattr(item, "value", "...")) for item in node.value)
-            raise yaml.YAMLError(
-                f"line {node.start_mark.line + 1}: [{reprlib.repr(shown)[1:-1]}] must be of one "
-                "kind: write 2.0, not 2, in a list of decimal numbers"
-            )
-        return list(super().construct_sequence(node, deep))
-
-
 Loader.yaml_implicit_resolvers = {
     first: [pair for pair in pairs if pair[0] in (_TAG + "bool", _TAG + "null")]
     for first, pairs in yaml.SafeLoader.yaml_implicit_resolvers.items()
@@ -75,16 +56,14 @@ Loader.add_implicit_resolver(_TAG + "int", _INT, list("-+0123456789"))
 Loader.add_implicit_resolver(_TAG + "float", _FLOAT, list("-+.0123456789"))
 
 
-def read(file: Path, loader: type = Loader) -> dict[str, dict[str, Any]]:
+def read(file: Path) -> dict[str, dict[str, Any]]:
     """Read the parameters by node from one file; names of nodes include their namespace.
-
-    A file that ROS itself is to read needs the loader `PlainLoader`.
 
     Raises:
         ValueError: The file is not a regular file, too large, not YAML, or does not contain
             parameters by node. The message names the file and, for a duplicate key, both lines.
     """
-    nodes = plain_yaml.read(file, loader)
+    nodes = plain_yaml.read(file, Loader)
     try:
         return dict(_sections(nodes or {}))
     except ValueError as error:
@@ -127,20 +106,6 @@ def of_nodes(file: Path, namespace: str = "") -> dict[str, dict[str, Any]]:
             raise ValueError(f"{file} has parameters for {name} twice; use one file for each")
         found[name] = {**found.get(name, {}), **values}
     return found
-
-
-def comments(file: Path) -> dict[str, str]:
-    """Comments by parameter in a file of config/: beside the value, and in the lines below it."""
-    found: dict[str, str] = {}
-    name = ""
-    for line in file.read_text(encoding="utf-8").splitlines():
-        if match := _COMMENTED.match(line):
-            name, found[match[1]] = match[1], match[2] or ""
-        elif name and (continued := _CONTINUED.match(line)):
-            found[name] = f"{found[name]} {continued[1]}".strip()
-        else:
-            name = ""
-    return {name: text for name, text in found.items() if text}
 
 
 def given(arguments: Sequence[str]) -> list[Path]:

@@ -7,14 +7,10 @@ the same copy, whatever other workspaces are sourced.
 """
 
 import os
-import re
-import tempfile
 from pathlib import Path
-from xml.etree import ElementTree
 
 PACKAGE = "wam_power_ros"
 PACKAGE_URL = "package://"
-_LEVELS = 4  # folders above a xacro file in which packages are looked for
 
 
 def share(relative: str) -> Path:
@@ -38,8 +34,7 @@ def robot_description(urdf: str) -> str:
     """Read a URDF; a file that ends in .xacro is expanded.
 
     Its path is absolute, from ~, as for `share`, or of a sourced package: package://NAME/FILE.
-    Packages that the file names are those of the sourced workspaces, and folders with a
-    package.xml beside the file or above it: a vendor's description without ROS.
+    Packages that a xacro file names are those of the sourced workspaces.
 
     Raises:
         FileNotFoundError: There is no such file.
@@ -48,12 +43,7 @@ def robot_description(urdf: str) -> str:
     file = _in_package(urdf) if urdf.startswith(PACKAGE_URL) else share(os.path.expanduser(urdf))
     if file.suffix == ".xacro":
         return _expanded(file.resolve())
-    data = file.read_bytes()
-    declared = re.match(rb"\s*<\?xml[^>]*?encoding\s*=\s*[\"']([\w.-]+)", data)
-    try:
-        return data.decode(declared[1].decode() if declared else "utf-8-sig")
-    except (LookupError, UnicodeDecodeError):
-        return data.decode("latin-1")  # which all bytes are: urdfdom reads names as bytes
+    return file.read_text(encoding="utf-8-sig", errors="replace")  # some comments are latin-1
 
 
 def _in_package(url: str) -> Path:
@@ -72,35 +62,11 @@ def _expanded(file: Path) -> str:
             f"{file} is a xacro file, and Python has no xacro to expand it: pip install xacro, or "
             "apt install ros-jazzy-xacro"
         ) from None
-    path = os.environ.get("AMENT_PREFIX_PATH")
-    with tempfile.TemporaryDirectory() as prefix:
-        _add_packages(file, Path(prefix))
-        os.environ["AMENT_PREFIX_PATH"] = os.pathsep.join(filter(None, (prefix, path)))
-        try:
-            return str(xacro.process_file(str(file)).toxml())
-        except Exception as error:  # also what an expression in the file raises
-            cause = getattr(error, "exc", None) or error
-            raise ValueError(
-                f"{file} cannot be expanded by xacro: {cause}. A package that it names must be in "
-                "a sourced workspace, or in a folder beside the file, with its package.xml"
-            ) from None
-        finally:
-            if path is None:
-                del os.environ["AMENT_PREFIX_PATH"]
-            else:
-                os.environ["AMENT_PREFIX_PATH"] = path
-
-
-def _add_packages(file: Path, prefix: Path) -> None:
-    """Make the packages beside and above a file known below an ament prefix."""
-    index = prefix / "share/ament_index/resource_index/packages"
-    index.mkdir(parents=True)
-    for folder in file.parents[:_LEVELS]:
-        for found in (folder / "package.xml", *sorted(folder.glob("*/package.xml"))):
-            try:
-                name = ElementTree.parse(found).findtext("name", "").strip()
-            except (OSError, ElementTree.ParseError):
-                continue
-            if name and "/" not in name and not (index / name).exists():
-                (index / name).touch()
-                (prefix / "share" / name).symlink_to(found.parent)
+    try:
+        return str(xacro.process_file(str(file)).toxml())
+    except Exception as error:  # also what an expression in the file raises
+        cause = getattr(error, "exc", None) or error
+        raise ValueError(
+            f"{file} cannot be expanded by xacro: {cause}. A package that it names must be in a "
+            "sourced workspace"
+        ) from None

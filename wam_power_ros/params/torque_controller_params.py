@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -83,7 +83,6 @@ class TorqueControllerParams(Params, MotionSettings):
     """Parameters of config/torque_controller.yaml, whose comments explain them."""
 
     file = "torque_controller.yaml"
-    settable: ClassVar[set[str]] = {"move_speed", "torque_share"}
 
     autostart: bool
     simulation: bool

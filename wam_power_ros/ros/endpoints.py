@@ -25,22 +25,22 @@ def type_name(kind: type) -> str:
 
 
 def unmatched_publishers(
-    node: Node, topic: str, types: Sequence[str], qos: QoSProfile | None = None
+    node: Node, topic: str, types: Sequence[str], qos: QoSProfile
 ) -> list[str]:
     """Describe the publishers of a topic from which a subscription receives nothing.
 
     Args:
         topic: Topic, relative or resolved.
-        types: Full names of the expected message types; empty for any.
-        qos: QoS of the subscription; None if it adapts to the publishers.
+        types: Full names of the expected message types.
+        qos: QoS of the subscription.
 
     Returns:
         One sentence each, with both sides.
     """
     topic, found = node.resolve_topic_name(topic), []
-    wanted = f"{' or '.join(types)}{'' if qos is None else f' (at least {_said(qos)})'}"
+    wanted = f"{' or '.join(types)} (at least {_said(qos)})"
     for info in node.get_publishers_info_by_topic(topic):
-        why = _difference(info, types, info.qos_profile, qos or info.qos_profile)
+        why = _difference(info, types, info.qos_profile, qos)
         if why:
             given = f"{info.topic_type} ({_said(info.qos_profile)})"
             found.append(f"{_node(info)} publishes {given} on {topic}, not {wanted}: {why}")
@@ -75,7 +75,7 @@ def _difference(
     info: TopicEndpointInfo, types: Sequence[str], offered: QoSProfile, requested: QoSProfile
 ) -> str:
     """Why nothing is delivered to or from an endpoint; empty if something is."""
-    if types and info.topic_type not in types:
+    if info.topic_type not in types:
         return OTHER_TYPE
     # Not `qos_check_compatible`: a discovered profile has no deadline other than ours has none.
     pairs = (

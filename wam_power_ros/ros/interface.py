@@ -7,8 +7,6 @@ of a graph share are absolute, as usual in ROS.
 
 from __future__ import annotations
 
-import re
-
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -21,7 +19,6 @@ MARKERS = "pointCloud"
 POLICY = "policy"
 ROLLOUT_END_EFFECTOR = "rollout/end_effector"
 ROLLOUT_END = "rollout/end"
-LEARNER_MARKERS = "learner/markers"
 IMAGES, CALIBRATION = "camera/image_raw", "camera/camera_info"  # as camera drivers name them
 ROBOT_DESCRIPTION = "robot_description"
 TF, TF_STATIC = "/tf", "/tf_static"  # subscribed when a frame is a foreign one
@@ -29,8 +26,6 @@ DIAGNOSTICS = "/diagnostics"
 CLOCK = "/clock"
 LOG = "/rosout"
 ENABLE = "controller/enable"
-
-REPLAY = "controller/replay"  # a movement to follow, for who wants no answer
 
 # Actions
 EXECUTE_POLICY = "controller/execute_policy"
@@ -57,44 +52,17 @@ WAM_IDLE = "wam/idle"
 
 # Topics and services of a tracked body begin with its name; its frame is the name itself
 BODY_LEAVES = ("pose", "state", "truth", "drop")  # the last two: stand-in only
-SCENE_LEAVES = ("truth",)  # of a task without a body
 SCENE = "scene"
-_BODY = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-_RESERVED = {SCENE, "end_effector", "end"}
 
 
 def body_topic(body: str, leaf: str) -> str:
-    """Topic or service of a tracked body, such as `ball/state`.
-
-    Args:
-        body: Name of the body; empty for a task without one, which has `scene/truth`.
-        leaf: One of `BODY_LEAVES`.
-
-    Raises:
-        ValueError: When there is no such topic, or the name of the body is not acceptable.
-    """
-    leaves = BODY_LEAVES if body else SCENE_LEAVES
-    if leaf not in leaves:
-        raise ValueError(f"no topic {leaf!r} of body {body!r}; there are {list(leaves)}")
-    return f"{_checked(body) if body else SCENE}/{leaf}"
+    """Topic or service of a tracked body, such as `ball/state`; of the scene if there is none."""
+    return f"{body or SCENE}/{leaf}"
 
 
 def rollout_topic(body: str) -> str:
-    """Topic of a tracked body's path through a rollout, such as `rollout/ball`.
-
-    Raises:
-        ValueError: When the name of the body is not acceptable.
-    """
-    return f"rollout/{_checked(body)}"
-
-
-def _checked(body: str) -> str:
-    if not _BODY.fullmatch(body) or body in _RESERVED:
-        raise ValueError(
-            f"name {body!r} of a tracked body must be letters, digits and underscores, begin with "
-            f"a letter, and be none of {sorted(_RESERVED)}"
-        )
-    return body
+    """Topic of a tracked body's path through a rollout, such as `rollout/ball`."""
+    return f"rollout/{body}"
 
 
 def frame(namespace: str, name: str) -> str:
@@ -123,7 +91,6 @@ MOCAP = _qos(500)  # a path needs every frame: two seconds at 240 Hz
 MOCAP_BEST_EFFORT = _qos(500, "BEST_EFFORT")
 LATCHED = _qos(1, durability="TRANSIENT_LOCAL")
 FIXED = _qos(100, durability="TRANSIENT_LOCAL")  # of /tf_static, as tf2 subscribes
-REPLAYS = _qos(10)
 DIAGNOSTICS_QOS = _qos(10)
 LOG_QOS = _qos(1000, durability="TRANSIENT_LOCAL")
 CLOCK_QOS = _qos(1, "BEST_EFFORT")

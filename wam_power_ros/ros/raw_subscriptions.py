@@ -16,7 +16,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rosbags.interfaces import Qos
 
 from wam_power_ros.bags import layout
-from wam_power_ros.ros import endpoints, interface
+from wam_power_ros.ros import interface
 from wam_power_ros.ros.interface import is_latched, is_reliable
 
 DISCOVERY_PERIOD = 0.25  # [s] between looks at the graph
@@ -52,7 +52,6 @@ class RawTopics:
         self._node, self._on_message = node, on_message
         self._topics = {node.resolve_topic_name(topic): topic for topic in topics}
         self._types = {node.resolve_topic_name(topic): topics[topic] for topic in topics}
-        self.unmatched: dict[str, list[str]] = {}  # topic -> publishers that are not received
         self._subscribed: dict[str, _Subscribed] = {}
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(DISCOVERY_PERIOD, self.discover, clock=steady)
@@ -80,20 +79,12 @@ class RawTopics:
         for name in self._topics:
             infos = self._node.get_publishers_info_by_topic(name)
             if not infos:
-                self.unmatched.pop(name, None)
                 continue
             known = self._subscribed.get(name)
             types = (known.msgtype,) if known else self._types[name] or (infos[0].topic_type,)
             usable = [info for info in infos if info.topic_type in types]
             if usable:
                 self._subscribe(name, [i for i in usable if i.topic_type == usable[0].topic_type])
-            self._find_unmatched(name, types)
-
-    def _find_unmatched(self, name: str, types: Sequence[str]) -> None:
-        found = endpoints.unmatched_publishers(self._node, name, types)
-        for text in set(found) - set(self.unmatched.get(name, ())):
-            self._node.get_logger().error(f"not recorded: {text}")
-        self.unmatched[name] = found
 
     def take(self) -> None:
         """Pass on the messages that have arrived but were not dispatched yet.

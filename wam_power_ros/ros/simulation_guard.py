@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Guard of a simulated controller: it may answer states of a stand-in only, and by its clock."""
+"""Guard of a simulated controller: it may answer states of a stand-in only."""
 
 from __future__ import annotations
 
 from rclpy.node import Node
-
-from wam_power_ros.ros import interface
 
 STAND_IN = "wam_sim"  # node that publishes the joint states of a simulated arm
 UNNAMED = "_NODE_NAME_UNKNOWN_"  # the node's name is not discovered yet, or it is no ROS node
@@ -24,7 +22,6 @@ class SimulationGuard:
 
     def __init__(self, node: Node, topic: str) -> None:
         self._node, self._topic = node, node.resolve_topic_name(topic)
-        self._clock = node.resolve_topic_name(interface.CLOCK)
         self._unnamed = False  # at the last call of `intruder`
 
     def stranger(self) -> str | None:
@@ -36,22 +33,6 @@ class SimulationGuard:
             f"{described(name)} publishes {self._topic}, and this controller is for a simulation: "
             f"it answers the stand-in {STAND_IN!r} only; for an arm set simulation: false"
         )
-
-    def other_clock(self, simulated: bool) -> str:
-        """Say that stand-in and controller follow different clocks; empty if they do not."""
-        published = bool(self._node.count_publishers(self._clock))
-        if published and not simulated:
-            return (
-                f"the stand-in runs in lockstep and publishes {self._clock}, this controller in "
-                "real time: set use_sim_time: true for all nodes, or pace: real_time for the "
-                "stand-in"
-            )
-        if simulated and self._node.get_parameter("use_sim_time").value and not published:
-            return (
-                f"no node publishes {self._clock}, and this controller follows simulated time: set "
-                "pace: lockstep for the stand-in, or use_sim_time: false for all nodes"
-            )
-        return ""
 
     def intruder(self) -> str | None:
         """As `stranger`, but a publisher whose name is not discovered yet has until the next call.
