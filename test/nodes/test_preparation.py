@@ -82,26 +82,6 @@ class Worker:
         os.kill(self.pid, number)
 
 
-@pytest.fixture(scope="module")
-def activated(shared_nodes: tuple[Probe, Processes]) -> PlayedArm:
-    """A controller that several tests share, active."""
-    arm = PlayedArm(*shared_nodes)
-    arm.activate()
-    return arm
-
-
-@pytest.fixture
-def arm(activated: PlayedArm) -> PlayedArm:
-    """The shared controller, which holds an arm at rest."""
-    assert activated.probe.call(Trigger, interface.STOP).success
-    for _ in range(100):
-        activated.send()
-        activated.answer()
-    assert activated.read()[-1].label == "hold"
-    activated.diagnostics.clear()
-    return activated
-
-
 @pytest.fixture
 def worker(arm: PlayedArm) -> Iterator[Worker]:
     worker = Worker(arm)
