@@ -68,8 +68,17 @@ class Params(BaseModel):
             if not name.startswith(parameter_file.ROS_PARAMETERS)
         }
         params = cls._checked(node.get_name(), values)
-        node.add_on_set_parameters_callback(_refuse)
+        node.add_on_set_parameters_callback(cls._refuse)
         return params
+
+    @classmethod
+    def _refuse(cls, given: Sequence[Parameter[Any]]) -> SetParametersResult:
+        """Refuse to set parameters, `use_sim_time` included, on which the watchdogs depend."""
+        from rcl_interfaces.msg import SetParametersResult
+
+        own = [each.name for each in given if each.name in {*cls.model_fields, "use_sim_time"}]
+        reason = f"{', '.join(own)}: {AT_START}" if own else ""
+        return SetParametersResult(successful=not own, reason=reason)
 
     @classmethod
     def _complete(cls, node: Node) -> None:
@@ -157,11 +166,3 @@ class Params(BaseModel):
 def _plain(value: object) -> object:
     """A list for any sequence but text, to compare values of ROS and of YAML."""
     return value if value is None or isinstance(value, (str, int, float)) else list(value)
-
-
-def _refuse(given: Sequence[Parameter[Any]]) -> SetParametersResult:
-    """Refuse to set parameters, `use_sim_time` included, on which the watchdogs depend."""
-    from rcl_interfaces.msg import SetParametersResult
-
-    reason = f"{', '.join(each.name for each in given)}: {AT_START}"
-    return SetParametersResult(successful=False, reason=reason)
