@@ -104,15 +104,15 @@ BUDGET = {
     "learning": 2459,  # fit, path and practise of positions; +35: springs as needed
     "control": 5528,  # other programs; positions; limits of a set-up and near stops
     "commissioning": 1532,  # +165: a set-up proposed from a URDF; +116: its report, from cli/
-    "tracking": 764,
+    "tracking": 756,
     "tasks": 3616,  # +93: what cannot be the pancake in the pan
     "practice": 2387,  # +32: tools and springs that failed; +46: candidates are fitted here
     "conformance": 1151,  # +25: effort without gravity
     "bags": 2656,  # +246: sets of LeRobot, written and read
-    "params": 1406,  # what may be set at rest; -p body:=NAME is derived from; NatNet, FR3
-    "ros": 2675,  # variables of ROS and DDS are named with their remedy
+    "params": 1249,  # -p body:=NAME is derived from; NatNet, FR3
+    "ros": 2510,  # variables of ROS and DDS are named with their remedy
     "client": 1457,
-    "nodes": 3913,  # actions; +217: an FR3 by its maker's library; +122: NatNet
+    "nodes": 3674,  # actions; +217: an FR3 by its maker's library; +122: NatNet
     "console": 550,  # a person supports the arm, however a movement ended
     "view": 1195,
     "reporting": 874,
