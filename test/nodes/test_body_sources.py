@@ -188,6 +188,9 @@ def test_a_foreign_frame_is_refused_by_name_until_tf_has_it_then_transformed(
     assert (found.frame, found.stamp_ns) == (frame, own.stamp_ns)
     for seen, wanted in zip(found[2:], own[2:], strict=True):
         np.testing.assert_allclose(seen, wanted, atol=1e-6)
+    on_mount = bench.source.read(bench.one(frame="mount"))[2]
+    turned = own[2] @ rotations.matrix(CAMERA[1]).T
+    np.testing.assert_allclose(on_mount, turned + CAMERA[0], atol=1e-6)
 
 
 def test_a_body_that_is_not_there_is_named_with_those_that_are(
