@@ -46,9 +46,10 @@ nodes = [
     f"franka_driver = {NAME}.entry:franka_driver",
     f"natnet_client = {NAME}.entry:natnet_client",
     f"wam_sim = {NAME}.entry:wam_sim",
+    f"replay = {NAME}.entry:replay",
 ]
 # colcon and bloom run these commands, and `ros2 run` looks for the executables where setup.cfg puts
-# them. pip runs others: it would put a `learner` on everybody's path.
+# them. pip runs others: it would put a `learner` and a `replay` on everybody's path.
 for_ros = {"install", "develop"} & {*sys.argv}
 
 setup(

@@ -7,12 +7,13 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-from conftest import Probe, Process, Processes, diagnosis
+from conftest import ROOT, Probe, Process, Processes, diagnosis
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
+from wam_power_ros.control.arm import Arm
 from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.ros.simulation_guard import STAND_IN
 from wam_power_ros.ros.stamps import time_message
@@ -22,6 +23,7 @@ SIMULATED = ("torque_controller.yaml", "simulation.yaml")
 NAMES = [f"wam_j{i}" for i in range(1, 8)]
 HOME = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
 TICK = 2_000_000  # [ns]
+GRAVITY = Arm((ROOT / "urdf/wam7.urdf").read_text(), NAMES).gravity(HOME)  # [N m]
 
 
 class PlayedArm:
@@ -88,7 +90,11 @@ class PlayedArm:
             return any(torque.label == "hold" for torque in self.read())
 
         self.probe.until(held, "the controller holds")
-        for _ in range(80):  # until the torque that holds the arm is known
+        self.settle()  # until the torque that holds the arm is known
+
+    def settle(self) -> None:
+        """Let the arm come to rest, for more states than a refused one counts."""
+        for _ in range(100):
             self.send()
             self.answer()
 

@@ -95,6 +95,7 @@ tag_camera = partial(start, "wam_power_ros.nodes.tag_camera")
 franka_driver = partial(start, "wam_power_ros.nodes.franka_driver")
 natnet_client = partial(start, "wam_power_ros.nodes.natnet_client")
 wam_sim = partial(start, "hardware_sim.main")
+replay = partial(start, "wam_power_ros.console.replay_running", INTERRUPTED)
 wam_power = partial(start, "wam_power_ros.cli.main", INTERRUPTED)
 
 if __name__ == "__main__":

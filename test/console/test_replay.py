@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 import pytest
 from bag_samples import REACH, WAM
-from conftest import ROOT
+from conftest import ROOT, Probe, Processes
 from rclpy.node import Node
+from stand_ins import Hardware
 from std_srvs.srv import SetBool, Trigger
 
 from wam_power_interfaces.action import Replay
@@ -52,6 +53,39 @@ def test_a_shipped_bag_is_replayed_and_its_tracking_error_reported(tmp_path: Pat
     _, done = reader.read_demonstration(made, WAM)
     np.testing.assert_allclose(done[-1], wanted[-1], atol=0.03)
     assert np.abs(done - wanted[0]).max(axis=1).min() < 0.03  # at the start
+
+
+def test_on_running_nodes_their_arm_replays_and_nothing_else_is_started_or_recorded(
+    probe: Probe, processes: Processes
+) -> None:
+    hardware = Hardware(probe, processes, "lockstep")
+    hardware.control()
+    module = "wam_power_ros.console.replay_running"
+    process = processes.start([sys.executable, "-m", module, str(REACH), "--speed", "2"])
+    process.wait(600.0)  # a busy machine
+    said = processes.output(process)
+    assert process.returncode == 0, said
+    assert "tool: rms" in said and "recorded:" not in said
+    _, wanted = reader.read_demonstration(REACH, WAM)
+
+    def arrived() -> bool:  # messages from before are still in the queue
+        newest = hardware.messages[-1] if hardware.messages else None
+        q = dict(zip(newest.name, newest.position, strict=True)) if newest else {}
+        return bool(q) and np.allclose([q[name] for name in WAM], wanted[-1], atol=0.03)
+
+    hardware.messages.clear()
+    probe.until(arrived, "the arm at the end of the movement")
+
+
+def test_without_nodes_a_replay_on_them_says_what_to_do(processes: Processes, probe: Probe) -> None:
+    code = """
+from wam_power_ros.console import replay_running
+replay_running.APPEAR_TIMEOUT = 1.0
+raise SystemExit(replay_running.main())
+"""
+    process = processes.start([sys.executable, "-c", code, str(REACH)])
+    assert process.wait(60.0) == 2
+    assert "no node torque_controller in this domain" in processes.output(process)
 
 
 def test_the_possible_speed_is_given_as_a_value_of_the_option() -> None:

@@ -82,32 +82,24 @@ def test_a_rollout_is_the_same_through_every_driver(
     assert all(not list(speed.name) and len(speed.velocity) == 7 for speed in speeds)
 
 
-@pytest.mark.parametrize("name", ["geodude", "libbarrett"])
 def test_a_driver_that_is_set_to_do_so_ends_with_a_command_of_a_wrong_size(
-    name: str, probe: Probe, processes: Processes, tmp_path: Path
+    probe: Probe, processes: Processes, tmp_path: Path
 ) -> None:
     more = tmp_path / "deactivates.yaml"
     more.write_text("wam_sim: {ros__parameters: {deactivates: true}}")
-    bench = Rehearsal(probe, processes, tmp_path, name, str(more))
-    driver = bench.setup["wam_sim"]
-    message_type = joint_messages.COMMAND_TYPES[driver["command_type"]]
-    torques = probe.publisher(message_type, driver["command_topic"], interface.COMMAND)
-
-    def command(tau: np.ndarray) -> Float64MultiArray | JointState:
-        if message_type is JointState:
-            return JointState(name=driver["joint_names"][: len(tau)], effort=tau)
-        return Float64MultiArray(data=tau)
+    bench = Rehearsal(probe, processes, tmp_path, "geodude", str(more))
+    torques = probe.publisher(Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND)
 
     def doing() -> str:
         return diagnosis(bench.diagnostics, "wam_sim").get("message", "")
 
     probe.until(lambda: doing() == "commanded", "the driver at work")
-    torques.publish(command(np.full(7, np.nan)))  # dropped without a fault
+    torques.publish(Float64MultiArray(data=[np.nan] * 7))  # dropped without a fault
     probe.until(
         lambda: diagnosis(bench.diagnostics, "wam_sim").get("torques refused") == "1", "a refusal"
     )
     assert doing() == "commanded"
-    torques.publish(command(np.zeros(6)))
+    torques.publish(Float64MultiArray(data=[0.0] * 6))
     probe.until(lambda: doing() == "deactivated", "the driver deactivated")
     on = SetBool.Request(data=True)
     assert probe.call(SetBool, interface.WAM_GRAVITY_COMPENSATE, on).success
@@ -155,12 +147,11 @@ def led_to(arm: Arm, home: np.ndarray, way: np.ndarray, arc: np.ndarray) -> np.n
     return np.array(rows + [q] * 250)
 
 
-@pytest.mark.parametrize("driver", [(), ("franka",)], ids=["by itself", "as a franka"])
 @pytest.mark.long
 def test_another_arm_reaches_by_urdf_and_yaml_alone(
-    driver: tuple[str, ...], probe: Probe, processes: Processes, tmp_path: Path
+    probe: Probe, processes: Processes, tmp_path: Path
 ) -> None:
-    bench = Rehearsal(probe, processes, tmp_path, *driver, "cobot")
+    bench = Rehearsal(probe, processes, tmp_path, "franka", "cobot")
     set_up = bench.setup["torque_controller"]
     urdf = share(set_up["urdf"]).read_text()
     arm = Arm(urdf, set_up["model_joint_names"], set_up["tool_frame"], guarded=())

@@ -75,9 +75,17 @@ def arm() -> Answered:
 def test_one_request_is_under_way_at_a_time_and_each_is_answered_at_its_end(arm: Answered) -> None:
     assert arm.ask("a") is None
     assert arm.ask("b") is Code.BUSY
+    assert "the previous request is under way" in arm.answers[-1][1].text
     arm.run(2000)
     assert [(id, answer.code) for id, answer in arm.answers[1:]] == [("a", Code.DONE)]
     assert arm.ask("c") is None
+    arm.core.hold()  # as in a change of mode, before the next state
+    assert arm.ask("d") is Code.BUSY
+    arm.core.stop()
+    arm.requests.stop(arm.core)
+    stopped = Answer(Code.STOPPED, "stopped by a person", arm.requests.last_stop)
+    assert repr(arm.answers[-1]) == repr(("c", stopped))
+    assert arm.ask("e") is None
 
 
 @pytest.mark.requirement("S-54")
@@ -96,25 +104,6 @@ def test_nothing_begins_that_was_sent_before_a_stop_or_before_requests_expired(
     arm.requests.expire()
     assert arm.ask("c", sent_ns=before) is Code.STOPPED
     assert arm.answers[-1][1].stop == ""  # nobody has stopped it
-
-
-def test_a_stop_ends_the_request_under_way(arm: Answered) -> None:
-    assert arm.ask("a") is None
-    arm.core.stop()
-    arm.requests.stop(arm.core)
-    stop = arm.requests.last_stop
-    (answer,) = arm.answers
-    assert repr(answer) == repr(("a", Answer(Code.STOPPED, "stopped by a person", stop)))
-    assert arm.requests._id == ""
-
-
-def test_a_request_is_busy_until_the_one_before_has_been_answered(arm: Answered) -> None:
-    assert arm.ask("a") is None
-    arm.core.hold()  # as in a change of mode, before the next state
-    assert arm.ask("b") is Code.BUSY
-    assert "the previous request is under way" in arm.answers[-1][1].text
-    arm.run()
-    assert [id for id, answer in arm.answers] == ["b", "a"]
 
 
 def test_a_move_is_not_answered_before_the_arm_rests(arm: Answered) -> None:

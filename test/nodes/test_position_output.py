@@ -67,7 +67,7 @@ class PositionArm:
 
 @pytest.mark.parametrize(
     ("output", "kind"),
-    [("position", "multiarray"), ("position", "joint_state"), ("trajectory", "multiarray")],
+    [("position", "joint_state"), ("trajectory", "multiarray")],  # positions in an array: below
 )
 def test_a_rollout_by_positions_ends_as_by_torques_with_each_kind_of_message(
     probe: Probe, processes: Processes, output: str, kind: str

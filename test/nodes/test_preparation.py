@@ -19,7 +19,6 @@ from conftest import ROOT, Probe, Processes, lift, python_path
 from played_arm import HOME, NAMES, PlayedArm
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
-from trajectory_msgs.msg import JointTrajectory
 
 from wam_power_interfaces.action import ExecutePolicy
 from wam_power_interfaces.msg import Policy as PolicyMessage
@@ -30,9 +29,8 @@ from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.safety import limits_of
 from wam_power_ros.learning.policy import COUNT_MAX, DURATION_MAX, Basis, Policy, to_json
-from wam_power_ros.nodes import preparation, preparation_worker
+from wam_power_ros.nodes import preparation
 from wam_power_ros.nodes.preparation import (
-    MOVEMENT,
     Preparation,
     settings_of,
     settings_values,
@@ -82,26 +80,6 @@ class Worker:
     def signal(self, number: int) -> None:
         """Send a signal to the process."""
         os.kill(self.pid, number)
-
-
-@pytest.fixture(scope="module")
-def activated(shared_nodes: tuple[Probe, Processes]) -> PlayedArm:
-    """A controller that several tests share, active."""
-    arm = PlayedArm(*shared_nodes)
-    arm.activate()
-    return arm
-
-
-@pytest.fixture
-def arm(activated: PlayedArm) -> PlayedArm:
-    """The shared controller, which holds an arm at rest."""
-    assert activated.probe.call(Trigger, interface.STOP).success
-    for _ in range(100):
-        activated.send()
-        activated.answer()
-    assert activated.read()[-1].label == "hold"
-    activated.diagnostics.clear()
-    return activated
 
 
 @pytest.fixture
@@ -206,13 +184,9 @@ def test_a_robot_description_is_read_before_the_loop_runs_and_not_in_it(
 
 
 @pytest.mark.requirement("S-54")
-def test_a_message_above_its_size_is_refused_unread(arm: PlayedArm) -> None:
-    probe = arm.probe
-    movements = probe.publisher(JointTrajectory, interface.REPLAY, interface.REPLAYS)
-    movements.publish(JointTrajectory(joint_names=["x" * preparation_worker.SIZE_MAX]))
-    report = arm.diagnosis(lambda d: f"refused: {MOVEMENT}" in d, "the refusal")
-    assert f"at most {preparation_worker.SIZE_MAX} allowed" in report["last refusal"]
-    large = probe.answer(probe.ask("execute", "{" * (plain_json.SIZE_MAX + 1)), arm.send)
+def test_a_policy_above_its_size_is_refused_unread(arm: PlayedArm) -> None:
+    sent = arm.probe.ask("execute", "{" * (plain_json.SIZE_MAX + 1))
+    large = arm.probe.answer(sent, arm.send)
     assert large.code is Code.REFUSED and f"{plain_json.SIZE_MAX + 1} bytes" in large.text
 
 

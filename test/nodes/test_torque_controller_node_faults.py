@@ -14,14 +14,13 @@ import pytest
 from conftest import ROOT, Probe, Processes, diagnosis, lift
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from played_arm import HOME, NAMES, SIMULATED, PlayedArm
+from played_arm import GRAVITY, HOME, NAMES, SIMULATED, PlayedArm
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
 from wam_power_interfaces.msg import Policy as PolicyMessage
-from wam_power_ros.control.arm import Arm
 from wam_power_ros.faults import FaultKind
 from wam_power_ros.learning.policy import to_json
 from wam_power_ros.ros import interface, pose_messages
@@ -38,33 +37,6 @@ def make():
     return node
 raise SystemExit(node_runner.run(make))
 """
-
-
-def settle(arm: PlayedArm, states: int = 100) -> None:
-    """Let the arm rest for more states than a refused one counts."""
-    for _ in range(states):
-        arm.send()
-        arm.answer()
-
-
-@pytest.fixture(scope="module")
-def activated(shared_nodes: tuple[Probe, Processes]) -> PlayedArm:
-    """A controller that several tests share, active."""
-    arm = PlayedArm(*shared_nodes)
-    arm.activate()
-    return arm
-
-
-@pytest.fixture
-def arm(activated: PlayedArm) -> PlayedArm:
-    """The shared controller, which holds an arm at rest."""
-    settle(activated)
-    if activated.read()[-1].label == "fault":  # of the test before
-        activated.reset()
-        settle(activated)
-    assert activated.read()[-1].label == "hold"
-    activated.diagnostics.clear()
-    return activated
 
 
 def change(arm: PlayedArm, transition: int) -> bool:
@@ -100,7 +72,7 @@ def test_a_bad_state_is_refused_counted_named_and_never_becomes_a_torque(arm: Pl
         report = arm.diagnosis(lambda d: refused(d) == number, "the refusal")  # noqa: B023
         assert named in report["last refusal"]
         assert len(arm.read()) == count
-        settle(arm)
+        arm.settle()
         assert np.isfinite(arm.read()[-1].tau).all()
 
 
@@ -158,10 +130,9 @@ def test_lost_states_bring_gravity_alone_then_a_fault_and_the_driver_to_idle(
     probe.until(lambda: arm.read()[-1].label == "fault", "the fault", deadline=5.0)
     probe.until(lambda: idled, "the driver is asked to idle", deadline=5.0)
     assert idled[0] - lost > 0.08
-    gravity = Arm((ROOT / "urdf/wam7.urdf").read_text(), NAMES).gravity(HOME)
     # By the torque that held it, which the reported motion of 0.01 rad/s has a share in.
     probe.until(
-        lambda: np.allclose(arm.read()[-1].tau, gravity, rtol=0.0, atol=0.2),
+        lambda: np.allclose(arm.read()[-1].tau, GRAVITY, rtol=0.0, atol=0.2),
         "the arm is braked, and held against gravity",
     )
     report = arm.diagnosis(lambda d: d["mode"] == "fault", "the fault is reported")
@@ -201,7 +172,7 @@ def test_a_commander_that_was_silent_at_activation_is_a_fault_when_it_sends(
     assert change(arm, Transition.TRANSITION_DEACTIVATE)
     other = commander(arm.probe)
     arm.probe.until(lambda: change(arm, Transition.TRANSITION_ACTIVATE), "the activation")
-    settle(arm)
+    arm.settle()
     assert arm.read()[-1].label == "hold"
     other.publish(Float64MultiArray(data=[0.0] * 7))
     assert faulted(arm)["fault kind"] == FaultKind.SECOND_COMMANDER.value
@@ -209,7 +180,7 @@ def test_a_commander_that_was_silent_at_activation_is_a_fault_when_it_sends(
 
     def held() -> bool:
         arm.reset()
-        settle(arm)
+        arm.settle()
         return arm.read()[-1].label == "hold"
 
     arm.probe.until(held, "a reset suffices once the other is silent")
@@ -244,8 +215,7 @@ def test_an_ended_controller_leaves_the_torque_that_carries_the_arm(
     probe.spin(0.3)
     last = arm.read()[-1]
     assert last.label == "inactive"
-    gravity = Arm((ROOT / "urdf/wam7.urdf").read_text(), NAMES).gravity(HOME)
-    np.testing.assert_allclose(last.tau, gravity, atol=1e-9)
+    np.testing.assert_allclose(last.tau, GRAVITY, atol=1e-9)
     assert "Traceback" not in processes.output(arm.process)
 
 
@@ -425,7 +395,7 @@ def test_a_clock_that_jumps_is_a_fault_in_which_torques_go_on(arm: PlayedArm) ->
         assert after.label == "fault"
         np.testing.assert_allclose(after.tau, before.tau, atol=1e-3)
         arm.reset()
-        settle(arm)
+        arm.settle()
         assert arm.read()[-1].label == "hold"
 
 
@@ -439,7 +409,6 @@ def test_a_callback_that_fails_is_a_fault_and_not_the_end_of_the_node(
     quick = ["-p", "realtime_priority:=0", "-p", "state_timeout:=0.0"]
     arm = PlayedArm(probe, processes, processes.script(BROKEN, *config, *quick))
     arm.activate()
-    gravity = Arm((ROOT / "urdf/wam7.urdf").read_text(), NAMES).gravity(HOME)
 
     def failure() -> dict[str, str]:
         arm.send()
@@ -454,7 +423,7 @@ def test_a_callback_that_fails_is_a_fault_and_not_the_end_of_the_node(
         act()
         assert "a callback failed" in probe.until(failure, "the fault is reported")["message"]
         probe.until(lambda: arm.read()[-1].label == "fault", "the arm is carried")
-        np.testing.assert_allclose(arm.read()[-1].tau, gravity, atol=1e-9)
+        np.testing.assert_allclose(arm.read()[-1].tau, GRAVITY, atol=1e-9)
         assert arm.process.poll() is None
 
 
@@ -525,9 +494,7 @@ def test_each_request_executes_the_policy_that_it_brings_whatever_its_id(arm: Pl
         assert answer.stop == end.stop != ""
         path = pose_messages.path(execute.result.path)
         assert path.start_ns == end.start_ns and len(path.t) > 1
-        for _ in range(100):
-            arm.send()
-            arm.answer()
+        arm.settle()
 
 
 @pytest.mark.requirement("S-125")

@@ -63,8 +63,9 @@ def test_set_ups_have_parameters_for_the_existing_nodes() -> None:
 @pytest.mark.parametrize("name", overlay.known())
 @pytest.mark.parametrize("simulated", [False, True])
 def test_every_set_up_is_accepted_by_every_node(name: str, simulated: bool, tmp_path: Path) -> None:
-    setup = overlay.setup([name], simulated)
-    params = {node: read(setup, node, tmp_path) for node in overlay.NODES}
+    (tmp_path / "parameters.yaml").write_text(overlay.text(overlay.setup([name], simulated)))
+    setup = overlay.of_files([tmp_path / "parameters.yaml"])
+    params = {node: READS[node].of_setup(setup) for node in overlay.NODES}
     arm, learner = params["torque_controller"], params["learner"]
     # parameters that several nodes share are equal
     assert arm.joint_names == learner.joint_names == params["demonstration_recorder"].joint_names
@@ -138,6 +139,9 @@ def test_the_name_of_the_body_is_given_once_and_inserted_into_the_drivers_topic(
     assert setup["demonstration_recorder"]["mocap_topics"] == [seen]
     for node in ("demonstration_recorder", "optitrack_sim"):
         assert setup[node]["body"] == "ball"
+    none = write(tmp_path, "none", 'pancake_tracker: {ros__parameters: {body: ""}}')
+    recorder = overlay.setup([*filter(None, [driver]), none])["demonstration_recorder"]
+    assert (recorder["body"], recorder["mocap_topics"]) == ("", [""])  # how ROS has no topic
 
 
 def test_the_source_of_a_later_file_replaces_that_of_a_file_before(tmp_path: Path) -> None:
@@ -188,16 +192,9 @@ def test_a_set_up_is_a_value_that_reads_back_as_it_was_written(tmp_path: Path) -
     assert other.changed({"wam_sim": {"seed": 0}}) == setup != other
     file = tmp_path / "parameters.yaml"
     file.write_text(overlay.text(other))
-    assert overlay.read(file) == other
+    assert overlay.read(file) == parameter_file.of_nodes(file) == other
     file.write_text("wam_sim: {ros__parameters: {seed: 7}}")  # of an older version: fewer values
     assert ArmSimParams.of_setup(overlay.read(file)).seed == 7
-
-
-def test_a_task_without_a_body_has_no_motion_capture_to_record(tmp_path: Path) -> None:
-    none = write(tmp_path, "none", 'pancake_tracker: {ros__parameters: {body: ""}}')
-    setup = overlay.setup(["vrpn_mocap", none])
-    assert setup["demonstration_recorder"]["mocap_topics"] == [""]  # how ROS writes an empty list
-    assert setup["demonstration_recorder"]["body"] == ""
 
 
 def test_the_last_file_wins_and_may_override_derived_parameters(tmp_path: Path) -> None:
@@ -220,23 +217,17 @@ def test_the_last_file_wins_and_may_override_derived_parameters(tmp_path: Path) 
     [
         ("torque_controler: {ros__parameters: {}}", "torque_controler"),
         ("torque_controller: {ros__parameters: {joint_name: [a]}}", "is it joint_names"),
-        ("torque_controller: {parameters: {}}", "torque_controller/parameters has no ros__param"),
         ("torque_controller: {torque_share: 0.3}", "torque_controller has no ros__parameters"),
         ("torque_controller: 5", "torque_controller is 5; allowed are names with values"),
-        ("torque_controller: {ros__parameters: }", "of torque_controller is None; allowed are"),
         ("torque_controller: {ros__parameters: [a]}", r"of torque_controller is \['a'\]; allowed"),
         ("a/one: {ros__parameters: {}}\nb/one: {ros__parameters: {}}", "one twice"),
         ("- a\n- b", r"the file is \['a', 'b'\]; allowed are names with values"),
         ("torque_controller: !!python/object:os.system {}", "not plain YAML"),
-        ("a: {", "not plain YAML"),
-        ("torque_controller: {ros__parameters: {urdf: 3}}", "urdf .* is 3; allowed is text"),
-        ("torque_controller: {ros__parameters: {guarded_region: 1.0}}", "list, each a number"),
-        ("torque_controller: {ros__parameters: {joint_names: [a, 2]}}", "list, each text"),
-        ("pancake_tracker: {ros__parameters: {body: }}", "body .* is None; allowed is text"),
-        ("wam_sim: {ros__parameters: {rate: fast}}", "no parameter 'rate'"),
-        ("torque_controller: {ros__parameters: {period: true}}", "is True; allowed is a number"),
-        ("learner: {ros__parameters: {trials: 2.5}}", "2.5; allowed is a whole number"),
-        ("torque_controller: {ros__parameters: {1: 2}}", "no parameter 1"),
+        ("torque_controller: {ros__parameters: {urdf: 3}}", "urdf .* is 3; allowed is one like 'u"),
+        ("torque_controller: {ros__parameters: {guarded_region: 1.0}}", r"one like \["),
+        ("torque_controller: {ros__parameters: {joint_names: [a, 2]}}", r"one like \['wam"),
+        ("torque_controller: {ros__parameters: {period: true}}", "is True; allowed is one like 0"),
+        ("learner: {ros__parameters: {trials: 2.5}}", "2.5; allowed is one like 0"),
         (f"learner: {{ros__parameters: {{seed: 1{400 * '0'}}}}}", "seed is no finite number"),
     ],
 )
@@ -272,12 +263,6 @@ def test_a_written_set_up_reads_back_unchanged(values: dict[str, Any]) -> None:
     assert yaml.safe_load(text) == {"/**/node": {"ros__parameters": values}}
 
 
-def test_a_written_set_up_has_every_node(tmp_path: Path) -> None:
-    file = tmp_path / "parameters.yaml"
-    file.write_text(overlay.text(overlay.setup()))
-    assert parameter_file.of_nodes(file) == overlay.setup()
-
-
 PAIRS = [("geodude", "natnet_ros2"), ("cobot", "libbarrett"), ("reach", "franka", "full_speed")]
 
 
@@ -295,11 +280,6 @@ def test_without_a_file_a_node_has_its_own_which_fit_together() -> None:
     for node in overlay.NODES:
         assert setup[node] == parameter_file.of_nodes(ROOT / f"config/{node}.yaml")[node]
     assert setup["wam_sim"]["pace"] == "real_time"  # the other nodes have the time of the wall
-
-
-def test_the_file_of_a_node_says_nothing_new_wherever_it_is_given() -> None:
-    driver, own = (ROOT / f"config/{name}.yaml" for name in ("geodude", "demonstration_recorder"))
-    assert overlay.of_files([driver, own]) == overlay.of_files([own, driver])
 
 
 def test_a_section_of_all_nodes_reaches_each_that_has_the_parameter(tmp_path: Path) -> None:

@@ -117,50 +117,36 @@ def test_each_of_several_goals_has_its_own_end(probe: Probe, moves: Moves) -> No
     }
 
 
-@pytest.mark.parametrize(
-    ("text", "code", "says", "status"),
-    [
+def test_a_goal_that_is_refused_or_done_at_once_ends_at_once(probe: Probe, moves: Moves) -> None:
+    for text, code, says, status in (
         ("no", Code.REFUSED, "'no' is no policy", ABORTED),
         ("now", Code.DONE, "done at once", SUCCEEDED),
-    ],
-)
-def test_a_goal_that_is_refused_or_done_at_once_ends_at_once(
-    text: str, code: Code, says: str, status: int, probe: Probe, moves: Moves
+    ):
+        sent = probe.ask("execute", text)
+        answer = probe.answer(sent)
+        assert (answer.code, answer.text, sent.status) == (code, says, status)
+        assert not moves.begun and not moves.action.under_way
+
+
+def test_a_goal_that_is_cancelled_ends_once_when_what_it_asked_for_has_ended(
+    probe: Probe, moves: Moves
 ) -> None:
-    sent = probe.ask("execute", text)
-    answer = probe.answer(sent)
-    assert (answer.code, answer.text, sent.status) == (code, says, status)
-    assert not moves.begun and not moves.action.under_way
+    for count, (code, status) in enumerate(
+        ((Code.STOPPED, CANCELED), (Code.DONE, SUCCEEDED), (Code.FAULT, CANCELED)), start=1
+    ):
+        sent = probe.ask("execute", lift("a"))
+        probe.until(lambda: len(moves.begun) == count, "the begin")  # noqa: B023
+        assert probe.cancel(sent)
+        assert moves.cancelled == moves.begun and sent.result is None
+        moves.finish("another", Answer(Code.DONE))
+        moves.finish(moves.begun[-1], Answer(code, stop="17"))
+        moves.finish(moves.begun[-1], Answer(Code.BUSY))
+        answer = probe.answer(sent)
+        assert (answer.code, answer.stop, sent.status) == (code, "17", status)
 
 
-def test_a_goal_ends_once_and_an_unknown_one_not_at_all(probe: Probe, moves: Moves) -> None:
-    sent = probe.ask("execute", lift("a"))
-    probe.until(lambda: moves.begun, "the begin")
-    moves.finish("another", Answer(Code.DONE))
-    moves.report("another", "moving")
-    moves.finish(moves.begun[0], Answer(Code.STOPPED, "stopped", "17"))
-    moves.finish(moves.begun[0], Answer(Code.DONE))
-    assert probe.answer(sent).stop == "17"
-    assert sent.status == ABORTED and not sent.stages
-
-
-@pytest.mark.parametrize(
-    ("code", "status"), [(Code.STOPPED, CANCELED), (Code.DONE, SUCCEEDED), (Code.FAULT, CANCELED)]
-)
-def test_a_goal_that_is_cancelled_ends_when_what_it_asked_for_has_ended(
-    code: Code, status: int, probe: Probe, moves: Moves
-) -> None:
-    sent = probe.ask("execute", lift("a"))
-    probe.until(lambda: moves.begun, "the begin")
-    assert probe.cancel(sent)
-    assert moves.cancelled == moves.begun and sent.result is None
-    moves.finish(moves.begun[0], Answer(code))
-    assert probe.answer(sent).code is code and sent.status == status
-
-
-@pytest.mark.parametrize("executor", [SingleThreadedExecutor, EventsExecutor])
-def test_an_action_without_a_cancel_goes_on(probe: Probe, executor: type[Executor]) -> None:
-    moves = Moves(probe, executor, cancels=False)
+def test_an_action_without_a_cancel_goes_on(probe: Probe) -> None:
+    moves = Moves(probe, SingleThreadedExecutor, cancels=False)
     sent = probe.ask("execute", lift("a"))
     probe.until(lambda: moves.begun, "the begin")
     assert not probe.cancel(sent)

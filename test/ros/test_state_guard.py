@@ -6,19 +6,9 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import pytest
-from conftest import Probe
-from rclpy.executors import Executor, SingleThreadedExecutor
-from rclpy.experimental.events_executor import EventsExecutor
-from sensor_msgs.msg import JointState
 
-from wam_power_ros.ros import interface, state_guard
-from wam_power_ros.ros.state_guard import (
-    REMEMBERED,
-    SILENCE_TIMEOUT,
-    SKIPPED_MAX,
-    StateGuard,
-    with_info,
-)
+from wam_power_ros.ros import state_guard
+from wam_power_ros.ros.state_guard import REMEMBERED, SILENCE_TIMEOUT, SKIPPED_MAX, StateGuard
 
 NODES = [
     SimpleNamespace(node_namespace="/left", node_name="arm_driver"),
@@ -139,43 +129,3 @@ def test_publishers_whose_numbers_meet_are_told_apart(clock: Clock) -> None:
 def test_a_middleware_without_numbers_has_one_publisher(clock: Clock) -> None:
     states = guard()
     assert all(followed(states, None, None)) and states.second_publisher() is None
-
-
-@pytest.mark.parametrize("kind", [SingleThreadedExecutor, EventsExecutor])
-def test_every_executor_passes_the_numbers_of_a_publisher(probe: Probe, kind: type) -> None:
-    received: list[tuple[bytes, int]] = []
-
-    class Reader:
-        def on_state(self, message: bytes, info: state_guard.Info) -> None:
-            received.append((message, info["publication_sequence_number"]))
-
-    node = probe.publisher(
-        JointState, interface.JOINT_STATES, interface.STATE_OUT, readers=0, node="arm_driver"
-    )
-    other = probe.publisher(
-        JointState, interface.JOINT_STATES, interface.STATE_OUT, readers=0, node="other_driver"
-    )
-    probe.node.create_subscription(
-        JointState,
-        interface.JOINT_STATES,
-        with_info(Reader().on_state),
-        interface.STATE_IN,
-        raw=True,
-    )
-    probe._executor.remove_node(probe.node)
-    executor: Executor = kind(context=probe.context)
-    executor.add_node(probe.node)
-    probe._executor = executor
-    probe.until(lambda: node.get_subscription_count() and other.get_subscription_count(), "both")
-
-    def sent() -> list[int]:
-        received.clear()
-        for publisher in (node, node, other, node):
-            publisher.publish(JointState(name=["j1"]))
-            probe.spin(0.02)
-        return [number for _, number in received]
-
-    numbers = probe.until(lambda: len(found := sent()) == 4 and found, "four states")
-    first = numbers[0]
-    assert numbers[:2] + numbers[3:] == [first, first + 1, first + 2]
-    assert all(isinstance(message, bytes) for message, _ in received)

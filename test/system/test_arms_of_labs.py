@@ -18,6 +18,8 @@ from hardware_sim.scenes.reach import reach
 from hardware_sim.settings import ArmSimParams
 from wam_power_ros.bags import layout
 from wam_power_ros.bags.bag import Bag
+from wam_power_ros.in_process.environment import Environment
+from wam_power_ros.learning import policy as policies
 from wam_power_ros.params import overlay
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 
@@ -101,6 +103,10 @@ def test_a_ur_teaches_replays_and_learns_to_reach_over_dds(tmp_path: Path) -> No
     rows = [json.loads(line) for line in (tmp_path / "s/rollouts.jsonl").read_text().splitlines()]
     assert [row["kind"] for row in rows[:2]] == ["reproduction", "explore"]
     assert all(len(row["truth"]["peak_qd"]) == 6 and row["ret"] > 0.0 for row in rows)
+    best = policies.from_json((tmp_path / "s/policy.json").read_text())
+    (row,) = [row for row in rows if row["id"] == best.id]
+    rollout, truth = Environment.of(overlay.read(tmp_path / "s/logs/parameters.yaml")).run(best)
+    assert rollout.fault is None and truth == row["truth"]  # as in one process
 
 
 def simulated(processes: Processes, file: Path) -> list[str]:

@@ -4,6 +4,7 @@
 import sys
 from pathlib import Path
 
+import pytest
 from conftest import Probe, Processes, diagnosis, lift
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Path as PathMessage
@@ -14,6 +15,7 @@ from test_examples import DRIVER, EXAMPLES, OVER_DDS, output
 from wam_power_ros.ros import interface, pose_messages
 
 
+@pytest.mark.long
 def test_the_example_teaches_learns_and_replays_over_dds(tmp_path: Path) -> None:
     domain, taught, *others, moved = output(OVER_DDS, tmp_path)
     assert domain.startswith("The simulation uses ROS_DOMAIN_ID")

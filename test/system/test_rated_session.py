@@ -22,6 +22,7 @@ from wam_power_ros.ros.diagnostics import LEARNER_STATE
 SETTINGS = preset("rated", budget=3, retests=0)
 
 
+@pytest.mark.long
 def test_a_session_waits_for_a_persons_rating_of_each_rollout_and_learns_from_it(
     probe: Probe, processes: Processes, tmp_path: Path
 ) -> None:

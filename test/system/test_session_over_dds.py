@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 from conftest import ROOT, Probe, Process, Processes, python_path
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
@@ -99,19 +98,6 @@ def decoded(bag: Path, topic: str) -> list[Any]:
     with next(bag.glob("*.mcap")).open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         return [message for *_, message in reader.iter_decoded_messages(topics=[f"/{topic}"])]
-
-
-def summary(bag: Path) -> dict[str, tuple[str, str, str, dict[str, Any]]]:
-    """Of every topic: message type, encodings of schema and message, and quality of service."""
-    with next(bag.glob("*.mcap")).open("rb") as file:
-        found = make_reader(file).get_summary()
-    topics = {}
-    for channel in found.channels.values():
-        schema = found.schemas[channel.schema_id]
-        (qos, *_) = yaml.safe_load(channel.metadata["offered_qos_profiles"])
-        encodings = (schema.encoding, channel.message_encoding)
-        topics[channel.topic] = (schema.name, *encodings, qos)
-    return topics
 
 
 @pytest.fixture(scope="module")
@@ -350,46 +336,3 @@ def test_answers_that_do_not_come_cost_a_session_time_and_nothing_else(
     probe.until(lambda: learning.poll() is not None, "the end of the session", 120.0)
     assert learning.returncode == 0, processes.output(learning)
     assert learnt(lines(folder)) == expected
-
-
-def test_another_reader_opens_the_demonstration(demonstration: Path) -> None:
-    states = decoded(demonstration, interface.JOINT_STATES)
-    assert len(states) > 300  # at 500 Hz
-    assert all(message.name == JOINTS and len(message.position) == 7 for message in states)
-    stamps_ns = [
-        message.header.stamp.sec * 10**9 + message.header.stamp.nanosec for message in states
-    ]
-    # None is missing; in lockstep a state whose answer is late is sent again.
-    assert set(np.diff(stamps_ns)) - {0} == {2_000_000}
-    name, schema, encoding, qos = summary(demonstration)[layout.STATES]
-    assert (name, schema, encoding) == ("sensor_msgs/msg/JointState", "ros2msg", "cdr")
-    assert (qos["reliability"], qos["durability"]) == ("reliable", "volatile")
-    (description,) = decoded(demonstration, interface.ROBOT_DESCRIPTION)
-    assert "wam_link7" in description.data
-
-
-@pytest.mark.long
-def test_another_reader_opens_a_rollout_with_everything_that_made_it(
-    interrupted: Interrupted,
-) -> None:
-    bag = interrupted.folder / "bags" / json.loads(lines(interrupted.folder)[-1])["bag"]
-    topics = summary(bag)
-    assert {name.lstrip("/"): kind for name, (kind, *_) in topics.items()}.items() >= {
-        interface.JOINT_STATES: "sensor_msgs/msg/JointState",
-        interface.EFFORT_COMMANDS: "std_msgs/msg/Float64MultiArray",
-        interface.body_topic("pancake", "pose"): "geometry_msgs/msg/PoseStamped",
-        interface.POLICY: "wam_power_interfaces/msg/Policy",
-        interface.ROLLOUT_END: "wam_power_interfaces/msg/RolloutEnd",
-    }.items()
-    assert topics[f"/{interface.POLICY}"][3]["durability"] == "transient_local"
-    (policy, *_) = decoded(bag, interface.POLICY)
-    assert policy.id == json.loads(policy.text)["id"] == ROLLOUTS[-1]
-    commands = decoded(bag, interface.EFFORT_COMMANDS)
-    states = decoded(bag, interface.JOINT_STATES)
-    stamps = {s.header.stamp.sec * 10**9 + s.header.stamp.nanosec for s in states}
-    rollout = [c for c in commands if c.layout.dim[0].label.endswith(f"rollout {ROLLOUTS[-1]}")]
-    answered = {int(command.layout.dim[0].label.split()[0]) for command in rollout}
-    assert len(answered) > 500 and answered <= stamps  # each torque names a state that is there
-    assert np.isfinite([command.data for command in rollout]).all()
-    frames = decoded(bag, interface.body_topic("pancake", "pose"))
-    assert len(frames) > 30 and all(frame.header.frame_id for frame in frames)

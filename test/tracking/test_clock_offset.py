@@ -33,7 +33,5 @@ def test_the_offset_of_two_clocks_is_the_age_that_jitter_cannot_lower() -> None:
 
 
 def test_late_stamps_have_the_cause_that_can_be_seen() -> None:
-    assert "0.600 s off: synchronise the clocks" in late_stamps(0.6, 0.0)
-    stopped = late_stamps(5.0, 5.1)
-    assert "this node stood still for 5.1 s" in stopped and "synchronise" not in stopped
-    assert "use_sim_time" in late_stamps(1.7e9, 0.0) and "use_sim_time" in late_stamps(-1.7e9, 0.0)
+    assert "0.600 s off: synchronise the clocks" in late_stamps(0.6)
+    assert "use_sim_time" in late_stamps(1.7e9) and "use_sim_time" in late_stamps(-1.7e9)

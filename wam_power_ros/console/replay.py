@@ -8,6 +8,7 @@ limits and computes the tracking error.
 from __future__ import annotations
 
 import shutil
+from contextlib import nullcontext
 
 import numpy as np
 
@@ -17,7 +18,13 @@ from wam_power_ros.control import replay_trajectory
 from wam_power_ros.entry import INTERRUPTED
 from wam_power_ros.ros.outcomes import Answer, Code, ServiceError
 
-NO_MOTION_CODES = (Code.REFUSED, Code.TOO_FAST, Code.NOT_ACTIVE, Code.BUSY, Code.NOTHING)
+NO_MOTION_CODES = (
+    Code.REFUSED,
+    Code.TOO_FAST,
+    Code.NOT_ACTIVE,
+    Code.BUSY,
+    Code.NOTHING,
+)
 SETTLE_TIME = 1.0  # [s of wall time] recorded after a stop, while the arm comes to rest
 
 
@@ -28,6 +35,7 @@ def replay(
     q: np.ndarray,
     speed: float,
     person: bool,
+    running: bool = False,
     warning: str = "",
 ) -> int:
     """Replay a movement once, see `replay_trajectory.movement`; returns the exit status.
@@ -37,6 +45,7 @@ def replay(
         q: Joint angles [rad]. Shape (N, n).
         speed: Speed relative to the recording, for messages.
         person: Whether to ask the person beside a real arm before it moves.
+        running: Whether the nodes go on afterwards: nothing is recorded, and the arm is held.
         warning: Sentences before the question, each with a space after it; empty for none.
 
     Raises:
@@ -44,11 +53,11 @@ def replay(
     """
     movement = f"{name} at {speed:g} times its speed, {t[-1]:.1f} s"
     robot.stop()  # succeeds once the controller is active
-    with let_go_after(person):
+    with let_go_after(person and not running):
         if person:
             ask(f"{warning}The arm will move to the start of {movement}. Press Enter: ")
         show(f"Replaying {movement}; Ctrl-C stops the arm")
-        with robot.record() as bag:
+        with nullcontext() if running else robot.record() as bag:
             try:
                 answer = Answer(Code.DONE, robot.follow(t, q))
             except Stopped as stopped:
@@ -57,11 +66,13 @@ def replay(
             except ServiceError as error:
                 answer = error.answer or Answer(Code.UNKNOWN, str(error))
         show(with_possible_speed(answer, speed))
-        if answer.code in NO_MOTION_CODES:
-            shutil.rmtree(bag)
-            show("The arm has not moved; nothing was recorded.")
-        else:
+        moved = answer.code not in NO_MOTION_CODES
+        if bag and moved:
             show(f"recorded: {bag}")
+        elif bag:
+            shutil.rmtree(bag)
+        if not moved:
+            show("The arm has not moved; nothing was recorded.")
         if answer.code is Code.STOPPED:
             show("Stopped: the arm holds.")
     if answer.success:

@@ -28,7 +28,6 @@ from wam_power_ros.ros import endpoints, interface, node_runner, pose_messages
 from wam_power_ros.ros.body_sources import BodySource
 from wam_power_ros.ros.diagnostics import Diagnostics
 from wam_power_ros.tracking.tracker import (
-    OFFSET_WINDOW,
     ClockOffset,
     FrameFault,
     TrackedState,
@@ -41,7 +40,6 @@ from wam_power_ros.tracking.tracker import (
 DISCOVERY_PERIOD = 0.1  # [s] between two looks for the publisher of the frames in lockstep
 AT_REST = 0.05  # [m/s] of a body that rests, with the noise of its velocity
 REPAIR_TIME = 5.0  # [s of wall time] in lockstep: Fast DDS's own profile repairs in 3 s
-STANDSTILL_MIN = 0.5  # [s] between two runs of a timer, after which the node stood still
 LEVELS = {Validity.OK: "ok", Validity.OCCLUDED: "warn"}  # any other validity is an error
 
 
@@ -65,8 +63,6 @@ class BodyTracker(Node):
         self._body_frame = interface.frame(namespace, params.body)
         self._pending: _Rollout | None = None
         self._clock_offset = ClockOffset()
-        self._stood_still = self._stood_still_ns = 0.0  # how long [s]; when it ended, steady clock
-        self._ticked_ns = time.monotonic_ns()  # when a timer last ran
         self._problem = ""  # with the last refused message or path
         self._sim_time = self.get_parameter("use_sim_time").value
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -175,7 +171,6 @@ class BodyTracker(Node):
 
         In lockstep, simulated time goes on while frames that were lost are sent again.
         """
-        self._look_for_standstill()
         now_ns = self._timeout_clock.now().nanoseconds
         silent_ns = max(now_ns - self._frame_ns, 0)
         state = self._tracker.at(self._tracker.latest_ns + silent_ns)
@@ -205,22 +200,12 @@ class BodyTracker(Node):
         offset, offset_max = self._clock_offset.seconds, self._params.clock_offset_max
         if abs(offset) > offset_max:
             self._log_error(
-                f"{name} not scored: more than {offset_max:.3f} s late; {self._late(offset)}"
+                f"{name} not scored: more than {offset_max:.3f} s late; {late_stamps(offset)}"
             )
             nothing = np.zeros(0)
             path = BodyPath(name, nothing, nothing.reshape(0, 3), nothing.reshape(0, 4))
         message = pose_messages.path_message(path, rollout.start_ns, self._frame)
         self._paths.publish(message)
-
-    def _look_for_standstill(self) -> None:
-        ticked_ns, self._ticked_ns = self._ticked_ns, time.monotonic_ns()
-        if (stood_still := (self._ticked_ns - ticked_ns) * 1e-9) > STANDSTILL_MIN:
-            self._stood_still, self._stood_still_ns = stood_still, self._ticked_ns
-
-    def _late(self, offset: float) -> str:
-        """Why stamps are off, see `late_stamps`; frames of a standstill are late for a window."""
-        recent = time.monotonic_ns() - self._stood_still_ns < 2 * OFFSET_WINDOW
-        return late_stamps(offset, self._stood_still if recent else 0.0)
 
     def _log_error(self, text: str) -> None:
         self._problem = text
@@ -235,7 +220,6 @@ class BodyTracker(Node):
 
     def _report(self) -> None:
         tracker = self._tracker
-        self._look_for_standstill()
         self._find_unmatched()
         level, text = LEVELS.get(tracker.validity, "error"), tracker.validity.value
         offset, offset_max = self._clock_offset.seconds, self._params.clock_offset_max
@@ -243,7 +227,7 @@ class BodyTracker(Node):
             level, text = "stale", self._source.missing or "no frame yet"
         elif abs(offset) > 0.5 * offset_max:
             level = "error" if abs(offset) > offset_max else "warn"
-            text = self._late(offset)
+            text = late_stamps(offset)
         if self._unmatched:
             level, text = "warn" if level == "ok" else "error", self._unmatched
         values = {

@@ -34,7 +34,7 @@ from wam_power_ros.bags.background_writer import Recording
 from wam_power_ros.bags.writer import header_stamp
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.durable_files import explained
-from wam_power_ros.learning.policy import DURATION_MAX, check_id
+from wam_power_ros.learning.policy import check_id
 from wam_power_ros.params.body_tracker_params import MESSAGE_TYPES
 from wam_power_ros.params.node_params import Names, Params
 from wam_power_ros.params.resources import robot_description
@@ -99,8 +99,6 @@ class DemonstrationRecorder(Node):
         self._policy_id = ""  # of a policy that came since the last recording began
         self._error = ""  # why a recording ended early
         self._warning = ""  # about the last bag
-        self._taught = False  # whether it records a demonstration, no rollout
-        self._too_long_ns = math.inf  # time at which it is longer than a policy may be
 
         self._state_topic = self.resolve_topic_name(params.state_topic)
         self._latched = {self.resolve_topic_name(topic) for topic in params.latched_topics}
@@ -193,7 +191,6 @@ class DemonstrationRecorder(Node):
         stem = self._policy_id or f"{datetime.now():%Y%m%d_%H%M%S}"
         path = layout.free_path(self._directory, f"{kind}_{stem}")
         self._recording = Recording(path, kind, self._notes, self._now)
-        self._too_long_ns, self._taught = math.inf, not self._policy_id
         self._policy_id = self._error = self._warning = ""
         for topic, cdr in self._latched_messages.items():
             self._write(topic, cdr)
@@ -244,8 +241,6 @@ class DemonstrationRecorder(Node):
 
     def _write(self, topic: str, cdr: bytes) -> None:
         if topic not in self._recording:
-            if topic == self._state_topic and self._taught:
-                self._too_long_ns = self._now() + DURATION_MAX * 1e9
             self._recording.add(topic, self._topics.msgtype(topic), self._topics.offered(topic))
         self._recording.write(topic, cdr)
 
@@ -276,12 +271,6 @@ class DemonstrationRecorder(Node):
         recording = self._recording
         if recording is None:
             return
-        if self._now() > self._too_long_ns:
-            longest, self._too_long_ns = f"{DURATION_MAX:g} s", math.inf
-            self.get_logger().warning(
-                f"{recording.path} is longer than {longest}: a movement of more than {longest} "
-                "cannot be learnt"
-            )
         free = math.inf
         try:
             free = self._free()

@@ -57,7 +57,6 @@ from wam_power_ros.ros.diagnostics import LEARNER_STATE, Diagnostics
 from wam_power_ros.ros.node_runner import (
     end,
     interrupt_on_signals,
-    parameter_file_hint,
     started,
 )
 from wam_power_ros.ros.outcomes import Answer, Code, ServiceError, fill
@@ -478,7 +477,7 @@ def main() -> int:
     except (SessionFailed, ServiceError, ValueError, OSError) as error:
         log = node.get_logger() if node else rclpy.logging.get_logger("learner")
         text = explained(error) if isinstance(error, OSError) else str(error)
-        log.fatal(text if node else f"{text}{parameter_file_hint()}")
+        log.fatal(text)
         return 2
     except (KeyboardInterrupt, ExternalShutdownException):
         pass

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Protocol
 
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.joint_references import Sampled
 from wam_power_ros.control.modes import ControllerError, Mode
 from wam_power_ros.learning.dmp import TabulatedPolicy
 from wam_power_ros.learning.rollout import EndEffectorPath
+from wam_power_ros.nodes.preparation import Preparation
 from wam_power_ros.ros.outcomes import NOT_ACTIVE, Answer, Code, Ended
 
 STOPPED = "stopped by a person"
@@ -28,16 +28,6 @@ def attempt(core: Controller | None, request: Callable[[Controller], None]) -> A
     return Answer(Code.DONE)
 
 
-class Replies(Protocol):
-    """How `MotionRequests` replies to the request of an id."""
-
-    def begun(self, id: str) -> None:
-        """Say that it has begun."""
-
-    def ended(self, id: str, answer: Answer, end: Ended | None = None) -> None:
-        """End it; with the end of a rollout that has run."""
-
-
 class MotionRequests:
     """Requests for rollouts, moves to the start and replays.
 
@@ -50,7 +40,7 @@ class MotionRequests:
         self,
         joint_names: Sequence[str],
         active: Callable[[], Controller | None],
-        replies: Replies,
+        replies: Preparation,
     ) -> None:
         self._joint_names, self._active, self._replies = joint_names, active, replies
         self._id = self._do = ""  # request under way; "" for none

@@ -11,8 +11,7 @@ from __future__ import annotations
 import difflib
 import itertools
 import reprlib
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -50,27 +49,14 @@ SOURCES = ("torque_controller", "pancake_tracker")  # the others' parameters are
 REGION = "guarded_region"  # parameter of the controller; a simulated scene has the same one
 SIMULATION = "simulation"  # file in config/ with what a simulation changes
 LOCKSTEP = "lockstep"  # file in config/ with what the pace of a simulation changes
-_KINDS = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
 _STR, _SEQ = "tag:yaml.org,2002:str", "tag:yaml.org,2002:seq"
 
 
-@dataclass(frozen=True, eq=False)  # equal to any mapping of the same parameters
-class Setup(Mapping[str, dict[str, Any]]):
+class Setup(dict[str, dict[str, Any]]):
     """One set-up, of which nodes, stand-ins, simulations in one process and reports are built.
 
     It maps nodes to their parameters; `Params.of_setup` reads those of one node.
     """
-
-    nodes: Parameters
-
-    def __getitem__(self, node: str) -> dict[str, Any]:
-        return self.nodes[node]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.nodes)
-
-    def __len__(self) -> int:
-        return len(self.nodes)
 
     @property
     def joint_names(self) -> list[str]:
@@ -106,7 +92,7 @@ class Setup(Mapping[str, dict[str, Any]]):
 
     def changed(self, changes: Mapping[str, Mapping[str, Any]]) -> Setup:
         """Set-up with other values of some parameters, by node."""
-        return Setup(self.nodes | {node: self[node] | dict(changes[node]) for node in changes})
+        return Setup(self | {node: self[node] | dict(changes[node]) for node in changes})
 
 
 def known() -> list[str]:
@@ -351,7 +337,8 @@ def _check(file: Path, node: str, values: Mapping[str, Any], own: Mapping[str, A
             raise ValueError(f"{file}: {node} has no parameter {name!r}{hint}")
         if not _same_kind(value, default := own[name]):
             shown = reprlib.repr(value)  # the value may be a whole file
-            raise ValueError(f"{file}: {name} of {node} is {shown}; allowed is {_kind(default)}")
+            like = f"one like {default!r}"
+            raise ValueError(f"{file}: {name} of {node} is {shown}; allowed is {like}")
 
 
 def _same_kind(value: object, default: object) -> bool:
@@ -375,13 +362,6 @@ def _of_kind(value: Any, default: Any) -> Any:  # noqa: ANN401 - of any kind
     if isinstance(value, list):
         return [_of_kind(item, default[0]) for item in value] or [""]
     return float(value) if isinstance(default, float) else value
-
-
-def _kind(default: object) -> str:
-    """Name of the kind of values that the default has, for messages."""
-    if isinstance(default, list):
-        return f"a list, each {_kind(default[0])}, not empty unless of text"
-    return _KINDS[type(default)]
 
 
 def _with_body(mocap: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:

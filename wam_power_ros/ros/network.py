@@ -16,11 +16,7 @@ rclpy is imported only where it is asked which middleware it has loaded: `domain
 
 from __future__ import annotations
 
-import socket
-import struct
-import tempfile
 from collections.abc import Mapping, MutableMapping
-from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -31,7 +27,6 @@ RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 ON_LOOPBACK = {RANGE: "LOCALHOST", "ROS_STATIC_PEERS": "", "ROS_DISCOVERY_SERVER": ""}
 TRANSPORTS = "FASTDDS_BUILTIN_TRANSPORTS"  # where no profile names them
 MIDDLEWARE = "rmw_fastrtps_cpp"  # the only one with a profile here
-SWITCHES = ("RCUTILS_LOGGING_USE_STDOUT", "RCUTILS_LOGGING_BUFFERED_STREAM")
 RANGES = ("LOCALHOST", "SUBNET", "OFF", "SYSTEM_DEFAULT")
 
 
@@ -86,34 +81,17 @@ def unconfined_middleware() -> str | None:
 
 
 def check(environment: Mapping[str, str]) -> None:
-    """Refuse variables of which ROS and Fast DDS say too little, or nothing.
+    """Refuse variables that ROS and Fast DDS ignore without a word.
 
     Raises:
-        VariableError: As it says.
+        VariableError: The range of discovery is none, or a profile does not exist.
     """
     get = environment.get
-    wrong = [f"{RANGE}={get(RANGE)} is not one of {', '.join(RANGES)}"]
-    wrong *= bool(get(RANGE)) and get(RANGE) not in RANGES
+    if (given := get(RANGE) or RANGES[0]) not in RANGES:
+        raise VariableError(f"{RANGE}={given} is not one of {', '.join(RANGES)}: correct it")
     for variable in (profile().variable, FAST_DDS_2.variable):
         if (file := get(variable)) and not Path(file).is_file():
-            wrong.append(f"{variable}={file}: there is no such file")
-    for variable in SWITCHES:
-        if (value := get(variable) or "0") not in ("0", "1"):
-            wrong.append(f"{variable}={value} is not 0 or 1")
-    for peer in filter(None, get("ROS_STATIC_PEERS", "").split(";")):
-        try:
-            socket.getaddrinfo(peer, None)
-        except OSError as error:
-            text = f"is no address or known host ({error.strerror})"
-            wrong.append(f"ROS_STATIC_PEERS: {peer!r} {text}")
-    if folder := get("ROS_LOG_DIR"):
-        try:
-            Path(folder).mkdir(parents=True, exist_ok=True)
-            tempfile.TemporaryFile(dir=folder).close()
-        except OSError as error:
-            wrong.append(f"ROS_LOG_DIR={folder}: no log can be written there ({error.strerror})")
-    if wrong:
-        raise VariableError(f"{'; '.join(wrong)}: correct it, or unset the variable")
+            raise VariableError(f"{variable}={file}: there is no such file; unset the variable")
 
 
 def confine(environment: MutableMapping[str, str]) -> None:
@@ -159,26 +137,7 @@ def wider_reach(environment: Mapping[str, str]) -> str | None:
     return None
 
 
-def bound_addresses(process: str = "self") -> list[str]:
-    """Addresses `ip:port` to which UDP sockets of a process, an id or "self", are bound."""
-    inodes = set()
-    for file in Path("/proc").glob(f"{process}/fd/*"):
-        with suppress(OSError):
-            inodes.add(str(file.readlink()))
-    return [address for address, inode in _udp_sockets() if f"socket:[{inode}]" in inodes]
-
-
 def ports_in_use() -> set[int]:
     """UDP ports (IPv4) to which any process of this network namespace has bound a socket."""
-    return {int(address.rpartition(":")[2]) for address, _ in _udp_sockets()}
-
-
-def _udp_sockets() -> list[tuple[str, str]]:
-    """Addresses and inodes of the UDP sockets (IPv4) of this network namespace."""
-    found = []
-    for line in Path("/proc/self/net/udp").read_text().splitlines()[1:]:
-        words = line.split()
-        ip, _, port = words[1].partition(":")
-        address = socket.inet_ntoa(struct.pack("=I", int(ip, 16)))
-        found.append((f"{address}:{int(port, 16)}", words[9]))
-    return found
+    _, *lines = Path("/proc/self/net/udp").read_text().splitlines()
+    return {int(line.split()[1].partition(":")[2], 16) for line in lines}

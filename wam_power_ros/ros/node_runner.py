@@ -2,7 +2,7 @@
 """Bodies of every `main` that has a node: `run` for nodes, `run_script` for console scripts.
 
 Both restrict the process to the loopback interface unless the environment asks for more
-(`network`), and refuse to run if that failed.
+(`network`).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from rclpy.signals import SignalHandlerOptions
 from wam_power_ros.durable_files import explained
 from wam_power_ros.entry import INTERRUPTED, REFUSED, SIGNALS
 from wam_power_ros.params import parameter_file
-from wam_power_ros.ros import network, security
+from wam_power_ros.ros import network
 from wam_power_ros.ros.domain import exported
 from wam_power_ros.ros.outcomes import ServiceError
 
@@ -42,14 +42,12 @@ def init(context: Context | None = None, domain: int | None = None) -> None:
     Context and domain are those of the process and of ROS_DOMAIN_ID by default.
 
     Raises:
-        ValueError: ROS_DOMAIN_ID is not a domain, security is enforced without keys, or a
-            parameter file is malformed.
+        ValueError: A variable of the environment cannot be used, or a parameter file is malformed.
     """
     network.check(os.environ)
     for file in parameter_file.given(sys.argv):
         parameter_file.read(file, parameter_file.PlainLoader)
     domain = exported(os.environ) if domain is None else domain
-    security.check_keystore(os.environ, sys.argv)
     network.confine(os.environ)
     if not any(map(os.environ.get, ("ROS_LOG_DIR", "ROS_HOME", "HOME"))):  # rclpy insists on one
         os.environ["ROS_LOG_DIR"] = str(Path(tempfile.gettempdir()) / f"ros_log_{os.getuid()}")
@@ -60,23 +58,9 @@ def init(context: Context | None = None, domain: int | None = None) -> None:
 def started(
     make_node: Callable[[], N], context: Context | None = None, domain: int | None = None
 ) -> N:
-    """Initialise rclpy, as `init` does, and make a node in its context.
-
-    Raises:
-        ValueError: As for `init`; or sockets of the node are open to the network although no
-            setting asks for it.
-    """
+    """Initialise rclpy, as `init` does, and make a node in its context."""
     init(context, domain)
-    before = network.bound_addresses()
-    node = make_node()
-    if network.wider_reach(os.environ) is None:
-        opened = [each for each in network.bound_addresses() if each not in before]
-        if exposed := [each for each in opened if not each.startswith("127.")]:
-            raise ValueError(
-                f"sockets at {', '.join(exposed)} are open to the network: Fast DDS has not "
-                f"applied the profile {os.environ.get(network.profile().variable)}"
-            )
-    return node
+    return make_node()
 
 
 def executor_for(node: Node) -> Executor:
@@ -144,7 +128,7 @@ def run(
         if isinstance(error, network.VariableError):  # maybe of the log itself
             sys.stderr.write(f"{error}\n")
         else:
-            get_logger("wam_power_ros").fatal(f"{error}{parameter_file_hint()}")
+            get_logger("wam_power_ros").fatal(str(error))
         return REFUSED
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
@@ -169,17 +153,6 @@ def interrupt_on_signals() -> None:
 
     for number in SIGNALS:
         signal.signal(number, interrupt)
-
-
-def parameter_file_hint() -> str:
-    """Where to get a parameter file; empty if the node was started with one."""
-    if parameter_file.given(sys.argv):
-        return ""
-    return (
-        "\nStarted without a parameter file, with the values of config/. `wam-power config "
-        "--config NAME > parameters.yaml` prints one for all nodes on the arm of set-up NAME, "
-        "without a NAME for the simulation; pass it with --ros-args --params-file parameters.yaml"
-    )
 
 
 def end() -> None:

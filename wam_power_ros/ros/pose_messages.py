@@ -107,16 +107,6 @@ def markers(message: PointCloud2) -> MarkersReading:
     for name in "xyz":
         if name not in fields or fields[name].datatype != PointField.FLOAT32:
             raise ValueError(f"point cloud fields {sorted(fields)} must hold float32 x, y and z")
-    count = message.width * message.height
-    ends = max(fields[name].offset + 4 for name in "xyz")
-    if message.row_step != message.width * message.point_step or message.point_step < ends:
-        raise ValueError(
-            f"point_step {message.point_step}, row_step {message.row_step} do not fit rows of "
-            f"{message.width} points of at least {ends} bytes"
-        )
-    if len(message.data) != count * message.point_step:
-        text = f"{len(message.data)} bytes for {count} points of {message.point_step} bytes each"
-        raise ValueError(text)
     layout = np.dtype(
         {
             "names": list("xyz"),

@@ -499,19 +499,11 @@ class ClockOffset:
         return min((age for _, age in self._frames), key=abs, default=0) * 1e-9
 
 
-def late_stamps(offset: float, stood_still: float) -> str:
-    """Say why stamps differ from the time of receipt, and what to do.
-
-    Args:
-        offset: Age of the frames on receipt [s].
-        stood_still: How long this process has not run within the last seconds [s]; 0 if it has.
-    """
-    if stood_still:
-        cause = f"this node stood still for {stood_still:.1f} s: stopped, or a busy machine"
-    elif abs(offset) > DAY:
+def late_stamps(offset: float) -> str:
+    """Say why stamps differ from the time of receipt by `offset` [s], and what to do."""
+    cause = "synchronise the clocks or set latency_offset"
+    if abs(offset) > DAY:
         cause = "those of another clock; a stand-in in lockstep needs use_sim_time: true here"
-    else:
-        cause = "synchronise the clocks or set latency_offset"
     return f"stamps {offset:.3f} s off: {cause}"
 
 
