@@ -140,10 +140,10 @@ def test_the_core_requires_neither_ros_nor_what_only_an_extra_uses(described: Me
     lines = described.get_all("Requires-Dist", [])
     core = {requirement.name for requirement in needed(lines)}
     assert {"pin", "mujoco", "numpy"} < core
-    assert not core & {"viser", "joblib", "dask", "xacro", "argcomplete"}
+    assert not core & {"viser", "joblib", "dask", "pyarrow", "xacro", "argcomplete"}
     assert not [name for name in core if name.startswith(("ros-", "wam"))]
     offered = {*described.get_all("Provides-Extra", [])}
-    assert {"ros", "view", "reproduce", "completion"} < offered
+    assert {"ros", "view", "export", "reproduce", "completion"} < offered
 
 
 def commands(parser: argparse.ArgumentParser) -> Iterator[tuple[str, ...]]:
@@ -185,6 +185,10 @@ def test_every_command_says_its_options_where_every_extra_is_missing(folder: Pat
         (["run", "wam_sim"], "[ros]"),
         (["enable"], "[ros]"),
         (["view", str(ROOT / "bags")], "[view]"),
+        (
+            ["bags", "export", str(ROOT / "bags/demo_20261121_121737"), "--output", "x.parquet"],
+            "[export]",
+        ),
     ],
 )
 def test_a_command_that_needs_an_extra_names_it_in_one_line(

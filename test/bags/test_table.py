@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 from pathlib import Path
 
 import numpy as np
@@ -34,15 +35,9 @@ def bag_of(path: Path) -> Bag:
     return Bag(table.as_bag(path, folder))
 
 
-@pytest.mark.parametrize(
-    ("time", "form", "delimiter"),
-    [
-        ("t", "{}", ","),
-        ("time", "q.{}", ";"),
-        ("timestamp", "{}.pos", "\t"),
-        ("__time", "/joint_states/{}/position", ","),
-    ],
-)
+@pytest.mark.parametrize("time", table.TIMES)
+@pytest.mark.parametrize("form", ["{}", "q.{}", "{}.pos", "/joint_states/{}/position"])
+@pytest.mark.parametrize("delimiter", [",", ";", "\t"])
 def test_a_table_is_read_bit_for_bit(time: str, form: str, delimiter: str, tmp_path: Path) -> None:
     others = {"task": ["pour"] * 60, "qd.wam_j1": [0.5] * 60, "grip": [""] * 60}
     columns = {time: T.tolist(), **others, **angles(form)}
@@ -62,10 +57,13 @@ def test_rows_of_other_devices_and_decimal_commas_are_read(tmp_path: Path) -> No
     np.testing.assert_array_equal(read_states(bag_of(file), NAMES).q, Q)
 
 
-def test_an_exported_bag_comes_back_bit_for_bit(tmp_path: Path) -> None:
+@pytest.mark.parametrize("suffix", table.TABLES)
+def test_an_exported_bag_comes_back_bit_for_bit(suffix: str, tmp_path: Path) -> None:
+    if suffix == ".parquet" and importlib.util.find_spec("pyarrow") is None:
+        pytest.skip("needs pyarrow")
     bag = Bag(demonstration(tmp_path / "demo", Q))
     states = read_states(bag, NAMES)
-    file = tmp_path / "t.csv"
+    file = tmp_path / f"t{suffix}"
     table.write(table.joint_columns(bag, states), file)
     made, _ = importing.import_bag(bag_of(file), tmp_path / "ours", NAMES)
     back = read_states(Bag(made), NAMES)
@@ -101,3 +99,22 @@ def test_a_file_that_is_no_table_is_refused(content: bytes, tmp_path: Path) -> N
     (file := tmp_path / "t.csv").write_bytes(content)
     with pytest.raises(ValueError, match=str(file)):
         bag_of(file)
+
+
+def test_a_parquet_file_is_read_by_pyarrow_or_not_at_all(tmp_path: Path) -> None:
+    (file := tmp_path / "t.parquet").write_bytes(b"PAR1")
+    installed = importlib.util.find_spec("pyarrow") is not None
+    with pytest.raises(ValueError, match="no Parquet file" if installed else "pip install"):
+        bag_of(file)
+
+
+def test_numbers_in_a_list_are_joints_by_their_place_if_a_person_names_them(tmp_path: Path) -> None:
+    pyarrow = pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    columns = {"timestamp": T, "observation.state": Q.tolist(), "index": [*range(60)]}
+    parquet.write_table(pyarrow.table(columns), file := tmp_path / "t.parquet")
+    bag = bag_of(file)
+    with pytest.raises(ValueError, match=r"it has .*'observation.state.0'.*--joints"):
+        read_states(bag, NAMES)
+    states = read_states(bag, [f"observation.state.{i}" for i in range(3)])
+    np.testing.assert_array_equal(states.q, Q)

@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import csv
+import shutil
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -142,15 +144,60 @@ def test_a_session_has_a_row_for_each_rollout_with_its_terms(tmp_path: Path) -> 
     assert rows[1]["ret"] != rows[1]["rated_return"]
 
 
+def test_a_set_has_an_episode_for_each_recorded_rollout_of_a_session(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    folder, made = session(tmp_path / "session", 3), tmp_path / "set"
+    for record in read(folder).records[:2]:
+        shutil.copytree(DEMO, folder / "bags" / record.bag)
+    words = ["bags", "export", folder, "--format", "lerobot", "--fps", 100, "--output", made]
+    assert main.main([*map(str, words)]) == 0
+    assert "is not a bag" in capsys.readouterr().out  # the third one is left out
+    found = parquet.read_table(made / "data").to_pydict()
+    assert set(found["episode_index"]) == {0, 1}
+    assert found["timestamp"][1] == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+def test_pandas_reads_both_tables(suffix: str, tmp_path: Path) -> None:
+    pandas = pytest.importorskip("pandas")
+    if suffix == "parquet":
+        pytest.importorskip("pyarrow")
+    take, rollouts = tmp_path / f"take.{suffix}", tmp_path / f"rollouts.{suffix}"
+    folder = session(tmp_path / "session", 3)
+    exported(DEMO, take)
+    exported(folder, rollouts)
+    rounding = 1e-15 if suffix == "csv" else 0.0  # of pandas before 3.1
+    frame = getattr(pandas, f"read_{suffix}")(take)
+    states = reader.read_states(Bag(DEMO), WAM)
+    q = frame[[f"q.{name}" for name in WAM]].to_numpy()
+    np.testing.assert_allclose(q, states.q, rtol=rounding, atol=0.0)
+    np.testing.assert_array_equal(frame["stamp_ns"].to_numpy(), states.stamps)
+    frame = getattr(pandas, f"read_{suffix}")(rollouts)
+    records = read(folder).records
+    assert frame["success"].tolist() == [record.success for record in records]
+    z = [record.z[0] for record in records]
+    np.testing.assert_allclose(frame["z.0"], z, rtol=rounding, atol=0.0)
+
+
+def test_columns_without_a_value_are_of_numbers_in_parquet_too(tmp_path: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    assert table.write({"t": [0.0, 1.0], "qd.j": [None, None]}, tmp_path / "t.parquet") == 2
+    assert str(parquet.read_schema(tmp_path / "t.parquet").field("qd.j").type) == "double"
+
+
 def test_what_cannot_be_exported_is_refused_by_name(
-    tmp_path: Path, refusal: Callable[..., str]
+    tmp_path: Path, refusal: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "there.csv").write_text("precious")
     (tmp_path / "neither").mkdir()
     session(tmp_path / "empty", 0)
+    monkeypatch.setitem(sys.modules, "pyarrow", None)  # as if it were not installed
     for recorded, name, reason in (
-        (DEMO, "take.xlsx", "take.xlsx must end in .csv"),
+        (DEMO, "take.xlsx", "take.xlsx must end in .csv or .parquet"),
         (DEMO, "there.csv", "there.csv exists already"),
+        (DEMO, "take.parquet", 'Parquet needs pyarrow: pip install "wam_power_ros[export]"'),
         ("neither", "take.csv", "neither is not a bag"),
         ("empty", "take.csv", "empty has no rollout yet"),
     ):

@@ -32,6 +32,7 @@ from wam_power_ros import plain_yaml
 from wam_power_ros.bags import layout
 
 FILES = (".mcap", ".db3")  # what a bag may consist of
+TABLES = (".csv", ".parquet")  # files that are no bag, of which an import makes one
 PACKED = ".zstd"  # suffix of a file that is compressed as a whole
 # The largest chunk or message; rosbag2 writes chunks of 0.8 MB, other recorders of a few MB.
 UNPACKED_MAX = 64_000_000  # [byte]

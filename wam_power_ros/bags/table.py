@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables for and of other programs: columns of a bag, and their CSV file.
+"""Tables for and of other programs: columns of a bag, and their file, CSV or Parquet.
 
 A table is a dictionary of columns of equal length, whose cells are int, float, bool, str or None.
 """
@@ -17,6 +17,7 @@ import numpy as np
 
 from wam_power_ros import durable_files
 from wam_power_ros.bags.bag import Bag
+from wam_power_ros.bags.files import TABLES
 from wam_power_ros.bags.layout import JOINT_STATE, STAMP_END, STATES, TYPES, decoded, qos
 from wam_power_ros.bags.quality import Grade, Remark
 from wam_power_ros.bags.reader import States
@@ -100,19 +101,21 @@ def check_new(path: Path) -> None:
     """Check that a table can be written to a file.
 
     Raises:
-        ValueError: The suffix is unknown.
+        ValueError: The suffix is unknown, or pyarrow is missing for Parquet.
         FileExistsError: The file exists.
     """
-    if path.suffix != TABLE:
-        raise ValueError(f"{path} must end in {TABLE}")
+    if path.suffix not in TABLES:
+        raise ValueError(f"{path} must end in {' or '.join(TABLES)}")
     if path.exists():
         raise FileExistsError(f"{path} exists already; name another file")
+    if path.suffix == ".parquet":
+        require_pyarrow()
 
 
 def write(columns: Mapping[str, Sequence[Any]], path: Path) -> int:
     """Write a table to a new file, which is read back before it has its name.
 
-    Floats are restored bit for bit; None is an empty cell.
+    CSV restores floats bit for bit; None is an empty cell, and null in Parquet.
 
     Raises:
         ValueError: As `check_new`.
@@ -122,12 +125,7 @@ def write(columns: Mapping[str, Sequence[Any]], path: Path) -> int:
     rows = len(next(iter(columns.values())))
     part = path.with_name(f".{path.name}.part")
     try:
-        with part.open("w", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file)  # which writes the repr of a float
-            writer.writerow(columns)
-            writer.writerows(zip(*columns.values(), strict=True))
-        with part.open(encoding="utf-8", newline="") as file:
-            written = sum(len(row) == len(columns) for row in csv.reader(file)) - 1
+        written = (_write_csv if path.suffix == ".csv" else _write_parquet)(columns, part)
         if written != rows:
             raise OSError(f"{path}: {written} of {rows} rows could be read back")
         durable_files.sync(part)
@@ -138,9 +136,42 @@ def write(columns: Mapping[str, Sequence[Any]], path: Path) -> int:
     return rows
 
 
+def _write_csv(columns: Mapping[str, Sequence[Any]], path: Path) -> int:
+    """Write a CSV file; returns the number of complete rows that are in it."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)  # which writes the repr of a float
+        writer.writerow(columns)
+        writer.writerows(zip(*columns.values(), strict=True))
+    with path.open(encoding="utf-8", newline="") as file:
+        return sum(len(row) == len(columns) for row in csv.reader(file)) - 1
+
+
+def _write_parquet(columns: Mapping[str, Sequence[Any]], path: Path) -> int:
+    """Write a Parquet file; returns the number of rows that are in it."""
+    import pyarrow
+    from pyarrow import parquet
+
+    def array(values: Sequence[Any]) -> pyarrow.Array:
+        empty = all(value is None for value in values)  # of numbers that were not recorded
+        return pyarrow.array(values, type=pyarrow.float64() if empty else None)
+
+    table = pyarrow.table({name: array(values) for name, values in columns.items()})
+    parquet.write_table(table, path)
+    return int(parquet.read_table(path).num_rows)
+
+
+def require_pyarrow() -> None:
+    """Raise a ValueError that names the extra, if pyarrow is missing."""
+    try:
+        import pyarrow.parquet  # noqa: F401
+    except ImportError:
+        text = 'Parquet needs pyarrow: pip install "wam_power_ros[export]"; a .csv table does not'
+        raise ValueError(text) from None
+
+
 def is_table(path: Path) -> bool:
     """Whether a path is a file of a table."""
-    return path.suffix == TABLE and path.is_file()
+    return path.suffix in TABLES and path.is_file()
 
 
 def as_bag(path: Path, folder: Path, unit: float = 1.0) -> Path:
@@ -152,14 +183,15 @@ def as_bag(path: Path, folder: Path, unit: float = 1.0) -> Path:
     Raises:
         ValueError: The file is no table, has no time or joint, or its times do not increase.
     """
+    read = _read_csv if path.suffix == ".csv" else _read_parquet
     try:
-        return _to_bag(_read_csv(path), folder / path.name, unit)
+        return to_bag(read(path), folder / path.name, unit)
     except (ValueError, csv.Error) as error:
         raise ValueError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
 
 
-def _to_bag(columns: Sequence[tuple[str, Sequence[Any]]], to: Path, unit: float) -> Path:
-    """Write a bag of columns with their names, see `as_bag`."""
+def to_bag(columns: Sequence[tuple[str, Sequence[Any]]], to: Path, unit: float) -> Path:
+    """Write a bag of columns with their names, see `as_bag`; raises a ValueError as that does."""
     numeric = [(name, cells) for name, cells in columns if _of_numbers(cells)]
     clock = next((name for name in (STAMP, *TIMES) if name in dict(numeric)), "")
     angles = [(name, _numbers(*each)) for name, *each in _joints(numeric)]
@@ -239,3 +271,20 @@ def _read_csv(path: Path) -> list[tuple[str, Sequence[Any]]]:
     return [
         (name.strip(), each) for name, each in zip(names, zip(*cells, strict=True), strict=True)
     ]
+
+
+def _read_parquet(path: Path) -> list[tuple[str, Sequence[Any]]]:
+    require_pyarrow()
+    from pyarrow import ArrowException, parquet
+
+    try:
+        found = parquet.read_table(path)
+    except (ArrowException, OSError) as error:
+        raise ValueError(f"is no Parquet file: {error}") from None
+    columns = dict(zip(found.column_names, (of.to_pylist() for of in found.columns), strict=True))
+    lists = [name for name, of in columns.items() if of and all(type(x) is list for x in of)]
+    for name in lists:
+        cells = columns.pop(name)  # as of LeRobot, whose names are in another file
+        each = zip(*cells, strict=True)
+        columns |= {f"{name}.{number}": [*of] for number, of in enumerate(each)}
+    return [*columns.items()]

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from wam_power_ros import installed
 from wam_power_ros.cli.launcher import UsageError, short_path, task_stems
-from wam_power_ros.cli.parser import add_command, config_option, task_option
+from wam_power_ros.cli.parser import add_command, config_option, natural, positive, task_option
 from wam_power_ros.cli.session_options import DEFAULT_TASK
 from wam_power_ros.durable_files import check_name, printable
 from wam_power_ros.params import overlay
@@ -22,9 +22,13 @@ from wam_power_ros.params import overlay
 if TYPE_CHECKING:
     import numpy as np
 
+    from wam_power_ros.bags import lerobot
     from wam_power_ros.bags.quality import Limits, Remark
     from wam_power_ros.bags.takes import Take
     from wam_power_ros.control.arm import Arm
+
+FORMATS = ("table", "lerobot")  # of `export`
+FPS = 50  # frames of a set of LeRobot [1/s]: the release of a toss takes about ten of them
 
 
 class InspectedTake(NamedTuple):
@@ -48,7 +52,8 @@ def add_to(subparsers: argparse._SubParsersAction) -> None:
     plotted.add_argument("bag", type=Path, nargs="+")
     plotted.add_argument("--output", type=Path, help=".png or .svg (default: BAG.png)")
     imported = add("import", import_, "make a demonstration of any bag with joint states")
-    help_bags = "folder, .mcap, .db3 or .csv; several that follow each other become one"
+    help_bags = "folder, .mcap, .db3, .csv or .parquet; several that follow each other become one; "
+    help_bags += "or the folder of a set of LeRobot"
     imported.add_argument("bag", type=Path, nargs="+", help=help_bags)
     help_part = "only the states between two times since the first [s]"
     imported.add_argument("--part", type=float, nargs=2, metavar=("START", "END"), help=help_part)
@@ -59,12 +64,19 @@ def add_to(subparsers: argparse._SubParsersAction) -> None:
     imported.set_defaults(task=DEFAULT_TASK)
     help_reception = "use the times of reception, where the stamps of the driver are wrong"
     imported.add_argument("--by-reception", action="store_true", help=help_reception)
-    help_degrees = "the angles of a table are in degrees"
+    help_episode = "number of the episode in a set of LeRobot (default: the only one)"
+    imported.add_argument("--episode", type=natural, metavar="N", help=help_episode)
+    help_degrees = "the angles of a table or set are in degrees"
     imported.add_argument("--degrees", action="store_true", help=help_degrees)
     imported.add_argument("--output", type=Path, help="new bag (default: TASK_NAME)")
-    exported = add("export", export, "write a table of a bag or a session")
-    exported.add_argument("recorded", type=Path, metavar="BAG|SESSION")
-    exported.add_argument("--output", type=Path, required=True, help="new .csv file")
+    exported = add("export", export, "write a table or a set of LeRobot of bags or a session")
+    exported.add_argument("recorded", type=Path, metavar="BAG|SESSION", nargs="+")
+    help_output = "new .csv or .parquet file, or the folder of a set"
+    exported.add_argument("--output", type=Path, required=True, help=help_output)
+    help_format = "lerobot: a set of LeRobot 3.0, an episode for each bag or rollout"
+    exported.add_argument("--format", choices=FORMATS, default=FORMATS[0], help=help_format)
+    help_fps = f"frames per second of a set (default: {FPS})"
+    exported.add_argument("--fps", type=positive, default=FPS, help=help_fps)
     for command in (shown, plotted, imported, exported):
         config_option(command, "set-up of the arm")
 
@@ -223,6 +235,7 @@ def import_(
     output: Path | None,
     config: Sequence[str],
     by_reception: bool,
+    episode: int | None,
     degrees: bool,
 ) -> None:
     """Make a demonstration of bags of any recorder; what nothing can be learnt from is not kept."""
@@ -242,7 +255,7 @@ def import_(
     progress = Console(stderr=True, markup=False).status(f"importing {called} …")
     with progress, tempfile.TemporaryDirectory() as folder:
         try:
-            opened = Bag(*_as_bags(bag, Path(folder), degrees))
+            opened = Bag(*_as_bags(bag, Path(folder), episode, degrees))
             made, remarks = importing.import_bag(
                 opened, output, names, joints, topic, kind, by_reception, within
             )
@@ -260,38 +273,103 @@ def import_(
     print(f"  {_graded(judged)}")
 
 
-def _as_bags(paths: Sequence[Path], folder: Path, degrees: bool) -> list[Path]:
-    """Paths, with bags in a folder in the place of tables."""
-    from wam_power_ros.bags import table
+def _as_bags(paths: Sequence[Path], folder: Path, episode: int | None, degrees: bool) -> list[Path]:
+    """Paths, with bags in a folder in the place of tables and sets of LeRobot."""
+    from wam_power_ros.bags import lerobot, table
 
+    unit = math.radians(1.0) if degrees else 1.0
     found = []
     for path in paths:
-        if table.is_table(path):
-            found.append(table.as_bag(path, folder, math.radians(1.0) if degrees else 1.0))
-        elif degrees:
-            raise UsageError(f"--degrees: {path} is a bag, whose angles are in rad")
+        if a_set := lerobot.is_set(path):
+            found.append(lerobot.as_bag(path, folder, episode, unit))
+        elif a_table := table.is_table(path):
+            found.append(table.as_bag(path, folder, unit))
         else:
             found.append(path)
+        if episode is not None and not a_set:
+            raise UsageError(f"--episode {episode}: {path} is no set of LeRobot")
+        if degrees and not (a_set or a_table):
+            raise UsageError(f"--degrees: {path} is a bag, whose angles are in rad")
     return found
 
 
-def export(recorded: Path, output: Path, config: Sequence[str]) -> None:
-    """Write a table of a bag or a session, for other programs."""
+def export(
+    recorded: Sequence[Path], output: Path, format: str, fps: int, config: Sequence[str]
+) -> None:
+    """Write a table of a bag or a session, or a set of several, for other programs."""
     from wam_power_ros.bags import table
     from wam_power_ros.practice import session, session_log
 
+    if format != FORMATS[0]:
+        return _export_set(recorded, output, fps, overlay.setup(config))
+    if recorded[1:]:
+        raise UsageError(f"a table is of one bag or session, not of {len(recorded)}")
     table.check_new(output)
     remarks: Sequence[str] = ()
-    if session.Session.exists(recorded):
-        columns = session_log.columns(session.read(recorded).records)
+    if session.Session.exists(recorded[0]):
+        columns = session_log.columns(session.read(recorded[0]).records)
         if not columns["number"]:
-            raise UsageError(f"{recorded} has no rollout yet")
+            raise UsageError(f"{recorded[0]} has no rollout yet")
     else:
-        columns, remarks = _bag_columns(recorded, overlay.setup(config))
+        columns, remarks = _bag_columns(recorded[0], overlay.setup(config))
     rows = table.write(columns, output)
     print(f"Table: {output}, {rows} rows, {len(columns)} columns")
     for remark in remarks:
         print(f"  {remark}")
+
+
+def _export_set(recorded: Sequence[Path], output: Path, fps: int, setup: overlay.Setup) -> None:
+    """Write a set of LeRobot, an episode for each bag, or each rollout of a session."""
+    from wam_power_ros.bags import lerobot
+    from wam_power_ros.practice import session
+
+    lerobot.check_new(output)
+    bags: list[Path] = []
+    for path in recorded:
+        if session.Session.exists(path):
+            logged = session.read(path).records
+            bags += [path / "bags" / record.bag for record in logged if record.bag]
+        else:
+            bags.append(path)
+    episodes, left_out = [], []
+    for bag in bags:
+        try:
+            episodes.append(_episode(bag, fps, setup))
+        except ValueError as error:
+            left_out.append(f"  left out: {error}")
+    if not episodes:
+        raise UsageError("\n".join(["there is no movement to write", *left_out]))
+    arm = setup.arm()
+    robot = "arm" if arm is None else arm.identity().name
+    frames = lerobot.write(episodes, output, setup.joint_names, fps, robot)
+    print(f"Set of LeRobot: {output}, {len(episodes)} episodes, {frames} frames at {fps} Hz")
+    print(*left_out, sep="\n", end="\n" * bool(left_out))
+
+
+def _episode(path: Path, fps: int, setup: overlay.Setup) -> lerobot.Episode:
+    """Movement of a bag, smoothed as for learning, with the tool by the model of the arm.
+
+    Raises:
+        ValueError: The bag cannot be read, is of another arm, or too short.
+    """
+    from wam_power_ros import rotations
+    from wam_power_ros.bags import lerobot, reader
+    from wam_power_ros.bags.bag import Bag
+    from wam_power_ros.learning.demonstration import smooth_joints
+
+    bag, arm = Bag(path), setup.arm()
+    identity = None if arm is None else arm.identity()
+    states = reader.read_states(bag, setup.joint_names, arm=identity)
+    t, q = smooth_joints(states.stamps, states.q)
+    tasks = task_stems().get(bag.kind, set())
+    said = (installed.task_type(min(tasks)).__doc__ or "") if tasks else bag.kind
+
+    def tool_pose(q: np.ndarray) -> list[float]:
+        assert arm is not None
+        position, rotation = arm.tool_pose(q)
+        return [*position.tolist(), *rotations.quat_xyzw(rotation).tolist()]
+
+    return lerobot.episode(said.partition("\n")[0], t, q, fps, tool_pose if arm else None)
 
 
 def _bag_columns(path: Path, setup: overlay.Setup) -> tuple[dict[str, list[Any]], list[str]]:

@@ -11,8 +11,10 @@ import argparse
 import contextlib
 import io
 import os
+import shutil
 import sys
-from collections.abc import Callable, Sequence
+import textwrap
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from functools import partial
 from importlib import metadata
@@ -50,6 +52,13 @@ NODES = {  # executable of `ros2 run` -> entry point, as setup.py declares them
     entry.name: entry for entry in metadata.entry_points(group="wam_power_ros.nodes")
 }
 
+HEADINGS = {
+    "First": ("learn", "teach", "replay", "view", "doctor"),
+    "Session": ("sessions", "feedback", "stop", "report", "run-policy"),
+    "Arm": ("new-arm", "commission", "enable"),
+    "Recordings": ("bags", "recover"),
+    "Names, set-ups, nodes": ("list", "config", "run"),
+}
 LISTED = ("tasks", "learners", "presets", "set-ups")
 
 
@@ -109,11 +118,12 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=COMMAND_LINE,
         description="Teach a robot arm by hand; let it improve by practising.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"wam_power_ros {__version__}")
     parser.set_defaults(command=parser.print_help)
-    subparsers = parser.add_subparsers(metavar="COMMAND", prog=COMMAND_LINE)
+    subparsers = parser.add_subparsers(metavar="COMMAND", prog=COMMAND_LINE, help=argparse.SUPPRESS)
 
     add = partial(add_command, subparsers)
     learn = add("learn", commands.learn, "teach and learn; or resume a session")
@@ -184,7 +194,7 @@ def _parser() -> argparse.ArgumentParser:
     bags_command.add_to(subparsers)
     recover = add("recover", bags_command.recover, "recover bags damaged by a kill or a full disk")
     recover.add_argument("bag", type=Path, nargs="+", help="folder of the bag, or .mcap file")
-    listing = add("list", _list, "print a line for each task, learner, preset, ...")
+    listing = add("list", _list, "print a line for each task, learner, preset or set-up")
     listing.add_argument("what", choices=LISTED)
     config = add("config", commands.config, "print the parameters of every node for set-ups")
     task_option(config)
@@ -192,7 +202,21 @@ def _parser() -> argparse.ArgumentParser:
     run = add("run", _run, "start one node, as ros2 run wam_power_ros NODE --ros-args ... does")
     run.add_argument("node", choices=NODES)
     run.add_argument("rest", nargs=argparse.REMAINDER, metavar="...", help="arguments of the node")
+    parser.epilog = _listed(subparsers.choices)
     return parser
+
+
+def _listed(commands: Mapping[str, argparse.ArgumentParser]) -> str:
+    """The commands with the first sentence of their descriptions, under `HEADINGS`."""
+    width = max(shutil.get_terminal_size().columns - 2, 40)
+    lines = []
+    for heading, names in HEADINGS.items():
+        lines.append(f"\n{heading}:")
+        for name in names:
+            sentence, _, _ = str(commands[name].description).partition(". ")
+            text = f"  {name:12}{sentence.rstrip('.')}"
+            lines += textwrap.wrap(text, width, subsequent_indent=14 * " ")
+    return "\n".join(lines).lstrip()
 
 
 def _list(what: str) -> None:

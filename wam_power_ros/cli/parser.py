@@ -37,7 +37,7 @@ def add_command(
 
     Its description is the sentence above its options, if omitted its summary.
     """
-    description = description or f"{summary.capitalize()}."
+    description = description or f"{summary[:1].upper()}{summary[1:]}."
     added = subparsers.add_parser(name, help=summary, description=description, allow_abbrev=False)
     added.set_defaults(command=command or added.print_help)
     return added
