@@ -27,7 +27,7 @@ def commands(page: str) -> list[str]:
 
 
 def test_there_are_commands_to_run() -> None:
-    assert len(commands("docs/tutorial.md")) == 5 and len(commands("docs/research.md")) == 2
+    assert len(commands("docs/tutorial.md")) == 6 and len(commands("docs/research.md")) == 2
 
 
 @pytest.mark.long
