@@ -110,14 +110,14 @@ BUDGET = {
     "conformance": 1092,  # +25: effort without gravity
     "bags": 2580,  # +246: sets of LeRobot, written and read
     "params": 1386,  # what may be set at rest; -p body:=NAME is derived from; NatNet, FR3
-    "ros": 2574,  # variables of ROS and DDS are named with their remedy
+    "ros": 2572,  # variables of ROS and DDS are named with their remedy
     "client": 1344,
     "nodes": 3875,  # actions; +217: an FR3 by its maker's library; +122: NatNet
     "console": 492,  # a person supports the arm, however a movement ended
     "view": 900,
     "reporting": 808,
     "in_process": 509,  # a session on disk without nodes
-    "cli": 2452,  # mistakes of a set-up, new-arm, sessions
+    "cli": 2453,  # mistakes of a set-up, new-arm, sessions
     "hardware_sim": 3093,  # +146: what stand-ins alone send or answer, from ros/
     "launch": 161,
     "wam_power_interfaces": 159,  # its build without ROS

@@ -17,14 +17,16 @@ from wam_power_ros import entry
 
 # Short sleeps, because a signal just before a sleep does not end it.
 SLOW = "import time; print('importing', flush=True); [time.sleep(0.05) for _ in range(12000)]"
+STARTED_BY_OTHERS = ("preparation_worker", "enabling_switch")
 GUARDED = {
     path.relative_to(ROOT).with_suffix("").as_posix().replace("/", "."): path.read_text()
-    for folder in ("wam_power_ros/nodes", "hardware_sim")
+    for folder in ("wam_power_ros/nodes", "wam_power_ros/console", "hardware_sim")
     for path in sorted((ROOT / folder).glob("*.py"))
-    if "\ndef main()" in path.read_text() and path.stem != "preparation_worker"
+    if "\ndef main()" in path.read_text() and path.stem not in STARTED_BY_OTHERS
 }
 EXECUTABLES = re.findall(r'f"[\w-]+ = \{NAME\}\.entry:(\w+)"', (ROOT / "setup.py").read_text())
-FOR_A_PERSON = {"wam_power_ros.nodes.check_driver", "wam_power_ros.cli.main"}
+FOR_A_PERSON = {"wam_power_ros.cli.main", "wam_power_ros.console.replay_running"}
+FOR_A_PERSON |= {"wam_power_ros.nodes.check_driver"}
 PROGRAM = "import sys; from wam_power_ros.entry import wam_power; sys.exit(wam_power())"
 
 

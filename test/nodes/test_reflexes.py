@@ -78,7 +78,7 @@ ELSEWHERE = {
     "colcon build with another Python": "ros/test_environment.py::"
     "test_a_python_without_our_modules_is_named_with_what_it_misses_and_the_remedy",
     "export RMW_IMPLEMENTATION, ROS_LOCALHOST_ONLY and others": "ros/test_environment.py::"
-    "test_a_node_runs_or_one_line_names_the_variable_and_the_remedy",
+    "test_one_line_names_a_variable_with_which_no_node_can_run",
     "ros2 bag play": "nodes/test_demonstration_recorder_node.py::"
     "test_states_without_velocity_or_effort_are_recorded_and_read_however_they_were_sent",
     "ros2 bag record -a, then our reader": "bags/test_other_recorders.py::"

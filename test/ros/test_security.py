@@ -107,7 +107,10 @@ def test_the_recorder_only_listens_and_the_learner_only_proposes() -> None:
     recorder, learner = RIGHTS["demonstration_recorder"], RIGHTS["learner"]
     assert recorder["topic", "publish"] - EVERYONES == {interface.DIAGNOSTICS}
     assert ("service", "request") not in recorder
-    assert learner["topic", "publish"] - EVERYONES == {interface.DIAGNOSTICS}
+    assert learner["topic", "publish"] - EVERYONES == {
+        interface.DIAGNOSTICS,
+        f"/{interface.LEARNER_MARKERS}",
+    }
     assert ("action", "execute") not in learner
     assert {name.split("/")[1] for name in learner["service", "reply"]} == {"learner"}
 

@@ -117,6 +117,7 @@ def _replace_unencodable_characters() -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=COMMAND_LINE,
+        usage=f"{COMMAND_LINE} [-h] [--version] COMMAND ...",
         description="Teach a robot arm by hand; let it improve by practising.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,

@@ -51,8 +51,6 @@ LEARNER_PAUSE = "learner/pause"
 LEARNER_RATE = "learner/rate"
 ADD_DEMONSTRATION = "learner/add_demonstration"
 WAM_GRAVITY_COMPENSATE = "wam/gravityCompensate"
-WAM_HOLD = "wam/holdJointPosition"
-WAM_MOVE_HOME = "wam/moveHome"
 WAM_IDLE = "wam/idle"
 
 # Topics and services of a tracked body begin with its name; its frame is the name itself
