@@ -84,7 +84,7 @@ def test_it_is_taught_practised_and_reported_through_its_entry_points(
     assert "learner model_based: learns from beside, beyond" in output
     rows = [json.loads(line) for line in (tmp_path / "s/rollouts.jsonl").read_text().splitlines()]
     misses = [row["observation"]["beyond"] for row in rows[:3]]
-    assert abs(misses[2]) < 0.5 * abs(misses[0]) and "mm, beyond " in output
+    assert min(map(abs, misses[1:])) < 0.5 * abs(misses[0]) and "mm, beyond " in output
     for row in rows:
         stopped = row["truth"]["stopped"]  # of its own scene
         assert row["observation"]["beyond"] == pytest.approx(stopped[1] - 0.3, abs=0.005)
