@@ -113,6 +113,7 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
     assert processes.end(first, signal.SIGKILL) == -signal.SIGKILL
     kept = lines(folder)
 
+    probe.spin(1.0)  # what the first has said comes in, before the second is listened to
     del reports[:]
     second = learner()
     probe.until(lambda: states()[-1:] == ["paused"], "the pause from before the kill", 300.0)
