@@ -39,29 +39,6 @@ COBOT = Arm(
 ).identity()
 
 
-def settle(arm: PlayedArm) -> None:
-    """Let the arm come to rest."""
-    for _ in range(100):
-        arm.send()
-        arm.answer()
-
-
-@pytest.fixture(scope="module")
-def activated(shared_nodes: tuple[Probe, Processes]) -> PlayedArm:
-    """A controller that several tests share, active."""
-    arm = PlayedArm(*shared_nodes)
-    arm.activate()
-    return arm
-
-
-@pytest.fixture
-def arm(activated: PlayedArm) -> PlayedArm:
-    """The shared controller, which holds an arm at rest."""
-    settle(activated)
-    assert activated.read()[-1].label == "hold"
-    return activated
-
-
 @pytest.mark.requirement("S-03")
 def test_each_state_gets_one_torque_labelled_with_its_stamp(arm: PlayedArm) -> None:
     probe = arm.probe
@@ -304,7 +281,7 @@ def test_a_goal_that_a_person_stops_names_the_stop_and_one_that_knows_of_none_do
     assert (stopped.code, move.status) == (Code.STOPPED, ABORTED)
     assert stopped.stop not in ("", known)
     arm.diagnosis(lambda d: d[LAST_STOP] == stopped.stop, "the stop")
-    settle(arm)
+    arm.settle()
     movement = joint_messages.movement_message(NAMES, STILL)
     for known in ("none", "another"):
         for do, goal in (
@@ -344,7 +321,7 @@ def test_a_cancel_stops_the_arm_and_ends_the_goal_and_a_late_one_does_nothing(
     assert sent.status == CANCELED
     if do != "follow":
         assert sent.answer.code is Code.STOPPED and sent.answer.stop
-    settle(arm)
+    arm.settle()
     assert arm.read()[-1].label == "hold"
     assert not probe.cancel(sent)
     again = probe.ask("move_to_start", lift("trial-0001"))

@@ -25,20 +25,20 @@ class MotionSettings(BaseModel):
         driver_compensates_gravity: The driver adds g(q) itself; it is left out of what is sent.
         hold_to_run: Teaching, replay and the first run of a policy need `Controller.enabled`.
         law: Name of the torque law, a function of `torque_law`.
-        move_speed: Peak joint speed of a move to the start.
-        start_tolerance: Largest joint error at which a rollout may start.
-        settle_time: Time that a rollout continues after the end of its movement.
-        velocity_cutoff: Of the low-pass for differentiated positions when a driver sends no
-            velocity, and in the simulation of a policy; libbarrett uses 180.
+        move_speed: Peak joint speed of a move to the start [rad/s].
+        start_tolerance: Largest joint error at which a rollout may start [rad].
+        settle_time: Time that a rollout continues after the end of its movement [s].
+        velocity_cutoff: Cut-off of the low-pass for differentiated positions when a driver sends
+            no velocity, and in the simulation of a policy [rad/s]; libbarrett uses 180.
         stiffness_max: Largest stiffness of a policy [1/s^2]. With a damping of 32 1/s the loop is
             stable up to about 2800 with a delay of 8 ms, up to about 4800 with 4 ms.
         damping_max: Largest damping of a policy [1/s]. Its product with the delay of the loop must
             stay well below pi / 2: with 8 ms the loop is unstable from 196 on.
         teaching_friction: Share of the Coulomb friction that is taken off a joint which a person
             moves; more than 0.8 of the true one lets the arm run on after it was let go.
-        loop_delay: Time from a torque to the motion that the states show.
-        servo_delay: Delay with which an arm follows positions.
-        servo_lag: Time constant of the low-pass with which it does.
+        loop_delay: Time from a torque to the motion that the states show [s].
+        servo_delay: Delay with which an arm follows positions [s].
+        servo_lag: Time constant of the low-pass with which it does [s].
         contact_share: Bound on the torque residual in hold, move and replay, beyond twice the
             joint's friction, as a share of the joint's torque limit; above it is a contact, and a
             fault.
