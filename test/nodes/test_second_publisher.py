@@ -100,8 +100,9 @@ def test_a_second_publisher_of_our_joints_keeps_us_from_starting_and_is_named(la
 
 @pytest.mark.requirement("S-130")
 def test_a_second_publisher_that_appears_is_a_fault_and_its_states_are_not_used(lab: Lab) -> None:
-    lab.activate()
+    # Announced before: a name that is discovered late would deactivate an active controller.
     arm, zeros = lab.arm, lab.other("appears")
+    lab.activate()
     count = len(arm.read())
     for _ in range(100):
         arm.send()
