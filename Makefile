@@ -12,6 +12,8 @@ READY := $(VENV)/ready
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 # The rclpy wheels record in this variable that their libraries are on the path, which is true for this .venv only.
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
+# Python keeps what it compiles, whatever a container says: tests start some hundreds of processes.
+unexport PYTHONDONTWRITEBYTECODE
 
 # A sourced ROS 2 Jazzy or Kilted provides rclpy, NumPy 1 and Pinocchio, and `make build` builds the interfaces; otherwise
 # everything comes from PyPI, and pip builds the interfaces.

@@ -29,6 +29,7 @@ def main(folder: Path) -> int:
         driver.play(30.0, lambda: len(lab.torques) > 100)
         after = {torque.label for _, torque in lab.torques}
         driver.ready()
+        driver.play(10.0, lambda: lab.label == "hold")  # the next torque says so
         sys.stdout.write(f"{sorted(after)} {lab.label}\n")
     return 0
 

@@ -13,8 +13,6 @@ from conftest import ROOT
 
 from wam_power_ros import installed
 from wam_power_ros.bags import reader
-from wam_power_ros.faults import Fault, FaultKind
-from wam_power_ros.learning.policy import Policy
 from wam_power_ros.nodes.demonstrations import Demonstrations
 from wam_power_ros.nodes.learner import LearnerParams
 from wam_power_ros.nodes.simulated_arm import SimulatedArm
@@ -26,18 +24,24 @@ BAG = str(min((ROOT / "bags").glob("demo_*")))
 SETTINGS = preset("flip")
 
 
+def arm_of(params: LearnerParams) -> SimulatedArm:
+    model = params.urdf, params.model_joint_names, params.tool_frame
+    return SimulatedArm(*model, params.controller, str)
+
+
+def of_arm(arm: SimulatedArm) -> Demonstrations:
+    log = logging.getLogger("test")
+    return Demonstrations(installed.task_type("flip"), arm, PARAMS.joint_names, log)
+
+
 @pytest.fixture(scope="module")
 def arm() -> SimulatedArm:
-    return SimulatedArm(
-        PARAMS.urdf, PARAMS.model_joint_names, PARAMS.tool_frame, PARAMS.controller, str
-    )
+    return arm_of(PARAMS)
 
 
 @pytest.fixture
 def demonstrations(arm: SimulatedArm) -> Demonstrations:
-    return Demonstrations(
-        installed.task_type("flip"), arm, PARAMS.joint_names, logging.getLogger("test")
-    )
+    return of_arm(arm)
 
 
 def test_an_arm_without_the_links_of_the_wam_is_simulated_by_its_own_set_up() -> None:
@@ -79,15 +83,15 @@ def test_a_session_without_a_usable_bag_is_refused(
         demonstrations.candidates(SETTINGS, bags)
 
 
-def test_a_demonstration_whose_reproduction_ends_in_a_fault_is_no_candidate(
-    demonstrations: Demonstrations, arm: SimulatedArm, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.requirement("S-31")
+def test_a_demonstration_whose_reproduction_would_end_in_a_fault_is_not_reproduced(
+    tmp_path: Path,
 ) -> None:
-    def infeasible(policy: Policy) -> Fault:
-        return Fault(FaultKind.JOINT_SPEED, f"{policy.id} is too fast")
-
-    monkeypatch.setattr(arm, "infeasible", infeasible)
-    with pytest.raises(ValueError, match="too fast"):
-        demonstrations.candidates(SETTINGS, [BAG])
+    low = tmp_path / "low.yaml"
+    low.write_text("torque_controller: {ros__parameters: {tool_speed_max: 0.5}}")
+    slow = LearnerParams.of_setup(overlay.of_files([low]))
+    with pytest.raises(ValueError, match=f"{BAG}: would end in a fault: tool"):
+        of_arm(arm_of(slow)).candidates(SETTINGS, [BAG])
 
 
 def test_a_movement_is_simulated_once_whatever_its_id(

@@ -74,6 +74,7 @@ def test_a_controller_that_is_ended_in_a_rollout_stops_the_arm_first(lab: Lab, n
     pytest.fail(f"never at rest: speed [m/s] and torque off g(q) [N m] {seen}")
 
 
+@pytest.mark.alone
 @pytest.mark.requirement("S-53")
 def test_a_cut_network_is_a_fault_that_stays_when_it_is_back(tmp_path: Path) -> None:
     if subprocess.run(

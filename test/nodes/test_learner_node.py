@@ -19,6 +19,7 @@ from wam_power_ros.learning.policy import to_json
 from wam_power_ros.params.resources import share
 from wam_power_ros.practice.session import Session, read
 from wam_power_ros.practice.settings import preset
+from wam_power_ros.tasks.flip.task import Flip
 from wam_power_ros.tasks.reach.task import Reach
 from wam_power_ros.tasks.task import Assessment
 
@@ -74,6 +75,24 @@ def test_nodes_that_were_started_with_different_set_ups_notice_it_before_anythin
     assert learner.wait(60.0) == 2
     said = processes.output(learner)
     assert "started with another set-up than this node: tool_speed_max 3.5, here 4.0. Give" in said
+    assert read(tmp_path / "s").records == ()
+
+
+@pytest.mark.requirement("S-31")
+def test_a_session_taken_up_under_lower_limits_sends_nothing_that_breaks_them(
+    processes: Processes, tmp_path: Path
+) -> None:
+    arm = Arm(share("urdf/wam7.urdf").read_text(), JOINTS)
+    taught = Flip.demonstration_of(arm, *read_demonstration(min(ROOT.glob("bags/demo_*")), JOINTS))
+    policy = replace(Flip.policy_of([taught], "demonstration-1"), arm=arm.identity())
+    Session.begin(tmp_path / "s", preset("flip"), 0, [policy]).close()
+    low = tmp_path / "low.yaml"
+    low.write_text("torque_controller: {ros__parameters: {tool_speed_max: 0.5}}")
+    processes.node("wam_power_ros.nodes.torque_controller", "simulation.yaml", low)
+    learner = processes.node(LEARNER, "simulation.yaml", low, session=tmp_path / "s")
+    assert learner.wait(60.0) == 2
+    said = processes.output(learner)
+    assert "trial-0001 (reproduces demonstration-1) was not sent: with the present limits" in said
     assert read(tmp_path / "s").records == ()
 
 

@@ -83,7 +83,8 @@ def test_the_driver_of_a_ur_is_rehearsed_in_its_shape() -> None:
 @pytest.mark.long
 def test_a_ur_teaches_replays_and_learns_to_reach_over_dds(tmp_path: Path) -> None:
     lockstep = tmp_path / "lockstep.yaml"
-    lockstep.write_text("wam_sim: {ros__parameters: {pace: lockstep}}")
+    fewer = "learner: {ros__parameters: {changes: '{\"retests\": 1}'}}"
+    lockstep.write_text(f"wam_sim: {{ros__parameters: {{pace: lockstep}}}}\n{fewer}\n")
     simulated = ("--config", "ur", "--config", str(lockstep), "--simulate")
 
     def done(*arguments: str) -> str:

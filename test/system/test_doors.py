@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The commands of the doors of a student and a researcher run in order, as a person types them.
 
-Those of a lab are in `test_hardware_guide`, those of README in `test_pip`.
+A session is interrupted after a rollout, and goes on where it is named again. Commands of a lab are
+in `test_hardware_guide`, those of README in `test_pip`.
 """
 
 import os
@@ -12,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from conftest import ROOT, Processes
+from test_hardware_guide import CLI, interrupted_learning
 
 BESIDE = ("view", "feedback", "stop", "learn --task rated")  # second terminals; asks a person
 PATIENCE = 560.0  # [s] for a command, on a busy machine
@@ -26,6 +28,11 @@ def commands(page: str) -> list[str]:
     ]
 
 
+def found(folder: Path, word: str) -> list[Path | str]:
+    """What a shell makes of a word."""
+    return sorted(folder.glob(word)) if "*" in word else [word]
+
+
 def test_there_are_commands_to_run() -> None:
     assert len(commands("docs/tutorial.md")) == 6 and len(commands("docs/research.md")) == 2
 
@@ -37,6 +44,10 @@ def test_every_command_of_the_door_runs(page: str, processes: Processes, tmp_pat
     del environment["ROS_DOMAIN_ID"]  # wam-power takes a free one for a simulation
     environment["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{environment['PATH']}"
     for line in commands(page):
+        if " learn " in line:
+            words = [str(path) for word in line.split() for path in found(tmp_path, word)]
+            interrupted_learning([*CLI, *words[1:]], tmp_path, environment)
+            continue
         ended = subprocess.run(
             ["bash", "-c", line],
             cwd=tmp_path,

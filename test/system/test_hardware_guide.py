@@ -24,6 +24,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
+from test_session_over_dds import children
 
 from wam_power_ros.params import overlay
 from wam_power_ros.ros import interface
@@ -45,6 +46,34 @@ def commands() -> list[list[str]]:
     """Words of every command, in order; comments left out."""
     lines = "\n".join(blocks("bash")).replace("\\\n", " ").splitlines()
     return [words for line in lines if (words := shlex.split(line, comments=True))]
+
+
+def interrupted_learning(command: list[str], folder: Path, environment: dict[str, str]) -> None:
+    """Let `wam-power learn ... --session NAME` run one more rollout of its session, then Ctrl-C."""
+    log = folder / command[command.index("--session") + 1] / "rollouts.jsonl"
+    lines = lambda: log.read_text().count("\n") if log.exists() else 0  # noqa: E731
+    before, output = lines(), folder / "learn.log"
+    with output.open("wb") as file:
+        process = subprocess.Popen(
+            command,
+            cwd=folder,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=file,
+            stderr=subprocess.STDOUT,
+        )
+    end = time.monotonic() + PATIENCE
+    try:
+        while lines() == before and process.poll() is None and time.monotonic() < end:
+            time.sleep(0.1)
+        assert lines() > before, output.read_text()
+        nodes = children(process)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(PATIENCE) == 130, output.read_text()
+        assert not [pid for pid in nodes if Path(f"/proc/{pid}").exists()]
+        assert output.read_text().rstrip().endswith(f"--session {log.parent.name}")
+    finally:
+        process.kill()
 
 
 class Lab:
@@ -126,28 +155,7 @@ class Lab:
         assert ended.returncode == 0, ended.stderr
 
     def _learn(self, words: list[str]) -> None:
-        """Let it learn until one more rollout is on record, then Ctrl-C."""
-        log = self._folder / words[words.index("--session") + 1] / "rollouts.jsonl"
-        lines = lambda: log.read_text().count("\n") if log.exists() else 0  # noqa: E731
-        before, output = lines(), self._folder / "learn.log"
-        with output.open("wb") as file:
-            process = subprocess.Popen(
-                [*CLI, *words],
-                cwd=self._folder,
-                env=self._environment(False),
-                stdin=subprocess.DEVNULL,
-                stdout=file,
-                stderr=subprocess.STDOUT,
-            )
-        end = time.monotonic() + PATIENCE
-        try:
-            while lines() == before and process.poll() is None and time.monotonic() < end:
-                time.sleep(0.1)
-            assert lines() > before, output.read_text()
-            process.send_signal(signal.SIGINT)
-            assert process.wait(PATIENCE) == 130, output.read_text()
-        finally:
-            process.kill()
+        interrupted_learning([*CLI, *words], self._folder, self._environment(False))
 
     def _launch(self, file: str, *arguments: str) -> None:
         """What launch/hardware.launch.py starts; `launch` itself is not among the wheels."""

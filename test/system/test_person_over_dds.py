@@ -34,7 +34,7 @@ from wam_power_ros.ros.diagnostics import LEARNER_STATE
 from wam_power_ros.tasks.flip.settings import FLIP_FIT
 
 TAUGHT, LATER = sorted((ROOT / "bags").glob("demo_*"))[:2]
-SETTINGS = preset("flip", budget=5, retests=0)
+SETTINGS = preset("flip", "hindsight", budget=5, retests=0)
 
 
 def fitted(bag: Path) -> Policy:

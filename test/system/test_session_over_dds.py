@@ -13,7 +13,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -138,96 +137,6 @@ def expected(candidate: Policy) -> list[dict[str, Any]]:
 def begin(folder: Path, candidate: Policy, settings: SessionSettings = SETTINGS) -> Path:
     Session.begin(folder, settings, SEED, [candidate]).close()
     return folder
-
-
-@dataclass
-class Interrupted:
-    """A session stopped by Ctrl-C after its first rollout, then resumed as it said."""
-
-    folder: Path
-    nodes: list[int]  # process ids while it ran
-    nodes_left: list[int]
-    status: int
-    output: str
-    lines: list[bytes]  # on disk when it had stopped
-    resumed_status: int
-    resumed_output: str
-
-
-@pytest.fixture(scope="module")
-def interrupted(tmp_path_factory: pytest.TempPathFactory, candidate: Policy) -> Interrupted:
-    at = tmp_path_factory.mktemp("interrupted")
-    folder = begin(at / "session", candidate)
-    learning = wam_power(at, "learn", "--session", "session")
-    wait_for(lambda: lines(folder) or learning.poll() is not None, "a first rollout")
-    nodes = children(learning) if learning.poll() is None else []
-    learning.send_signal(signal.SIGINT)
-    status, output = ended(learning, 60.0)
-    left = [pid for pid in nodes if Path(f"/proc/{pid}").exists()]
-    kept = lines(folder)
-    resumed = ended(wam_power(at, "learn", "--session", "session"))
-    return Interrupted(folder, nodes, left, status, output, kept, *resumed)
-
-
-@pytest.mark.long
-def test_ctrl_c_ends_every_process_and_says_how_to_go_on(interrupted: Interrupted) -> None:
-    assert interrupted.status == 130, interrupted.output
-    assert len(interrupted.nodes) == 5  # stand-ins, controller, recorder, tracker, learner
-    assert interrupted.nodes_left == []
-    assert interrupted.output.splitlines()[-1].endswith("--session session")
-    assert 1 <= len(interrupted.lines) < len(ROLLOUTS)
-
-
-@pytest.mark.long
-def test_a_session_that_was_interrupted_goes_on_to_the_end(
-    interrupted: Interrupted, expected: list[dict[str, Any]]
-) -> None:
-    assert interrupted.resumed_status == 0, interrupted.resumed_output
-    rows = lines(interrupted.folder)
-    assert rows[: len(interrupted.lines)] == interrupted.lines
-    assert [json.loads(row)["id"] for row in rows] == ROLLOUTS
-    assert learnt(rows) == expected
-    assert (interrupted.folder / "policy.json").exists()
-    assert (interrupted.folder / "report.html").exists()
-
-
-def with_low_limits(folder: Path) -> Path:
-    """A set-up under which no toss is possible."""
-    file = folder / "low.yaml"
-    file.write_text("torque_controller: {ros__parameters: {tool_speed_max: 0.5}}")
-    return file
-
-
-@pytest.mark.requirement("S-31")
-def test_a_demonstration_whose_reproduction_would_end_in_a_fault_is_not_reproduced(
-    demonstration: Path, tmp_path: Path
-) -> None:
-    low = with_low_limits(tmp_path)
-    arguments = (
-        "--bags",
-        str(demonstration),
-        "--config",
-        str(low),
-        "--simulate",
-        "--session",
-        "session",
-    )
-    status, output = ended(wam_power(tmp_path, "learn", *arguments))
-    assert status != 0
-    assert f"{demonstration}: would end in a fault: tool" in output
-    assert not Session.exists(tmp_path / "session")
-
-
-@pytest.mark.requirement("S-31")
-def test_a_session_taken_up_under_lower_limits_sends_nothing_that_breaks_them(
-    candidate: Policy, tmp_path: Path
-) -> None:
-    folder, low = begin(tmp_path / "session", candidate), with_low_limits(tmp_path)
-    arguments = ("--session", "session", "--config", str(low), "--simulate")
-    status, output = ended(wam_power(tmp_path, "learn", *arguments))
-    assert status != 0
-    assert "trial-0001 (reproduces demonstration-1) was not sent: with the present limits" in output
-    assert lines(folder) == []
 
 
 SIM = {"use_sim_time": True}

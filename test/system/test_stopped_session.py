@@ -24,11 +24,12 @@ from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.diagnostics import LEARNER_STATE
 
-SETTINGS = preset("flip", budget=4, retests=3)
+# A learner that plans would simulate its plans again at every start.
+SETTINGS = preset("flip", "hindsight", budget=4, retests=1)
 FREE = SetBool.Request(data=True)
 STOP = Trigger, interface.STOP, None
 TAKE = SetBool, interface.GRAVITY_COMPENSATION, FREE
-ENDS = (("move_to_start", STOP), ("execute", TAKE), ("move_to_start", TAKE), ("execute", STOP))
+ENDS = (("move_to_start", TAKE), ("execute", STOP))
 QUIET = 1.0  # [s of wall time]
 
 
@@ -96,7 +97,7 @@ def test_nothing_moves_after_a_stop_until_a_person_continues_and_kill_9_changes_
 
     # The same in one process, without pauses: the policies that were stopped have run there once.
     records = read(folder).records
-    assert sum(record.refused for record in records) == 2
+    assert sum(record.refused for record in records) == 1
     ran = [tuple(record.z) for record in records if record.kind != "retest"]
     assert len(set(ran)) == len(ran)
     bench = Environment(World(scene_type("flip"), WorldSettings(), SEED))

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import replace
 
@@ -41,14 +42,12 @@ STEPS = st.integers(-35, 36)  # whole turns have one heading only
 KINDS = {Flip: forward_of_turn, BallInCup: forward_of_stroke}
 
 
+@functools.cache
 def demonstrated(kind: type[Task], seed: int = 1) -> Demonstration:
     """A movement of the simulated demonstrator, in the x-z plane."""
     environment = Environment(World(scene_type(kind.name), WorldSettings(), seed))
     script = environment.world.scene.script(np.random.default_rng(seed))
     return from_joint_samples(environment.arm, *environment.demonstrate(script, "taught"))
-
-
-SHOWN = {kind: demonstrated(kind) for kind in KINDS}
 
 
 def about(shown: Demonstration, vector: tuple[float, float, float]) -> Demonstration:
@@ -68,7 +67,7 @@ def task(kind: type[Task], context: dict[str, float]) -> Task:
 def test_the_heading_is_that_of_the_demonstration_rounded_to_a_step(
     kind: type[Task], steps: int, aside: float
 ) -> None:
-    shown = about(SHOWN[kind], (0.0, 0.0, (steps + aside) * STEP))
+    shown = about(demonstrated(kind), (0.0, 0.0, (steps + aside) * STEP))
     found = kind.context_of([shown], None)["heading"]
     assert math.cos(found - steps * STEP) == pytest.approx(1.0)
 
@@ -84,7 +83,7 @@ def assert_same(found: Policy, expected: Policy) -> None:
 def test_exploration_of_a_turned_movement_is_the_turned_exploration(
     kind: type[Task], steps: int, seed: int
 ) -> None:
-    angle, policy = steps * STEP, kind.policy_of([SHOWN[kind]], "shown")
+    angle, policy = steps * STEP, kind.policy_of([demonstrated(kind)], "shown")
     plain = task(kind, {}).parametrization(policy)
     other: Parametrization = task(kind, {"heading": angle}).parametrization(
         seen_from(policy, -angle)
@@ -102,7 +101,7 @@ def test_exploration_of_a_turned_movement_is_the_turned_exploration(
 
 def test_a_rollout_in_any_direction_has_the_same_return_and_errors() -> None:
     environment = Environment(World(scene_type("flip"), WorldSettings(), 3))
-    policy = Flip.policy_of([SHOWN[Flip]], "shown")
+    policy = Flip.policy_of([demonstrated(Flip)], "shown")
     rollout, truth = environment.run(policy)
     assert truth["tossed"]
     expected = task(Flip, {}).assess(policy, rollout)
@@ -124,7 +123,7 @@ def test_what_goes_along_its_heading_is_seen_along_x_and_level() -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_demonstrations_in_different_directions_are_refused(kind: type[Task]) -> None:
-    shown, aside = SHOWN[kind], about(SHOWN[kind], (0.0, 0.0, math.radians(70.0)))
+    shown, aside = demonstrated(kind), about(demonstrated(kind), (0.0, 0.0, math.radians(70.0)))
     with pytest.raises(ValueError, match="directions of 0, 70 degrees"):
         kind.context_of([shown, aside], None)
     opposite = about(shown, (0.0, 0.0, math.pi))
@@ -134,11 +133,11 @@ def test_demonstrations_in_different_directions_are_refused(kind: type[Task]) ->
 
 def test_a_tool_that_turns_about_an_axis_far_from_level_is_refused() -> None:
     with pytest.raises(ValueError, match="40 degrees from the horizontal"):
-        heading([about(SHOWN[Flip], (math.radians(40.0), 0.0, 0.0))], forward_of_turn)
+        heading([about(demonstrated(Flip), (math.radians(40.0), 0.0, 0.0))], forward_of_turn)
 
 
 def test_a_tool_that_does_not_turn_has_the_heading_of_the_base() -> None:
-    still = from_positions(SHOWN[Flip].position, SHOWN[Flip].period)
+    still = from_positions(demonstrated(Flip).position, demonstrated(Flip).period)
     assert Flip.context_of([still], None) == {"heading": 0.0}
 
 
@@ -154,7 +153,7 @@ def test_a_swing_is_towards_where_its_last_stroke_comes_from_however_far_it_drew
 
 
 def test_a_swing_in_no_plane_is_refused() -> None:
-    shown = SHOWN[BallInCup]
+    shown = demonstrated(BallInCup)
     round_about = shown.velocity + np.roll(shown.velocity[:, [1, 0, 2]], 200, axis=0)
     with pytest.raises(ValueError, match="across its plane"):
         heading([replace(shown, velocity=round_about)], forward_of_stroke)
