@@ -82,6 +82,14 @@ SLOW = (
 )
 
 
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave out files without a test of the one mark that is asked for: some 300 of them."""
+    asked, name = config.option.markexpr, collection_path.name
+    if asked not in ("long", "alone") or not name.startswith("test_"):
+        return None
+    return True if f"mark.{asked}" not in collection_path.read_text() else None
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put the slow folders first: a worker that is left with one at the end keeps all waiting."""
     rank = {folder: number for number, folder in enumerate(SLOW)}
