@@ -26,13 +26,12 @@ from reproduction.studies.habits import HABITS
 from wam_power_ros import rotations
 from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.learning.demonstration import Demonstration, from_joint_samples
-from wam_power_ros.learning.dmp import activations, fit
+from wam_power_ros.learning.dmp import activations
 from wam_power_ros.learning.policy import Policy, with_id
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session_log import Record
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.flip.flight import observe_flight
-from wam_power_ros.tasks.flip.settings import FLIP_FIT
 from wam_power_ros.tasks.flip.task import Flip
 
 HINDSIGHT, PAPER, LONG = "pancake-hindsight", "pancake-paper", "pancake-paper-100"  # studies
@@ -98,11 +97,13 @@ def teach(
     habit: str = "",
 ) -> list[Policy]:
     """Fit a policy to each demonstration of a small series, see `demonstrate`."""
-    return _fitted(demonstrate(environment, seed, count, pitch_rate, habit))
+    return _fitted(demonstrate(environment, seed, count, pitch_rate, habit), 0)
 
 
-def _fitted(shown: Sequence[Demonstration]) -> list[Policy]:
-    return [fit([each], FLIP_FIT, f"demonstration-{k + 1}") for k, each in enumerate(shown)]
+def _fitted(shown: Sequence[Demonstration], springs: int) -> list[Policy]:
+    return [
+        Flip.policy_of([each], f"demonstration-{k + 1}", springs) for k, each in enumerate(shown)
+    ]
 
 
 def demonstrate(
@@ -155,7 +156,9 @@ def session(
     shown = demonstrate(environment, seed, demonstrations, pitch_rate, habit)
     settings = preset("flip", name, **(changes or {}))
     context = Flip.context_of(shown, None)
-    practice = Practice(settings, context, _fitted(shown), seed, environment)
+    practice = Practice(
+        settings, context, _fitted(shown, settings.practice.springs), seed, environment
+    )
     records, best = [*environment.practise(practice)], practice.best
     trials = [record for record in records if record.kind != "retest"]
     parameters = practice.parametrization

@@ -215,6 +215,10 @@ class FitSettings:
         if not self.error > 0.0:
             raise ValueError(f"error = {self.error} must be positive")
 
+    def with_count(self, count: int) -> FitSettings:
+        """The same with that many spring-dampers, whatever `error` asks for; 0 for no change."""
+        return replace(self, count=count, error=np.inf) if count else self
+
     def doubled(self) -> FitSettings:
         """The same with twice as many spring-dampers, twice as stiff."""
         return replace(self, count=2 * self.count, k_min=2 * self.k_min, k_max=2 * self.k_max)

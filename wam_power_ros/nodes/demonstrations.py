@@ -87,10 +87,10 @@ class Demonstrations:
         except (ValueError, OSError) as error:
             raise ValueError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from error
 
-    def fit(self, demonstration: Demonstration, bag: str, policy_id: str) -> Policy:
+    def fit(self, demonstration: Demonstration, bag: str, policy_id: str, springs: int) -> Policy:
         """Fit a policy to a demonstration; on failure, a ValueError names the bag and reason."""
         try:
-            policy = self._kind.policy_of([demonstration], policy_id)
+            policy = self._kind.policy_of([demonstration], policy_id, springs)
             return replace(policy, arm=self._arm.identity)
         except ValueError as error:
             raise ValueError(f"{bag}: {error}") from error

@@ -234,7 +234,8 @@ class Learner(Node):
             while f"demonstration-{number}" in taken:
                 number += 1
             read = self._demonstrations.read(bag)
-            policy = self._demonstrations.fit(read, bag, f"demonstration-{number}")
+            springs = practice.settings.practice.springs
+            policy = self._demonstrations.fit(read, bag, f"demonstration-{number}", springs)
             return practice.add_demonstration(policy, bag, clock={"at": time.time()})
 
         return self._append(response, make)

@@ -35,7 +35,8 @@ def fitted(
     for group in [tuple(read)] if kind.single_policy and read else [(each,) for each in read]:
         movements = [read[number] for number in group]
         try:
-            policy = kind.policy_of(movements, f"demonstration-{group[0]}")
+            springs = settings.practice.springs
+            policy = kind.policy_of(movements, f"demonstration-{group[0]}", springs)
             policy = replace(policy, arm=identity)
             task = settings.make_task(kind.context_of(movements, region))
             if fault := arm.infeasible(reproduction_of(policy, task)):

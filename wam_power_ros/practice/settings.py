@@ -31,6 +31,8 @@ class PracticeSettings(BaseModel):
     # Time of all rollouts, with what is done and waited for between them, after which learning ends
     # [min]; 0: no limit. With a limit, the course depends on the clock.
     minutes: int = Field(default=0, ge=0, le=1_000_000)
+    # Number of spring-dampers of a policy that is fitted; 0: as many as the task asks for
+    springs: int = Field(default=0, ge=0, le=64)
     # Every n-th trial of the practice runs the mean; 0 runs it only to confirm a success
     mean_every: int = Field(default=5, ge=0, le=100_000)
     # Number of successes of one mean in a row that stop the session; 0 disables the rule. They show
@@ -101,7 +103,9 @@ class SessionSettings(BaseModel):
         made_up = _made_up_movement()
         try:
             task = self.make_task(kind.context_of([made_up], None))
-            parametrization = task.parametrization(kind.policy_of([made_up], "made-up"))
+            parametrization = task.parametrization(
+                kind.policy_of([made_up], "made-up", self.practice.springs)
+            )
             errors = task.error_model(parametrization, lambda policy: None)
         except Exception:  # of any task, at what is none of its movements: demonstrations will tell
             return

@@ -231,9 +231,14 @@ class Task:
         return from_joint_samples(arm, stamps_ns, q, cls.fit_settings.movement)
 
     @classmethod
-    def policy_of(cls, demonstrations: Sequence[Demonstration], policy_id: str) -> Policy:
-        """Fit a policy to demonstrations; a ValueError says why none can be."""
-        return fit(demonstrations, cls.fit_settings, policy_id)
+    def policy_of(
+        cls, demonstrations: Sequence[Demonstration], policy_id: str, springs: int = 0
+    ) -> Policy:
+        """Fit a policy to demonstrations; a ValueError says why none can be.
+
+        It has `springs` spring-dampers; 0: as many as `fit_settings` asks for.
+        """
+        return fit(demonstrations, cls.fit_settings.with_count(springs), policy_id)
 
     @classmethod
     def context_of(
