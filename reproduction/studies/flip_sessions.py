@@ -95,9 +95,10 @@ def teach(
     count: int,
     pitch_rate: float = PITCH_RATE,
     habit: str = "",
+    springs: int = 0,
 ) -> list[Policy]:
-    """Fit a policy to each demonstration of a small series, see `demonstrate`."""
-    return _fitted(demonstrate(environment, seed, count, pitch_rate, habit), 0)
+    """Fit a policy to each demonstration of a small series, see `demonstrate` and `policy_of`."""
+    return _fitted(demonstrate(environment, seed, count, pitch_rate, habit), springs)
 
 
 def _fitted(shown: Sequence[Demonstration], springs: int) -> list[Policy]:

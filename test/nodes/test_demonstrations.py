@@ -94,6 +94,14 @@ def test_a_demonstration_whose_reproduction_would_end_in_a_fault_is_not_reproduc
         of_arm(arm_of(slow)).candidates(SETTINGS, [BAG])
 
 
+@pytest.mark.parametrize(("preset_name", "springs"), [("paper", 8), ("model_based", 16)])
+def test_the_paper_has_eight_springs_and_the_default_as_many_as_the_path_needs(
+    preset_name: str, springs: int, demonstrations: Demonstrations
+) -> None:
+    _, _, (policy,) = demonstrations.candidates(preset("flip", preset_name), [BAG])
+    assert policy.basis.count == springs
+
+
 def test_a_movement_is_simulated_once_whatever_its_id(
     demonstrations: Demonstrations, monkeypatch: pytest.MonkeyPatch, arm: SimulatedArm
 ) -> None:
@@ -101,6 +109,6 @@ def test_a_movement_is_simulated_once_whatever_its_id(
     monkeypatch.setattr(arm, "_report", reports.append)
     monkeypatch.setattr(arm, "_verdicts", {})
     for number in (1, 2):
-        policy = demonstrations.fit(demonstrations.read(BAG), BAG, f"demonstration-{number}")
+        policy = demonstrations.fit(demonstrations.read(BAG), BAG, f"demonstration-{number}", 0)
         arm.infeasible(policy)
     assert len(reports) == 1

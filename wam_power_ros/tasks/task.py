@@ -234,10 +234,7 @@ class Task:
     def policy_of(
         cls, demonstrations: Sequence[Demonstration], policy_id: str, springs: int = 0
     ) -> Policy:
-        """Fit a policy to demonstrations; a ValueError says why none can be.
-
-        It has `springs` spring-dampers; 0: as many as `fit_settings` asks for.
-        """
+        """Fit a policy, of `springs` spring-dampers if given; a ValueError says why none can be."""
         return fit(demonstrations, cls.fit_settings.with_count(springs), policy_id)
 
     @classmethod

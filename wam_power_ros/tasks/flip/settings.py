@@ -13,8 +13,8 @@ from wam_power_ros.learning.demonstration import Movement
 from wam_power_ros.learning.dmp import FitSettings
 from wam_power_ros.tasks.flip.parametrization import FlipNoise
 
-# 8 spring-dampers as in the paper, and 16 where those lose 2 mm of the demonstrated path, which a
-# flick does: the pan then turns as it was shown. The other values are tuned for 0.85 s.
+# 8 spring-dampers as in the paper, or 16 where those lose 2 mm of the path, as of a flick, unless a
+# preset has its own number. The other values are tuned for a movement of about 0.85 s.
 FLIP_FIT = FitSettings(
     count=8,
     width=0.5,
@@ -69,6 +69,7 @@ _HINDSIGHT: Mapping[str, Any] = {
     "noise": {"stiffness": 0.16, "attractor": 0.016, "rotation": 0.05, "catch_shift": 0.016},
     "learner": {"name": "power", "sigma": 6, "weights": "sharpened", "decay": 0.97},
     "ret": "landing",
+    "springs": 8,
     "budget": 60,
     "mean_every": 5,
     "gain": 0.7,
@@ -80,7 +81,7 @@ _HINDSIGHT: Mapping[str, Any] = {
 }
 PRESETS: Mapping[str, Mapping[str, Any]] = {
     # Plans on a model of the toss, and falls back on the learner of `hindsight`.
-    "model_based": {**_HINDSIGHT, "learner": {"name": "model_based"}},
+    "model_based": {**_HINDSIGHT, "learner": {"name": "model_based"}, "springs": 0},
     "hindsight": _HINDSIGHT,
     # For comparison: what the returns, or the corrections, reach alone.
     "return_only": {**_HINDSIGHT, "gain": 0.0},
