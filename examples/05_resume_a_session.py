@@ -21,7 +21,7 @@ bag = min(share("bags").glob("demo_*"))
 demonstration = Flip.demonstration_of(environment.arm, *reader.read_demonstration(bag, JOINTS))
 policy = Flip.policy_of([demonstration], "demonstration-1")
 
-settings = preset("flip", budget=4, retests=1)
+settings = preset("flip", budget=3, retests=1)
 with Session.begin(folder, settings, seed=5, candidates=[policy]) as session:
     for record in islice(environment.practise(session.practice(environment)), 2):
         session.append(record)  # a rollout counts once it is on disk

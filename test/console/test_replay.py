@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command `replay` on the stand-in: finished, refused, stopped by Ctrl-C."""
+"""The command `replay`: finished on the stand-in, refused, stopped by Ctrl-C."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ import pytest
 from bag_samples import REACH, WAM
 from conftest import ROOT, Probe, Processes
 from rclpy.node import Node
-from stand_ins import Hardware
 from std_srvs.srv import SetBool, Trigger
 
 from wam_power_interfaces.action import Replay
-from wam_power_ros.bags import layout, reader
+from wam_power_ros.bags import reader
 from wam_power_ros.client.robot import Robot
 from wam_power_ros.console.replay import replay, with_possible_speed
 from wam_power_ros.control import replay_trajectory
+from wam_power_ros.entry import INTERRUPTED
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.action_server import Action
 from wam_power_ros.ros.outcomes import Answer, Code, ServiceError, fill
@@ -39,7 +39,7 @@ def replaying(*arguments: object) -> subprocess.Popen[str]:
 
 
 def test_a_shipped_bag_is_replayed_and_its_tracking_error_reported(tmp_path: Path) -> None:
-    process = replaying(REACH, "--speed", 0.5, "--folder", tmp_path)
+    process = replaying(REACH, "--speed", 1.5, "--folder", tmp_path)
     said = process.communicate(timeout=900.0)[0]
     assert process.returncode == 0, said
     worst = float(re.search(r"rms error ([\d.]+) rad in the worst joint", said)[1])
@@ -53,28 +53,6 @@ def test_a_shipped_bag_is_replayed_and_its_tracking_error_reported(tmp_path: Pat
     _, done = reader.read_demonstration(made, WAM)
     np.testing.assert_allclose(done[-1], wanted[-1], atol=0.03)
     assert np.abs(done - wanted[0]).max(axis=1).min() < 0.03  # at the start
-
-
-def test_on_running_nodes_their_arm_replays_and_nothing_else_is_started_or_recorded(
-    probe: Probe, processes: Processes
-) -> None:
-    hardware = Hardware(probe, processes, "lockstep")
-    hardware.control()
-    module = "wam_power_ros.console.replay_running"
-    process = processes.start([sys.executable, "-m", module, str(REACH), "--speed", "2"])
-    process.wait(600.0)  # a busy machine
-    said = processes.output(process)
-    assert process.returncode == 0, said
-    assert "tool: rms" in said and "recorded:" not in said
-    _, wanted = reader.read_demonstration(REACH, WAM)
-
-    def arrived() -> bool:  # messages from before are still in the queue
-        newest = hardware.messages[-1] if hardware.messages else None
-        q = dict(zip(newest.name, newest.position, strict=True)) if newest else {}
-        return bool(q) and np.allclose([q[name] for name in WAM], wanted[-1], atol=0.03)
-
-    hardware.messages.clear()
-    probe.until(arrived, "the arm at the end of the movement")
 
 
 def test_without_nodes_a_replay_on_them_says_what_to_do(processes: Processes, probe: Probe) -> None:
@@ -106,9 +84,9 @@ def test_an_invalid_bag_or_speed_is_refused_before_any_node_starts(
 
 @pytest.mark.parametrize(
     ("code", "kept"),
-    [(Code.TOO_FAST, False), (Code.FAULT, True)],
+    [(Code.TOO_FAST, False), (Code.FAULT, True), (Code.STOPPED, True)],
 )
-def test_a_replay_that_is_refused_leaves_no_bag(
+def test_a_replay_leaves_a_bag_if_the_arm_has_moved(
     server: Node,
     robot: Robot,
     tmp_path: Path,
@@ -116,27 +94,36 @@ def test_a_replay_that_is_refused_leaves_no_bag(
     code: Code,
     kept: bool,
 ) -> None:
-    made = tmp_path / "replay_1"
+    made, asked = tmp_path / "replay_1", []
 
     def answer(text: str) -> Callable[..., Any]:
         def respond(_: object, response: Trigger.Response) -> Trigger.Response:
             made.mkdir(exist_ok=True)
+            asked.append(text)
             response.success, response.message = True, text
             return response
 
         return respond
 
-    def refuse(id: str, goal: Replay.Goal) -> Answer:
+    def end(id: str, goal: Replay.Goal) -> Answer:
+        if code is Code.STOPPED:
+            signal.raise_signal(signal.SIGINT)  # Ctrl-C
         return Answer(code, "no", speed=0.5 if code is Code.TOO_FAST else math.nan)
 
-    Action(server, Replay, interface.REPLAY_MOVEMENT, refuse)
-    server.create_service(Trigger, interface.STOP, answer(""))
+    Action(server, Replay, interface.REPLAY_MOVEMENT, end)
+    server.create_service(Trigger, interface.STOP, answer("stop"))
     server.create_service(SetBool, interface.RECORD, answer(str(made)))
     robot.joint_names = WAM
     movement = replay_trajectory.movement(*reader.read_demonstration(REACH, WAM), 1.0)
-    assert replay(robot, "reach", *movement, 1.0, person=False) == 1
+    stopped = code is Code.STOPPED
+    status = replay(robot, "reach", *movement, 1.0, person=False)
+    said = capsys.readouterr().out
+    assert status == (INTERRUPTED if stopped else 1)
     assert made.exists() == kept
-    assert ("nothing was recorded" in capsys.readouterr().out) != kept
+    assert ("nothing was recorded" in said) != kept
+    assert ("Stopped: the arm holds." in said) == stopped
+    record = str(made)  # begun, and ended after the stop
+    assert asked == ["stop", record, "stop", *(["stop"] if stopped else []), record]
 
 
 @pytest.mark.parametrize("still_active", [True, False])
@@ -174,20 +161,3 @@ def test_a_node_that_ends_ends_a_replay_with_its_name_at_once(tmp_path: Path) ->
     assert process.wait(600.0) == 2, said
     assert "wam-power: torque_controller was ended by SIGKILL" in said
     assert "did not answer" not in said and "Traceback" not in said
-
-
-def test_a_replay_that_is_stopped_leaves_the_arm_holding_and_its_bag_closed(
-    tmp_path: Path,
-) -> None:
-    process = replaying(REACH, "--speed", 0.01, "--folder", tmp_path)
-    for line in process.stdout:
-        if "the end of" in line:  # under way, however long the nodes took to start
-            break
-    process.send_signal(signal.SIGINT)
-    said = process.stdout.read()
-    assert process.wait(600.0) == 130, said
-    assert "Stopped: the arm holds." in said
-    (made,) = (tmp_path / "bags").iterdir()
-    assert not made.name.endswith(layout.UNFINISHED)
-    _, q = reader.read_demonstration(made, WAM)
-    assert np.abs(q[-1] - q[-10]).max() < 1e-3  # at rest

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-import os
+import signal
 import time
 from collections import Counter
 from types import SimpleNamespace
@@ -11,7 +11,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from conftest import Probe, Processes, lift
-from geometry_msgs.msg import PoseStamped
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
 from stand_ins import CONFIGS, NAMES, TICK, Hardware, arm_model
@@ -52,42 +51,6 @@ def test_in_lockstep_each_torque_advances_the_world_by_one_step(
     assert Arm(description[0].data, NAMES).n == 7
 
 
-def test_a_rollout_in_lockstep_is_the_same_whenever_its_services_are_called(
-    probe: Probe, processes: Processes
-) -> None:
-    hardware = Hardware(probe, processes, "lockstep", realtime_priority=70)
-    poses = probe.listen(
-        PoseStamped, interface.body_topic("pancake", "pose"), interface.STATE_RECORD
-    )
-    hardware.control()
-    policy = lift("trial-0001")
-    results, frames = [], []
-    for pauses in ((0.0, 0.0), (0.13, 0.0), (0.02, 0.11)):
-        poses.clear()
-        message, truth = hardware.rollout(policy, pauses)
-        start_ns, *path = pose_messages.path(message)
-        end_ns = start_ns + 1_000_000_000
-        probe.until(  # frames that were lost are sent again
-            lambda: any(pose_messages.pose(pose).stamp_ns >= end_ns for pose in poses),  # noqa: B023
-            "the last frame",
-        )
-        seen = [pose_messages.pose(pose) for pose in poses]
-        at = {reading.stamp_ns - start_ns: reading.position.tolist() for reading in seen}
-        frames.append({stamp: place for stamp, place in at.items() if 0 <= stamp < 1_000_000_000})
-        results.append((*(values.tolist() for values in path), truth))
-        probe.until(lambda: hardware.label() == "hold", "hold again")
-    assert results[0] == results[1]
-    assert results[0] == results[2]
-    assert len(frames[0]) >= 25
-    assert frames[0] == frames[1] == frames[2]
-    assert truth["id"] == policy.id
-    assert truth["caught"]
-    other = hardware.rollout(lift("trial-0002"), (0.0, 0.0))[0]  # other noise
-    assert pose_messages.path(other).position.tolist() != results[0][1]
-    for process in (hardware.process, hardware.controller):  # no real time, whatever is asked for
-        assert os.sched_getscheduler(process.pid) == os.SCHED_OTHER
-
-
 def test_in_real_time_states_come_500_times_a_second_with_the_wall_clock(
     probe: Probe, processes: Processes
 ) -> None:
@@ -118,6 +81,31 @@ def test_links_that_lose_and_jitter_are_survived(probe: Probe, processes: Proces
             break
     assert hardware.label() == "hold"
     np.testing.assert_allclose(hardware.state().q, held, atol=0.02)
+
+
+@pytest.mark.requirement("S-06")
+def test_a_killed_controller_lets_the_arm_come_to_rest_under_its_own_gravity(
+    probe: Probe, processes: Processes
+) -> None:
+    hardware = Hardware(probe, processes, "real_time", realtime_priority=70)
+    hardware.control()
+    policy = lift("killed")
+    hardware.insist("move_to_start", policy)
+    probe.ask("execute", policy)
+    probe.spin(0.15)
+    processes.end(hardware.controller, signal.SIGKILL)
+    killed_ns = time.time_ns()  # older states may still arrive
+    probe.until(lambda: hardware.state().stamp_ns > killed_ns, "a state of after the kill")
+    arm, killed = arm_model(), hardware.state()
+    count = len(hardware.messages)
+    end_ns = killed.stamp_ns + 2_500_000_000  # on the clock of the arm
+    probe.until(lambda: hardware.state().stamp_ns > end_ns, "2.5 s of the arm")
+    after = [hardware.state(i) for i in range(count, len(hardware.messages))]
+    assert len(after) > 10  # states go on; a busy machine may miss many
+    height = [arm.tool_pose(reading.q)[0][2] for reading in after]
+    speeds = [arm.speeds(r.q, r.qd).tool_speed for r in after]
+    assert arm.tool_pose(killed.q)[0][2] - min(height) < 0.05
+    assert max(speeds[len(speeds) // 2 :]) < 0.05
 
 
 def test_cameras_of_another_body_are_refused_at_start(processes: Processes) -> None:

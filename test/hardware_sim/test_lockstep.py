@@ -1,0 +1,223 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The stand-ins in lockstep, with one controller: rollouts, movements, resets, demonstrations."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import pytest
+import rclpy
+from action_msgs.msg import GoalStatus
+from bag_samples import REACH, WAM
+from conftest import Probe, Processes, Sent, lift
+from control_msgs.action import FollowJointTrajectory
+from geometry_msgs.msg import PoseStamped
+from stand_ins import NAMES, TICK, Hardware, arm_model
+
+from hardware_sim.scenes import HOME
+from hardware_sim.settings import REACH_GOAL
+from wam_power_ros.bags import reader
+from wam_power_ros.client.link import Link
+from wam_power_ros.console.replay_running import replay_running
+from wam_power_ros.learning.policy import Policy
+from wam_power_ros.ros import interface, joint_messages, pose_messages
+from wam_power_ros.ros.outcomes import Code
+
+
+@pytest.fixture(scope="module")
+def hardware(shared_nodes: tuple[Probe, Processes]) -> Hardware:
+    """Stand-ins and a controller that several tests share; each leaves it holding."""
+    hardware = Hardware(*shared_nodes, "lockstep", realtime_priority=70)
+    hardware.control()
+    return hardware
+
+
+def test_a_reset_is_refused_without_a_free_arm_and_away_from_the_start_of_its_policy(
+    hardware: Hardware,
+) -> None:
+    probe = hardware.probe
+    assert hardware.ask("reset").code is Code.BUSY
+    policy = lift("far-away")
+    far = Policy(**{**vars(policy), "q_start": policy.q_start + 0.3})
+    away = hardware.ask("reset", far)
+    assert away.code is Code.NOT_AT_START and "from the start of far-away" in away.text
+    few = hardware.ask("reset", Policy(**{**vars(policy), "q_start": policy.q_start[:6]}))
+    assert few.code is Code.REFUSED and "for 6 joints, not 7" in few.text
+    sent = probe.ask("reset", "{")
+    assert probe.answer(sent).code is Code.REFUSED and sent.status == GoalStatus.STATUS_ABORTED
+
+
+def test_a_scene_is_reset_or_demonstrated_in_one_goal_at_a_time_the_latter_if_the_arm_is_free(
+    hardware: Hardware,
+) -> None:
+    probe = hardware.probe
+    policy = lift("put-back")
+    hardware.insist("move_to_start", policy)
+    first, second = probe.ask("reset", policy), probe.ask("reset", policy)
+    assert {probe.answer(first).code, probe.answer(second).code} == {Code.DONE, Code.BUSY}
+    assert hardware.ask("demonstrate").code is Code.BUSY
+    hardware.free()
+    hardware.messages.clear()
+    first, second = probe.ask("demonstrate"), probe.ask("demonstrate")
+    assert {probe.answer(first).code, probe.answer(second).code} == {Code.DONE, Code.BUSY}
+    assert not probe.cancel(first)  # it has ended
+    speeds = [fastest(hardware)]
+    hardware.messages.clear()
+    assert hardware.ask("demonstrate").code is Code.DONE
+    speeds.append(fastest(hardware))
+    assert min(speeds) > 2.0 and speeds[0] != speeds[1]  # different tosses
+    hardware.give_back()
+
+
+def fastest(hardware: Hardware) -> float:
+    """Highest speed of a joint [rad/s] since the messages were cleared."""
+    return max(np.abs(hardware.state(i).qd).max() for i in range(len(hardware.messages)))
+
+
+def test_a_rollout_in_lockstep_is_the_same_whenever_its_services_are_called(
+    hardware: Hardware,
+) -> None:
+    probe = hardware.probe
+    poses = probe.listen(
+        PoseStamped, interface.body_topic("pancake", "pose"), interface.STATE_RECORD
+    )
+    policy = lift("trial-0001")
+    results, frames = [], []
+    for pauses in ((0.0, 0.0), (0.02, 0.11)):
+        poses.clear()
+        message, truth = hardware.rollout(policy, pauses)
+        start_ns, *path = pose_messages.path(message)
+        end_ns = start_ns + 1_000_000_000
+        probe.until(  # frames that were lost are sent again
+            lambda: any(pose_messages.pose(pose).stamp_ns >= end_ns for pose in poses),  # noqa: B023
+            "the last frame",
+        )
+        seen = [pose_messages.pose(pose) for pose in poses]
+        at = {reading.stamp_ns - start_ns: reading.position.tolist() for reading in seen}
+        frames.append({stamp: place for stamp, place in at.items() if 0 <= stamp < 1_000_000_000})
+        results.append((*(values.tolist() for values in path), truth))
+    assert results[0] == results[1]
+    assert len(frames[0]) >= 25
+    assert frames[0] == frames[1]
+    assert truth["id"] == policy.id
+    assert truth["caught"]
+    other = hardware.rollout(lift("trial-0002"), (0.0, 0.0))[0]  # other noise
+    assert pose_messages.path(other).position.tolist() != results[0][1]
+    for process in (hardware.process, hardware.controller):  # no real time, whatever is asked for
+        assert os.sched_getscheduler(process.pid) == os.SCHED_OTHER
+
+
+def test_waypoints_of_a_follow_joint_trajectory_are_passed_and_a_cancel_stops_the_arm(
+    hardware: Hardware,
+) -> None:
+    probe = hardware.probe
+    start = hardware.state().q
+    there = start + 0.3 * np.eye(7)[3]
+
+    def follow(seconds: float, names: list[str] = NAMES) -> Sent:
+        t, q = np.array([0.0, 0.5, 1.0]), np.array([start, there, start])
+        movement = joint_messages.JointMovement(seconds * t, q)
+        goal = joint_messages.movement_message(names, movement)
+        return probe.ask("follow", trajectory=goal)
+
+    def end(sent: Sent) -> tuple[int, int]:
+        probe.until(lambda: sent.result, "the end of a goal")
+        return sent.result.error_code, sent.status
+
+    hardware.messages.clear()
+    done = end(follow(2.0))
+    assert done == (FollowJointTrajectory.Result.SUCCESSFUL, GoalStatus.STATUS_SUCCEEDED)
+
+    def moved() -> float:
+        states = [hardware.state(i).q[3] - start[3] for i in range(len(hardware.messages))]
+        return max(states, default=0.0)
+
+    probe.until(lambda: moved() > 0.27, "the states of the movement")  # behind the answer
+    assert moved() < 0.33
+
+    invalid = FollowJointTrajectory.Result.INVALID_GOAL, GoalStatus.STATUS_ABORTED
+    assert end(follow(0.1)) == invalid  # too fast
+    wrong = follow(2.0, [*NAMES[:6], "finger"])
+    assert end(wrong) == invalid and "wam_j7" in wrong.result.error_string
+
+    long = follow(20.0)
+    probe.until(lambda: hardware.state().q[3] - start[3] > 0.05, "the arm under way")
+    assert probe.cancel(long)
+    _, status = end(long)
+    assert status == GoalStatus.STATUS_CANCELED
+    hardware.messages.clear()
+    probe.until(lambda: len(hardware.messages) > 300, "states")
+    assert max(np.abs(hardware.state(i).qd).max() for i in range(-50, 0)) < 0.02
+    assert hardware.state().q[3] - start[3] < 0.29
+
+
+def test_on_running_nodes_a_bag_is_replayed_and_nothing_recorded(
+    hardware: Hardware, capfd: pytest.CaptureFixture[str]
+) -> None:
+    node = rclpy.create_node("robot", context=hardware.probe.context)
+    with Link(node) as link:
+        assert replay_running(link, REACH, 2.0) == 0
+    node.destroy_node()
+    said = capfd.readouterr().out
+    assert "tool: rms" in said and "recorded:" not in said
+    _, wanted = reader.read_demonstration(REACH, WAM)
+
+    def arrived() -> bool:  # messages from before are still in the queue
+        return bool(hardware.messages) and np.allclose(hardware.state().q, wanted[-1], atol=0.03)
+
+    hardware.messages.clear()
+    hardware.probe.until(arrived, "the arm at the end of the movement")
+
+
+@pytest.mark.long
+def test_in_real_time_states_go_on_while_the_pancake_is_put_back(
+    probe: Probe, processes: Processes
+) -> None:
+    hardware = Hardware(probe, processes, "real_time", realtime_priority=70)
+    hardware.control()
+    policy = lift("put-back")
+    # A reset takes at least 50 states; all of them would be missing if it blocked the process, and
+    # the controller would latch a fault. A busy machine may do so in one reset, but not in all.
+    outcomes: list[tuple[str, bool]] = []  # of each reset: mode after it, short gaps in between
+    while ("hold", True) not in outcomes and len(outcomes) < 5:
+        hardware.insist("move_to_start", policy)
+        hardware.messages.clear()
+        hardware.insist("reset", policy)
+        # on a busy machine they arrive after the answer
+        probe.until(lambda: len(hardware.messages) > 50, "the states meanwhile")
+        stamps = [hardware.state(i).stamp_ns for i in range(len(hardware.messages))]
+        apart = np.diff(stamps)
+        assert (apart > 0).all() and (apart % TICK == 0).all()
+        hardware.diagnostics.clear()
+        outcomes.append((probe.until(hardware.label, "its mode"), bool(apart.max() < 25 * TICK)))
+    assert ("hold", True) in outcomes, outcomes
+
+
+@pytest.mark.long
+def test_a_scene_without_a_body_can_be_reset_taught_and_practised(
+    probe: Probe, processes: Processes
+) -> None:
+    arm, policy = arm_model(), lift("reach-0001")
+    start = arm.tool_pose(policy.q_start)[0].tolist()  # region at the start of rollouts
+    hardware = Hardware(
+        probe, processes, "lockstep", body="", scene="reach", guarded_region=[*start, 0.02]
+    )
+    topics = {name for name, _ in probe.node.get_topic_names_and_types()}
+    assert not [name for name in topics if "pancake" in name or name == f"/{interface.MARKERS}"]
+    hardware.control()
+    hardware.free()
+    for _ in range(2):
+        assert hardware.ask("reset").code is Code.DONE
+        probe.until(lambda: np.abs(hardware.state().q - HOME).max() < 0.05, "the arm at home")
+        assert hardware.ask("demonstrate").code is Code.DONE
+        probe.until(
+            lambda: np.linalg.norm(arm.tool_pose(hardware.state().q)[0] - REACH_GOAL) < 0.08,
+            "the tool at the goal",
+        )
+    hardware.give_back()
+    _, truth = hardware.rollout(policy, (0.0, 0.0))
+    assert hardware.truths[0].policy_id == policy.id
+    assert truth["touched"]
+    assert -0.0201 < truth["clearance"] < -0.015
+    assert truth["goal_distance"] > 0.1
