@@ -83,13 +83,12 @@ class Bench:
 @pytest.mark.parametrize(
     ("mode", "broken"),
     [
-        *(("rollout", (name,)) for name in ALL),
-        *((mode, ("gravity",)) for mode in ("move", "teaching", "hold")),
-        *(
-            (mode, all)
-            for mode in ("rollout", "move", "teaching", "hold")
-            for all in (DYNAMICS, ALL)
-        ),
+        ("rollout", ("dynamics",)),
+        ("rollout", ("motion",)),
+        ("rollout", ALL),
+        ("move", DYNAMICS),
+        ("teaching", ("gravity",)),
+        ("hold", ALL),
     ],
     ids=str,
 )
@@ -104,9 +103,6 @@ def test_whatever_raises_the_arm_is_braked_and_stays_where_it_stopped(
         bench.run(0.002)
         if bench.controller.latched is not None:
             break
-    else:  # nothing in this mode computes it
-        assert len(broken) == 1
-        return
     assert bench.controller.mode is Mode.FAULT
     assert bench.controller.latched.kind is FaultKind.COMPUTATION
     braking = bench.run(0.5)

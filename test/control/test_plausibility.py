@@ -92,6 +92,13 @@ FALSIFICATIONS: dict[str, Callable[[], Falsification]] = {
     "stamps at a tenth of the speed": lambda: stamps(0.1),
     "stamps at three times the speed": lambda: stamps(3.0),
 }
+ONE_OF_EACH = (
+    "all frozen",
+    "joint 4 frozen, its velocity zero",
+    "velocities negated",
+    "two drivers",
+    "stamps at a tenth of the speed",
+)
 
 
 def tool_speed(plant: Plant) -> float:
@@ -132,8 +139,15 @@ def nominal() -> float:
 
 
 @pytest.mark.requirement("S-91")
-@pytest.mark.parametrize("moment", MOMENTS)
-@pytest.mark.parametrize("name", FALSIFICATIONS)
+@pytest.mark.parametrize(
+    ("name", "moment"),
+    [
+        *((name, "upwards") for name in FALSIFICATIONS),
+        ("all frozen", "early"),
+        ("joint 2 frozen", "late"),
+        ("velocities negated", "late"),
+    ],
+)
 def test_a_false_state_in_a_rollout_ends_in_a_stop_that_true_ones_do_not_disturb(
     name: str, moment: str, nominal: float
 ) -> None:
@@ -161,7 +175,7 @@ def test_a_false_state_in_a_rollout_ends_in_a_stop_that_true_ones_do_not_disturb
 
 
 @pytest.mark.requirement("S-91")
-@pytest.mark.parametrize("moment", [0.22, 0.27, 0.33, 0.4, 0.48, 0.6])
+@pytest.mark.parametrize("moment", [0.22, 0.33, 0.48])
 def test_an_arm_frozen_with_velocity_zero_is_detected_after_standing_still(moment: float) -> None:
     controller, plant = begin(friction=1.0, delay=2, sensing=True)
     controller.execute()
@@ -171,7 +185,7 @@ def test_an_arm_frozen_with_velocity_zero_is_detected_after_standing_still(momen
 
 
 @pytest.mark.requirement("S-91")
-@pytest.mark.parametrize("moment", [0.22, 0.33, 0.4])
+@pytest.mark.parametrize("moment", [0.22, 0.4])
 def test_a_burst_of_states_in_a_fault_does_not_look_fast(moment: float) -> None:
     controller, plant = begin(friction=1.0, delay=2, sensing=True)
     controller.execute()
@@ -192,7 +206,7 @@ def test_a_burst_of_states_in_a_fault_does_not_look_fast(moment: float) -> None:
 
 
 @pytest.mark.requirement("S-91")
-@pytest.mark.parametrize("name", FALSIFICATIONS)
+@pytest.mark.parametrize("name", ONE_OF_EACH)
 def test_a_false_state_in_a_move_ends_in_a_stop(name: str) -> None:
     controller, plant = begin(START, controller=make(move_speed=1.0), friction=1.0, delay=2)
     controller.move_to_start()
@@ -206,7 +220,7 @@ def test_a_false_state_in_a_move_ends_in_a_stop(name: str) -> None:
 
 @pytest.mark.requirement("S-91")
 @pytest.mark.parametrize("teaching", [False, True])
-@pytest.mark.parametrize("name", FALSIFICATIONS)
+@pytest.mark.parametrize("name", ONE_OF_EACH)
 def test_a_false_state_of_an_arm_at_rest_moves_nothing(name: str, teaching: bool) -> None:
     controller, plant = begin(friction=1.0, delay=2)
     controller.set_gravity_compensation(teaching)
@@ -310,7 +324,7 @@ def test_a_reset_needs_rest_for_a_time_and_not_a_turning_point() -> None:
     controller.fault(controller.latched or A_TEST)
     swing[0] = 30.0
     resets = 0
-    for _ in range(1000):
+    for _ in range(500):
         run(controller, plant, 0.002)
         try:
             controller.reset()
@@ -415,7 +429,7 @@ def states_of(rng: np.random.Generator, count: int) -> list[JointState]:
     return states
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_mismatch_is_what_no_speed_and_no_lag_within_the_interval_explains(seed: int) -> None:
     rng = np.random.default_rng(seed)
     check, sums, late, previous = VelocityCheck(7), [np.zeros(7)] * 2, np.zeros(7), np.zeros(7)
@@ -438,7 +452,7 @@ def test_the_mismatch_is_what_no_speed_and_no_lag_within_the_interval_explains(s
         previous = moved
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_residual_is_the_torque_that_none_of_the_last_seven_commands_explains(
     seed: int,
 ) -> None:
