@@ -11,8 +11,8 @@ from benchmark.reaction_matrix import Cell, run
 
 @pytest.fixture(autouse=True)
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reaction_matrix, "AFTER", 2.0)
-    monkeypatch.setattr(reaction_matrix, "UNFOUND", 5.0)
+    monkeypatch.setattr(reaction_matrix, "AFTER", 1.5)
+    monkeypatch.setattr(reaction_matrix, "UNFOUND", 3.0)
 
 
 @pytest.mark.requirement("S-131")
@@ -20,8 +20,6 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
     ("kind", "joint", "mode"),
     [
         ("runaway step", 1, "untouched"),
-        ("runaway step", 1, "guided"),
-        ("runaway step", 3, "hold"),
         ("gradual swap", 1, "hold"),
         ("smooth bump", 1, "rollout late"),
         ("relay", -1, "guided"),
@@ -35,17 +33,17 @@ def test_no_false_state_drives_the_arm_faster_than_it_was(kind: str, joint: int,
 
 
 @pytest.mark.requirement("S-131")
-@pytest.mark.parametrize("joint", [1, 5])
-def test_a_joint_that_runs_away_smoothly_moves_a_held_arm_slowly_and_little(joint: int) -> None:
-    outcome = run(Cell("smooth runaway", joint, "hold", "model"))
+def test_a_joint_that_runs_away_smoothly_moves_a_held_arm_slowly_and_little() -> None:
+    outcome = run(Cell("smooth runaway", 1, "hold", "model"))
     assert outcome.fault
     assert outcome.peak < 0.3
     assert outcome.way < 0.06
 
 
 @pytest.mark.requirement("S-131")
-@pytest.mark.parametrize("kind", ["smooth runaway", "smooth bump"])
-@pytest.mark.parametrize("arm", ["friction halved", "drawn 3"])
+@pytest.mark.parametrize(
+    ("kind", "arm"), [("smooth runaway", "drawn 3"), ("smooth bump", "friction halved")]
+)
 def test_an_arm_that_is_held_after_a_move_is_braked_by_the_torques_it_was_sent(
     kind: str, arm: str
 ) -> None:
@@ -56,12 +54,11 @@ def test_an_arm_that_is_held_after_a_move_is_braked_by_the_torques_it_was_sent(
 
 
 @pytest.mark.requirement("S-132")
-@pytest.mark.parametrize("kind", ["drift +0.1", "drift -0.1"])
 def test_a_zero_that_drifts_in_a_hold_is_found_and_not_followed_after_the_fault(
-    kind: str, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(reaction_matrix, "UNFOUND", 8.0)
-    outcome = run(Cell(kind, 1, "hold", "model"))
+    outcome = run(Cell("drift -0.1", 1, "hold", "model"))
     assert outcome.fault == "drift"
     assert outcome.before < 0.3
     assert outcome.peak < 0.1
@@ -69,9 +66,8 @@ def test_a_zero_that_drifts_in_a_hold_is_found_and_not_followed_after_the_fault(
 
 
 @pytest.mark.requirement("S-132")
-@pytest.mark.parametrize("mode", ["move", "guided"])
-def test_an_arm_that_follows_a_drift_unseen_is_held_by_what_its_torque_shows(mode: str) -> None:
-    outcome = run(Cell("soft drift +0.3", 1, mode, "model"))
+def test_an_arm_that_follows_a_drift_unseen_is_held_by_what_its_torque_shows() -> None:
+    outcome = run(Cell("soft drift +0.3", 1, "move", "model"))
     assert outcome.fault
     assert outcome.peak < outcome.nominal + 0.4  # 12 m/s where its torque was kept as it was
 
@@ -92,16 +88,15 @@ def test_an_arm_from_which_a_tool_is_taken_in_a_fault_is_caught() -> None:
 
 
 @pytest.mark.requirement("S-133")
-@pytest.mark.parametrize("mode", ["hold", "untouched"])
-def test_a_weight_that_is_put_on_the_tool_is_caught(mode: str) -> None:
-    outcome = run(Cell("+2 kg", -1, mode, "model"))
+def test_a_weight_that_is_put_on_the_tool_is_caught() -> None:
+    outcome = run(Cell("+2 kg", -1, "hold", "model"))
     assert outcome.fault
     assert outcome.peak < 0.45
     assert outcome.way < 0.08
 
 
 @pytest.mark.requirement("S-22")
-@pytest.mark.parametrize("kind", ["-0.55 kg", "+0.5 kg", "motor 2 to 70 %"])
+@pytest.mark.parametrize("kind", ["-0.55 kg", "motor 2 to 70 %"])
 def test_an_arm_that_leaves_while_nobody_touches_it_is_stopped(kind: str) -> None:
     outcome = run(Cell(kind, -1, "untouched", "model"))
     assert outcome.fault == "tool_speed"
@@ -114,7 +109,6 @@ def test_an_arm_that_leaves_while_nobody_touches_it_is_stopped(kind: str) -> Non
     ("mode", "arm"),
     [
         ("hold", "+0.5 kg"),
-        ("rollout late", "friction halved"),
         ("rollout late", "drawn 1"),
     ],
 )
@@ -130,7 +124,6 @@ def test_a_fault_of_true_states_stops_an_arm_that_is_not_its_model(mode: str, ar
     ("kind", "joint"),
     [
         ("drift +0.3", 1),
-        ("drift +0.3", 5),
         ("soft drift -0.3", 3),
     ],
 )
@@ -185,6 +178,5 @@ def test_states_that_are_lost_after_a_fault_do_not_make_a_drift_a_fall(
 
 
 @pytest.mark.requirement("S-132")
-@pytest.mark.parametrize("mode", ["move", "rollout late"])
-def test_a_hold_is_not_compared_with_the_hold_before_a_movement(mode: str) -> None:
-    assert not run(Cell("+0.5 kg", -1, mode, "model")).fault
+def test_a_hold_is_not_compared_with_the_hold_before_a_movement() -> None:
+    assert not run(Cell("+0.5 kg", -1, "move", "model")).fault

@@ -31,7 +31,7 @@ def test_states_that_agree_with_each_other_and_are_false_end_in_a_stop(
 
 
 @pytest.mark.requirement("S-44", "S-121")
-@pytest.mark.parametrize(("joint", "size"), [(1, 0.2), (1, -0.5), (3, 2.0 * np.pi)])
+@pytest.mark.parametrize(("joint", "size"), [(1, -0.5), (3, 2.0 * np.pi)])
 def test_a_jump_of_an_arm_that_nobody_holds_moves_nothing(joint: int, size: float) -> None:
     loop = held()
     loop.controller.set_gravity_compensation(True)
@@ -43,8 +43,11 @@ def test_a_jump_of_an_arm_that_nobody_holds_moves_nothing(joint: int, size: floa
 
 
 @pytest.mark.requirement("S-122")
-@pytest.mark.parametrize("arm", ["payload of 0.5 kg", "motor 2 at 70 %", 9100], ids=str)
-@pytest.mark.parametrize("phase", ["upwards", "hold"])
+@pytest.mark.parametrize(
+    ("arm", "phase"),
+    [("payload of 0.5 kg", "hold"), ("motor 2 at 70 %", "upwards"), (9100, "upwards")],
+    ids=str,
+)
 def test_an_arm_that_is_not_its_model_stays_where_a_fault_stopped_it(
     arm: str | int, phase: str
 ) -> None:
@@ -57,9 +60,8 @@ def test_an_arm_that_is_not_its_model_stays_where_a_fault_stopped_it(
 
 
 @pytest.mark.requirement("S-126")
-@pytest.mark.parametrize("arm", ["base tilted 10 degrees", 9100], ids=str)
-def test_an_arm_that_is_not_its_model_stays_under_gravity_compensation(arm: str | int) -> None:
-    loop = held(drawn(arm) if isinstance(arm, int) else KNOWN[arm])
+def test_an_arm_that_is_not_its_model_stays_under_gravity_compensation() -> None:
+    loop = held(KNOWN["base tilted 10 degrees"])
     loop.play(1.0)
     loop.controller.set_gravity_compensation(True)
     at = loop.plant.tool_position()
@@ -69,7 +71,7 @@ def test_an_arm_that_is_not_its_model_stays_under_gravity_compensation(arm: str 
 
 
 @pytest.mark.requirement("S-121")
-@pytest.mark.parametrize("seconds", [0.0, 0.02, 0.3])
+@pytest.mark.parametrize("seconds", [0.0, 0.3])
 def test_a_zero_that_jumps_back_after_the_reset_of_its_fault_moves_nothing(seconds: float) -> None:
     loop = held()
     loop.falsify = OF_JOINT["smooth bump"](1)
@@ -104,8 +106,9 @@ def guided(name: str, rng: np.random.Generator, let_go: bool) -> tuple[Outcome, 
 
 
 @pytest.mark.requirement("S-121")
-@pytest.mark.parametrize("name", ["silence", "the same state again and again"])
-@pytest.mark.parametrize("seed", [7000, 7003])
+@pytest.mark.parametrize(
+    ("name", "seed"), [("silence", 7000), ("the same state again and again", 7003)]
+)
 def test_an_arm_whose_driver_falls_silent_while_a_person_guides_it_comes_to_rest(
     name: str, seed: int
 ) -> None:
@@ -115,8 +118,7 @@ def test_an_arm_whose_driver_falls_silent_while_a_person_guides_it_comes_to_rest
 
 
 @pytest.mark.requirement("S-121")
-@pytest.mark.parametrize("seed", [8, 13])
-def test_an_arm_whose_joint_seems_not_to_move_is_braked_by_its_model(seed: int) -> None:
-    outcome, _, reset = guided("joint 2 frozen", np.random.default_rng([seed, 5]), let_go=True)
+def test_an_arm_whose_joint_seems_not_to_move_is_braked_by_its_model() -> None:
+    outcome, _, reset = guided("joint 2 frozen", np.random.default_rng([8, 5]), let_go=True)
     assert outcome.noticed and outcome.rest < 0.1
     assert reset
