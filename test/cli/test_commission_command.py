@@ -60,12 +60,11 @@ def bag_of(path: Path, recorded: Recording, kind: str = "multiarray") -> Path:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder with the movement and a recording of it."""
+    """Folder with the movement and a bag, of which `recorded` is what is read."""
     made = tmp_path_factory.mktemp("commissioning")
     plan = true_arm.planned()
     np.savez(made / "movement.npz", t=plan.t, q=plan.q, rests=plan.rests, sweeps=plan.sweeps)
-    (made / "bags").mkdir()
-    bag_of(made / "bags/commissioning_1", recorded())
+    (made / "bags/commissioning_1").mkdir(parents=True)
     return made
 
 
@@ -84,6 +83,7 @@ def test_the_file_that_is_written_corrects_the_arm_and_keeps_an_older_one(
 ) -> None:
     file = folder / "lab.yaml"
     file.write_text("# by hand\n")
+    monkeypatch.setattr(commission_command, "_recording", lambda *_: recorded())
     assert run(monkeypatch, "--folder", str(folder), "--output", str(file)) == 0
     shown = capsys.readouterr().out
     assert f"--config {file}" in shown
@@ -106,6 +106,23 @@ def test_the_file_that_is_written_corrects_the_arm_and_keeps_an_older_one(
     truth = true_arm.plain().corrected(true_arm.truth())
     q = true_arm.HOME + 0.2
     assert np.linalg.norm(setup.arm().tool_pose(q)[0] - truth.tool_pose(q)[0]) < 5e-3
+
+
+def test_a_recording_is_what_a_bag_has_of_states_torques_and_cameras(tmp_path: Path) -> None:
+    rng, count, frames = np.random.default_rng(0), 80, 16
+    given = Recording(
+        t=0.002 * np.arange(count),
+        q=rng.uniform(-0.01, 0.01, (count, 7)),
+        tau=rng.normal(0.0, 5.0, (count, 7)),
+        seen_t=0.01 * np.arange(frames),
+        position=rng.normal(0.0, 1.0, (frames, 3)),
+        rotation=rotations.exp(rng.normal(0.0, 0.5, (frames, 3))),
+    )
+    read = commission_command._recording(bag_of(tmp_path / "bag", given), overlay.setup([]))
+    for name in ("t", "q", "tau", "seen_t", "position", "rotation"):
+        wanted, found = getattr(given, name), getattr(read, name)
+        np.testing.assert_allclose(found - found[0], wanted - wanted[0], atol=1e-6, err_msg=name)
+    assert read.seen_t[0] - read.t[0] == pytest.approx(0.0, abs=1e-6)
 
 
 def test_nothing_is_written_of_what_is_not_usable(
@@ -151,7 +168,9 @@ def test_where_the_driver_adds_gravity_what_it_adds_is_counted(
     true, found = true_arm.truth(), recorded()
     gravity = np.array([ARM.gravity(q) for q in found.q])  # it knows neither zeros nor tool
     (tmp_path / "movement.npz").write_bytes((folder / "movement.npz").read_bytes())
-    bag_of(tmp_path / "bags/commissioning_1", replace(found, tau=found.tau - gravity))
+    (tmp_path / "bags/commissioning_1").mkdir(parents=True)
+    without = replace(found, tau=found.tau - gravity)
+    monkeypatch.setattr(commission_command, "_recording", lambda *_: without)
     words = ["--folder", str(tmp_path), "--config", str(extra), "--simulate"]
     assert run(monkeypatch, *words) == 0
     assert "is taken for that of the URDF" in capsys.readouterr().out
