@@ -420,7 +420,7 @@ def test_service_call_of_stop_at_rest_says_that_it_is_done(session: Session) -> 
 def test_action_send_goal_with_feedback_passes_waypoints(session: Session) -> None:
     session.holds()
     q = np.array(session.states[-1].position)
-    movement = joint_messages.JointMovement(np.array([0.0, 2.0]), np.array([q, q + 0.05]))
+    movement = joint_messages.JointMovement(np.array([0.0, 0.5]), np.array([q, q + 0.05]))
     trajectory = joint_messages.movement_message(list(session.states[-1].name), movement)
     sent = session.probe.ask("follow", trajectory=trajectory)
     session.probe.until(lambda: sent.result, "the end of the goal")

@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from itertools import islice, product
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -40,8 +40,8 @@ ARMS = (
     "simulation",
     "trajectory",
 )  # other files with parameters of an arm
-AT_ONCE = 8  # nodes, each in a namespace beside a driver of its own
-OBSERVED = 1.5  # [s] after a node has reported: an active controller sends 100 torques in it
+AT_ONCE = 5  # nodes, each in a namespace beside a driver of its own
+OBSERVED = 1.0  # [s] after a node has reported: an active controller sends 100 torques in it
 JOINTS = [
     f"{stem}{number}"
     for stem in ("wam_j", "right_j", "q", "fr3_joint", "cobot_joint", "openarm_joint")
@@ -169,8 +169,10 @@ def test_whatever_files_are_combined_a_controller_starts_itself_in_simulation_al
 def test_plain_files_and_printed_ones_send_no_torque_to_a_strangers_driver(
     node: str, probe: Probe, processes: Processes, tmp_path: Path
 ) -> None:
-    batch = [files(names) for names in islice(combinations(node), 2 + len(DRIVERS))]
-    for names, simulated in (([], True), (["geodude"], False), (["ur"], True)):
+    plain = ((), ("simulation", "geodude"), ("simulation", "ur"))
+    own = next(combinations(node))
+    batch = [files((*own, *names)) for names in plain]
+    for names, simulated in (([], True), (["ur"], True)):
         printed = tmp_path / f"{len(batch)}.yaml"  # as `wam-power config` prints them
         printed.write_text(overlay.text(overlay.setup(names, simulated)))
         batch.append([printed])
