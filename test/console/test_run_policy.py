@@ -41,7 +41,7 @@ def test_each_rollout_has_its_return_and_ctrl_c_leaves_an_arm_that_holds_and_bag
     said = ""
     for line in process.stdout:
         said += line
-        if line.startswith("2 of 100"):
+        if line.startswith("1 of 100"):
             break
     time.sleep(0.5)
     process.send_signal(signal.SIGINT)
@@ -49,7 +49,7 @@ def test_each_rollout_has_its_return_and_ctrl_c_leaves_an_arm_that_holds_and_bag
     assert process.wait(600.0) == 130, said
     assert "Stopped: the arm holds." in said
     lines = re.findall(r"^(\d) of 100: return [\d.]+, .*recorded: (\w+)$", said, re.M)
-    assert [number for number, _ in lines][:2] == ["1", "2"], said
+    assert lines and lines[0][0] == "1", said
     bags = {path.name for path in (tmp_path / "run/bags").iterdir()}
     assert {bag for _, bag in lines} <= bags
     assert not [name for name in bags if name.endswith(layout.UNFINISHED)]
