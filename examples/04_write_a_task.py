@@ -53,7 +53,6 @@ environment = Environment(World(Table, seed=3))
 script = environment.world.scene.script(np.random.default_rng(3))
 taught = Puck.demonstration_of(environment.arm, *environment.demonstrate(script, "taught"))
 policy = Puck.policy_of([taught], "taught")
-settings = preset("__main__:Puck", budget=12, retests=4)
-practice = Practice(settings, {}, [policy], seed=3, arm=environment)
+practice = Practice(preset("__main__:Puck", budget=12), {}, [policy], seed=3, arm=environment)
 for record in environment.practise(practice):
     print(f"{record.number:2d} {record.kind:12s} {practice.task.outcome(record)}")
