@@ -20,6 +20,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
     ("kind", "joint", "mode"),
     [
         ("runaway step", 1, "untouched"),
+        ("runaway step", 1, "guided"),
         ("gradual swap", 1, "hold"),
         ("smooth bump", 1, "rollout late"),
         ("relay", -1, "guided"),
