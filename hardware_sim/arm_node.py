@@ -91,11 +91,14 @@ class ArmSim(Node):
         names = sorted(params.joint_names) if is_sorted else list(params.joint_names)
         self._write = joint_messages.JointStateWriter(names)
         self._order = np.array([params.joint_names.index(name) for name in names])
-        if params.deactivates:  # like a forwarder of ros2_control, which has these parameters
+        if params.output == "pose":  # like the controller cartesian_motion_controller
+            self.declare_parameter("robot_base_link", params.base_frame)
+            self.declare_parameter("end_effector_link", params.tool_frame)
+        elif params.deactivates:  # like a forwarder of ros2_control, which has these parameters
             self.declare_parameter("joints", list(params.joint_names))
             kind = "effort" if params.output == "torque" else "position"
             self.declare_parameter("interface_name", kind)
-        kind = "trajectory" if params.output == "trajectory" else params.command_type
+        kind = params.output if params.output in ("trajectory", "pose") else params.command_type
         message_type = joint_messages.COMMAND_TYPES[kind]
         self.create_subscription(
             message_type, params.command_topic, self._on_torque, interface.COMMAND
@@ -163,12 +166,14 @@ class ArmSim(Node):
 
     def _on_torque(self, message: joint_messages.Command) -> None:
         try:
-            reading = joint_messages.torque(message, self.params.joint_names)
+            params = self.params
+            reading = joint_messages.torque(message, params.joint_names, params.base_frame)
         except ValueError as error:
             self.counters["torques refused"] += 1
             self.get_logger().warning(f"torque refused: {error}", throttle_duration_sec=1.0)
             fields = [getattr(message, field, ()) for field in ("data", "effort")]
-            if self.params.deactivates and self.world.n not in map(len, fields):
+            wrong = params.output != "pose" and self.world.n not in map(len, fields)
+            if params.deactivates and wrong:
                 self._barrett.deactivated = True
                 self.get_logger().error("deactivated: the arm receives zero torques from now on")
             return

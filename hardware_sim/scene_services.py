@@ -110,11 +110,15 @@ class SceneServices:
             raise ValueError(f"{policy.id} is for {len(policy.q_start)} joints, not {world.n}")
         if world.pulled or self.label not in ("", "inactive", "hold", "move_to_start"):
             return Answer(Code.BUSY, f"the arm is in use (mode {self.label!r})")
-        far = np.abs(world.joint_state().q - policy.q_start).max()
+        q = world.joint_state().q
+        far = np.abs(q - policy.q_start).max()
+        if world.settings.output == "pose":  # the posture is its own, and stays
+            far = np.abs(world.tool_pose[0] - world.arm.tool_pose(policy.q_start)[0]).max()
         if far > START_TOLERANCE:
-            text = f"the arm is {far:.3f} rad from the start of {policy.id}"
+            text = f"the arm is {far:.3f} rad or m from the start of {policy.id}"
             return Answer(Code.NOT_AT_START, text)
-        self._under_way[id] = self._reset(policy.id, policy.q_start)
+        start = q if world.settings.output == "pose" else policy.q_start
+        self._under_way[id] = self._reset(policy.id, start)
         return None
 
     def _begin_demonstration(self, id: str, _: Demonstrate.Goal) -> Answer | None:

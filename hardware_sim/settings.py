@@ -64,7 +64,7 @@ class WorldSettings(BaseModel):
     period: float = Field(PERIOD, ge=0.001, le=0.01, description="in s: 1000 to 100 Hz")
     command_delay_ticks: int = Field(2, ge=0, le=50, description="beyond 0.1 s: unstable")
     driver_compensates_gravity: bool = False
-    output: Literal["torque", "position", "trajectory"] = "torque"
+    output: Literal["torque", "position", "trajectory", "pose"] = "torque"
     servo_lag: float = Field(0.01, ge=0.0, le=0.2, description="in s: of position servos")
     watchdog: bool = True
     wind_sd: Spread = 0.1

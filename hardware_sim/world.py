@@ -23,9 +23,10 @@ from hardware_sim.hidden_arm import HiddenArm, drawn
 from hardware_sim.motors import DirectDrives, Motors
 from hardware_sim.scenes import Scene, scene_type
 from hardware_sim.sensors import Encoders, Mocap, MocapFrame, MocapSettings
-from hardware_sim.servo import Servo
+from hardware_sim.servo import Servo, ToolServo
 from hardware_sim.settings import ArmSimParams, OptitrackSimParams, WorldSettings
 from hardware_sim.wam import WATCHDOG_DAMPING, WATCHDOG_TIMEOUT
+from wam_power_ros import rotations
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.joint_references import MinJerk
 from wam_power_ros.params.resources import robot_description
@@ -90,7 +91,9 @@ class World:
             self.motors = DirectDrives(self.arm.tau_max, self.arm.qd_max)
         self._encoders = Encoders(settings.drives, settings.period)
         self._mocap = Mocap(mocap)
-        self._servo = Servo(self.arm, settings.servo_lag, settings.period)
+        self._by_pose = settings.output == "pose"
+        servo = ToolServo if self._by_pose else Servo
+        self._servo = servo(self.arm, settings.servo_lag, settings.period)
         self._velocity = np.zeros(6)
         self._carrying: tuple[MinJerk, int] | None = None  # path and its beginning [ns]
         self._build()
@@ -186,8 +189,12 @@ class World:
         own = self.settings.driver_compensates_gravity
         self._command = [0.0] * self.n if own else self._effort
         if self.settings.output != "torque":
-            self._command = (q_start + self.hidden.zeros).tolist()
-            self._servo.reset(np.array(self._command))
+            held = q_start + self.hidden.zeros
+            self._servo.reset(held)
+            self._command = held.tolist()
+            if self._by_pose:
+                position, rotation = self.arm.tool_pose(held)
+                self._command = [*position.tolist(), *rotations.quat_xyzw(rotation).tolist()]
         self.guided = False
         self._delayed: deque[list[float] | None]
         self._delayed = deque([self._command] * self.settings.command_delay_ticks)
@@ -312,15 +319,16 @@ class World:
     def step(self, tau_cmd: np.ndarray | None) -> None:
         """Advance by one control period, with commanded torques [N m] or positions [rad]. (n,).
 
+        An arm that takes poses has position [m] and quaternion xyzw of its tool instead. (7,).
         Without new ones the last stay; torques with a watchdog for 10 ms, then the driver
         compensates gravity, damped.
 
         Raises:
-            ValueError: They are not n finite numbers.
+            ValueError: They are not so many finite numbers.
         """
-        command = None if tau_cmd is None else tau_cmd.tolist()
-        if command is not None and not (len(command) == self.n and math.isfinite(sum(command))):
-            raise ValueError(f"commands {command} must be {self.n} finite numbers")
+        command, size = None if tau_cmd is None else tau_cmd.tolist(), len(self._command)
+        if command is not None and not (len(command) == size and math.isfinite(sum(command))):
+            raise ValueError(f"commands {command} must be {size} finite numbers")
         self.time_ns += self._period_ns
         self._carry_on()
         if not self.frozen:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Positions in place of torques: what is sent, to an arm whose servo follows late."""
+"""Positions or poses in place of torques: what is sent, to an arm whose servo follows late."""
 
 from collections import deque
 from collections.abc import Callable
@@ -10,9 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rigid_arm import A_TEST, HOME, NAMES, POLICY, URDF
 
+from wam_power_ros import rotations
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.feasibility import simulate_policy
+from wam_power_ros.control.inverse_kinematics import damped_step
 from wam_power_ros.control.modes import ControllerError, Mode
 from wam_power_ros.control.reference_output import (
     SLACK,
@@ -30,12 +32,21 @@ FAST = ControllerSettings(limits=LIMITS, set_point_period=0.002, move_speed=1.0)
 
 
 class Driver:
-    """Controller, and an arm: a delay, then two low-passes of half a lag [s]."""
+    """Controller, and an arm: a delay, then two low-passes of half a lag [s].
+
+    With poses it finds a posture near its last, which wanders without moving the tool [rad/s].
+    """
 
     def __init__(
-        self, period: float = 0.002, set_point: float = 0.0, delay: float = 0.01, lag: float = 0.01
+        self,
+        period: float = 0.002,
+        set_point: float = 0.0,
+        delay: float = 0.01,
+        lag: float = 0.01,
+        poses: bool = False,
     ) -> None:
-        update = {"state_period": period, "set_point_period": set_point or period}
+        update = {"state_period": period, "set_point_period": set_point or period, "poses": poses}
+        self.poses, self.wander, self.posture = poses, 0.0, HOME
         controller = controller_of(ARM, FAST.model_copy(update=update))
         assert isinstance(controller, ReferenceController)
         self.controller, self.period = controller, period
@@ -60,6 +71,8 @@ class Driver:
         """Move the arm by one period."""
         if self.controller.mode is not Mode.INACTIVE:
             self.sent.append(reference)
+        if self.poses:
+            reference = self.chosen(reference)
         self.delayed.append(reference)
         if not self.guided:
             self.grip = 0.9 * self.grip if self.blocked else 1.0
@@ -67,8 +80,32 @@ class Driver:
             moved = self.grip * self.share * (self.smooth - self.q)
             self.q, self.qd = self.q + moved, moved / self.period
         else:
-            self.smooth = self.q
-        return reference
+            self.smooth = self.posture = self.q
+        return self.sent[-1] if self.sent else reference
+
+    def chosen(self, pose: np.ndarray) -> np.ndarray:
+        """Posture with the tool at a pose, which is the driver's choice."""
+        jacobian = ARM.jacobian(self.posture)
+        free = np.linalg.svd(jacobian)[2][6]
+        q = self.posture + self.wander * self.period * free * np.sign(free[2])
+        for _ in range(2):  # it knows no limits
+            now, turned = ARM.tool_pose(q)
+            turn = rotations.log_of_one(rotations.matrix(pose[3:]) @ turned.T)
+            q = q + damped_step(ARM.jacobian(q), np.concatenate([pose[:3] - now, turn]))
+        self.posture = q
+        return q
+
+    def places(self, rows: np.ndarray) -> np.ndarray:
+        """Postures (T, 7) as they are sent: the same, or the positions (T, 3) of the tool [m]."""
+        return np.array([ARM.tool_pose(q)[0] for q in rows]) if self.poses else rows
+
+    def sent_places(self) -> np.ndarray:
+        """What was sent, as `places`."""
+        return np.array(self.sent)[:, : 3 if self.poses else 7]
+
+    def away(self) -> float:
+        """Largest distance of the arm from what was sent last [rad], or of its tool [m]."""
+        return float(np.abs(self.places(self.q[None])[0] - self.sent_places()[-1]).max())
 
     def run(self, seconds: float) -> None:
         """Tick for a time [s]."""
@@ -99,16 +136,16 @@ def swing(duration: float = 1.0, size: float = 0.4) -> tuple[np.ndarray, np.ndar
 
 
 @pytest.mark.parametrize(
-    ("period", "set_point", "delay", "lag"),
+    ("period", "set_point", "delay", "lag", "poses"),
     [
-        (0.002, 0.008, 0.04, 0.02),
-        (0.004, 0.0, 0.08, 0.04),
+        (0.002, 0.008, 0.04, 0.02, False),
+        (0.004, 0.0, 0.08, 0.04, True),
     ],
 )
-def test_a_rollout_by_positions_is_the_simulated_one_at_any_rate_and_delay(
-    period: float, set_point: float, delay: float, lag: float
+def test_a_rollout_by_references_is_the_simulated_one_at_any_rate_and_delay(
+    period: float, set_point: float, delay: float, lag: float, poses: bool
 ) -> None:
-    driver = Driver(period, set_point, delay, lag)
+    driver = Driver(period, set_point, delay, lag, poses)
     driver.ready()
     driver.sent.clear()
     driver.controller.execute()
@@ -117,7 +154,8 @@ def test_a_rollout_by_positions_is_the_simulated_one_at_any_rate_and_delay(
     simulated = simulate_policy(ARM, driver.controller.settings, POLICY).q
     rows = np.round(np.arange(1, len(driver.sent) + 1) * period / 0.002).astype(int)
     known = rows < len(simulated)
-    assert np.abs(np.array(driver.sent)[known] - simulated[rows[known]]).max() < 0.03
+    wanted = driver.places(simulated[rows[known]])
+    assert np.abs(driver.sent_places()[known] - wanted).max() < 0.03
     path = driver.controller.take_finished()
     assert path is not None and path.t[-1] > POLICY.basis.duration + 0.9
     assert np.ptp(path.position, axis=0).max() > 0.05  # of the arm: it did throw
@@ -128,7 +166,9 @@ def test_a_rollout_by_positions_is_the_simulated_one_at_any_rate_and_delay(
 @given(st.data())
 def test_no_reference_is_a_step_whatever_is_asked_reported_or_lost(data: st.DataObject) -> None:
     period = data.draw(st.sampled_from((0.002, 0.008)), "period")
-    driver = Driver(period, data.draw(st.sampled_from((0.0, 0.008)), "set point"))
+    poses = data.draw(st.booleans(), "poses")
+    driver = Driver(period, data.draw(st.sampled_from((0.0, 0.008)), "set point"), poses=poses)
+    driver.wander = data.draw(st.sampled_from((0.0, 0.3)), "wander")
     controller, step = driver.controller, LIMITS.qd_max * max(period, controller_period(driver))
     movement = sampled(*swing(size=0.7), controller.settings.period, LIMITS)
     rng = np.random.default_rng(data.draw(st.integers(0, 1000), "seed"))
@@ -192,6 +232,12 @@ def test_no_reference_is_a_step_whatever_is_asked_reported_or_lost(data: st.Data
     if not len(sent):
         return
     assert np.isfinite(sent).all()
+    if poses:  # each joint turns the tool by its own step, and moves it by that times the reach
+        turn = rotations.matrix(sent[1:, 3:]) @ rotations.matrix(sent[:-1, 3:]).transpose(0, 2, 1)
+        assert np.all(np.linalg.norm(rotations.log(turn), axis=1) <= step.sum() + 1e-6)
+        assert np.all(np.linalg.norm(np.diff(sent[:, :3], axis=0), axis=1) <= 1.3 * step.sum())
+        assert np.all(np.sum(sent[1:, 3:] * sent[:-1, 3:], axis=1) > 0.9)  # no change of sign
+        return
     assert np.all(np.abs(sent[0] - HOME) <= step * (1.0 + 1e-9))
     assert np.all(np.abs(np.diff(sent, axis=0)) <= step * (1.0 + 1e-9))
 
@@ -217,9 +263,9 @@ def controller_period(driver: Driver) -> float:
 
 
 @pytest.mark.requirement("S-151")
-@pytest.mark.parametrize("begun", [0.1, 0.25, 0.4])
-def test_in_a_fault_the_references_come_to_rest_and_stay(begun: float) -> None:
-    driver = Driver()
+@pytest.mark.parametrize(("begun", "poses"), [(0.1, False), (0.25, True), (0.4, False)])
+def test_in_a_fault_the_references_come_to_rest_and_stay(begun: float, poses: bool) -> None:
+    driver = Driver(poses=poses)
     driver.ready()
     driver.controller.execute()
     driver.run(begun)
@@ -229,7 +275,7 @@ def test_in_a_fault_the_references_come_to_rest_and_stay(begun: float) -> None:
     speeds = np.diff(driver.sent, axis=0) / 0.002
     assert np.abs(np.diff(speeds, axis=0)).max() / 0.002 <= 7.6 * LIMITS.qd_max.max()
     assert not speeds[round(STOP_TIME / 0.002) + 1 :].any()
-    assert np.abs(driver.q - driver.sent[-1]).max() < 1e-3
+    assert driver.away() < 1e-3
 
 
 @pytest.mark.requirement("S-151")
@@ -248,8 +294,11 @@ def test_lost_states_are_a_fault_for_which_no_state_is_needed() -> None:
 
 
 @pytest.mark.requirement("S-152")
-def test_an_arm_that_does_not_follow_is_a_fault_and_a_reset_brings_the_references_back() -> None:
-    driver = Driver()
+@pytest.mark.parametrize("poses", [False, True])
+def test_an_arm_that_does_not_follow_is_a_fault_and_a_reset_brings_the_references_back(
+    poses: bool,
+) -> None:
+    driver = Driver(poses=poses)
     driver.until(lambda: driver.controller.at_rest)
     movement = sampled(*swing(2.0, 1.0), 0.002, LIMITS)
     driver.controller.start_replay(movement)
@@ -259,12 +308,11 @@ def test_an_arm_that_does_not_follow_is_a_fault_and_a_reset_brings_the_reference
     assert driver.controller.latched is not None
     assert driver.controller.latched.kind is FaultKind.TRACKING
     driver.run(1.0)
-    away = np.abs(driver.sent[-1] - driver.q).max()
-    assert away > 0.1
+    assert driver.away() > 0.1
     driver.controller.reset()
     driver.run(1.0)
     assert driver.controller.mode is Mode.HOLD
-    assert np.abs(driver.sent[-1] - driver.q).max() < 0.01
+    assert driver.away() < 0.01
 
 
 def test_references_stay_near_a_guided_arm_and_one_that_sags_does_not_sink() -> None:
@@ -339,3 +387,74 @@ def test_a_model_that_is_nowhere_or_raises_leaves_references_that_come_to_rest(
     assert driver.controller.latched.kind is FaultKind.COMPUTATION
     assert np.isfinite(driver.sent).all()
     np.testing.assert_array_equal(driver.sent[-1], driver.sent[-2])
+
+
+def wandered(away: float = 0.3) -> Driver:
+    """Driver that has gone into another posture than the model's in a hold [rad]."""
+    driver = Driver(poses=True)
+    driver.ready()
+    driver.wander = 0.3
+    driver.until(lambda: bool(np.abs(driver.q - HOME).max() > away))
+    driver.wander = 0.0
+    driver.run(0.5)
+    return driver
+
+
+def test_a_driver_may_choose_its_posture_and_the_tool_does_what_is_sent() -> None:
+    driver = wandered()
+    for _ in range(2):
+        assert driver.controller.ready and np.abs(driver.q - HOME).max() > 0.25
+        driver.sent.clear()
+        driver.controller.execute()
+        driver.until(lambda: driver.controller.mode is not Mode.ROLLOUT)
+        assert driver.controller.mode is Mode.HOLD, driver.controller.latched
+        path = driver.controller.take_finished()
+        assert path is not None
+        low, high = driver.sent_places().min(axis=0), driver.sent_places().max(axis=0)
+        assert np.abs(path.position.min(axis=0) - low).max() < 0.01
+        assert np.abs(path.position.max(axis=0) - high).max() < 0.01
+        driver.ready()
+
+
+def test_a_posture_that_is_beyond_a_joint_limit_is_a_fault_whoever_chose_it() -> None:
+    driver = wandered()
+    driver.wander = 0.3
+    driver.until(lambda: driver.controller.mode is Mode.FAULT)
+    assert driver.controller.latched is not None
+    assert driver.controller.latched.kind is FaultKind.JOINT_POSITION
+    assert np.ptp(driver.sent_places(), axis=0).max() < 0.002  # the tool tells nothing of it
+
+
+@pytest.mark.requirement("S-150")
+@pytest.mark.parametrize("then", ["reset", "guide"])
+def test_the_tool_rests_while_references_take_up_the_posture_that_the_driver_chose(
+    then: str,
+) -> None:
+    driver = wandered()
+    if then == "reset":
+        driver.controller.fault(A_TEST)
+        driver.run(0.5)
+    driver.sent.clear()
+    if then == "reset":
+        driver.controller.reset()
+    else:
+        driver.controller.set_gravity_compensation(True)
+    driver.run(1.0)
+    assert driver.controller.mode is not Mode.FAULT
+    assert np.ptp(driver.sent_places(), axis=0).max() < 1e-3
+    if then == "guide":
+        driver.controller.set_gravity_compensation(False)
+    driver.ready()  # by postures that begin at that of the arm
+    assert driver.controller.mode is Mode.HOLD, driver.controller.latched
+
+
+def test_a_tool_that_is_away_from_the_start_is_refused_there() -> None:
+    driver = Driver(poses=True)
+    driver.ready()
+    driver.guided = True
+    for speed in 0.2 * np.sin(np.linspace(0.0, np.pi, 300)):  # 6 cm: that is no fault yet
+        driver.qd = speed * np.eye(7)[0]
+        driver.q = driver.q + 0.002 * driver.qd
+        driver.tick()
+    with pytest.raises(ControllerError, match=r"the tool is .* from the start"):
+        driver.controller.execute()

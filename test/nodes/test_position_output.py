@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Positions over DDS: a rollout that is interrupted, a driver that dies, each kind of message."""
+"""Positions and poses over DDS: each kind of message, an interrupted rollout, a dead driver."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class PositionArm:
         self, probe: Probe, processes: Processes, pace: str, output: str, kind: str = "multiarray"
     ) -> None:
         self.probe, self.processes = probe, processes
-        message = joint_messages.COMMAND_TYPES[output if output == "trajectory" else kind]
+        message = joint_messages.COMMAND_TYPES[kind if output == "position" else output]
         topic = interface.EFFORT_COMMANDS
         self.states = probe.listen(JointState, interface.JOINT_STATES, interface.STATE_RECORD)
         self.sent = probe.listen(message, topic, interface.DEEP_IN)
@@ -55,7 +55,7 @@ class PositionArm:
 
     def references(self) -> list[joint_messages.TorqueReading]:
         """Positions that were sent."""
-        return [joint_messages.torque(message, NAMES) for message in self.sent]
+        return [joint_messages.torque(message, NAMES, "wam_base") for message in self.sent]
 
     def move(self, policy: Policy) -> None:
         """Begin a rollout, and wait until the arm moves in it."""
@@ -67,7 +67,11 @@ class PositionArm:
 
 @pytest.mark.parametrize(
     ("output", "kind"),
-    [("position", "joint_state"), ("trajectory", "multiarray")],  # positions in an array: below
+    [  # positions in an array: below
+        ("position", "joint_state"),
+        ("trajectory", "multiarray"),
+        ("pose", "multiarray"),
+    ],
 )
 def test_a_rollout_by_positions_ends_as_by_torques_with_each_kind_of_message(
     probe: Probe, processes: Processes, output: str, kind: str

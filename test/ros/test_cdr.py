@@ -102,7 +102,7 @@ def test_bytes_cut_or_spoilt_are_refused_or_finite(message: bytes, data: st.Data
     assert reading is None or np.isfinite(reading.q).all()
 
 
-@pytest.mark.parametrize("kind", ["multiarray", "joint_state", "trajectory"])
+@pytest.mark.parametrize("kind", ["multiarray", "joint_state", "trajectory", "pose"])
 @pytest.mark.parametrize("period", [0.0, 0.008])
 @given(
     torques=st.lists(
@@ -118,10 +118,12 @@ def test_bytes_cut_or_spoilt_are_refused_or_finite(message: bytes, data: st.Data
 def test_torques_are_written_as_rclpy_writes_them(
     kind: str, period: float, torques: list[tuple[int, str, list[float]]]
 ) -> None:
-    writer = joint_messages.TorqueWriter(NAMES, kind, period)
+    writer = joint_messages.TorqueWriter(NAMES, kind, period, "base")
     send = cdr.TorqueSerializer(writer)
     for stamp_ns, label, tau in torques:
+        if kind == "pose":
+            tau = [*tau, 0.0, -0.6, 0.0, 0.8]
         message = deserialize_message(send(stamp_ns, label, np.array(tau)), writer.message_type)
-        reading = joint_messages.torque(message, NAMES)
+        reading = joint_messages.torque(message, NAMES, "base")
         assert (reading.stamp_ns, reading.label) == (stamp_ns, label)
         assert reading.tau.tolist() == tau

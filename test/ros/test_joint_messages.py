@@ -109,3 +109,17 @@ def test_a_torque_without_a_label_is_still_a_torque() -> None:
 def test_a_bad_torque_is_refused(data: list[float]) -> None:
     with pytest.raises(ValueError, match="command"):
         joint_messages.torque(Float64MultiArray(data=data), NAMES)
+
+
+def test_a_pose_is_sent_in_the_base_frame_alone_which_drivers_compare() -> None:
+    pose = np.array([0.5, 0.1, 0.3, 0.0, 0.0, 0.6, 0.8])
+    write = joint_messages.TorqueWriter(NAMES, "pose", 0.002, "base_link", to_stand_in=False)
+    message = write(5, "hold", pose)
+    assert message.header.frame_id == "base_link"
+    reading = joint_messages.torque(message, NAMES, "base_link")
+    assert reading.stamp_ns == 5 and reading.tau.tolist() == pose.tolist()
+    with pytest.raises(ValueError, match="pose in frame 'base_link', not 'world'"):
+        joint_messages.torque(message, NAMES, "world")
+    for spoilt in (np.full(7, np.nan), np.zeros(7), np.append(pose[:3], 2.0 * pose[3:])):
+        with pytest.raises(ValueError, match=r"finite|quaternion"):
+            joint_messages.torque(write(5, "hold", spoilt), NAMES, "base_link")

@@ -13,7 +13,7 @@ from wam_power_ros.commissioning.new_arm import proposals, text
 from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import robot_description
 
-OUTPUTS = ("torque", "position", "trajectory")
+OUTPUTS = ("torque", "position", "trajectory", "pose")
 
 
 def add_to(subparsers: argparse._SubParsersAction) -> None:

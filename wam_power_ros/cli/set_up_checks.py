@@ -11,6 +11,7 @@ import numpy as np
 from wam_power_ros import installed
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.feasibility import POSITION_MARGIN
+from wam_power_ros.control.inverse_kinematics import damped_step
 from wam_power_ros.params import overlay
 
 NEAR = 0.01  # [m] from the goal
@@ -68,7 +69,6 @@ def _distance(arm: Arm, q: np.ndarray, goal: np.ndarray) -> float:
     for _ in range(ITERATIONS):
         error = goal - arm.tool_pose(q)[0]
         nearest = min(nearest, float(np.linalg.norm(error)))
-        jacobian = arm.jacobian(q)[:3]
-        damped = jacobian @ jacobian.T + DAMPING * np.eye(3)
-        q = np.clip(q + 0.5 * jacobian.T @ np.linalg.solve(damped, error), arm.q_min, arm.q_max)
+        step = damped_step(arm.jacobian(q)[:3], error, DAMPING)
+        q = np.clip(q + 0.5 * step, arm.q_min, arm.q_max)
     return nearest

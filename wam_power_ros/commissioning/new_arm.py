@@ -11,6 +11,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from wam_power_ros.control.arm import Arm
+from wam_power_ros.control.inverse_kinematics import damped_step
 from wam_power_ros.control.urdf_checks import parsed
 
 MOVABLE = ("revolute", "prismatic", "continuous")
@@ -86,9 +87,7 @@ def solved(
         error = np.concatenate([position - now, axes])
         if np.abs(error).max() < 1e-3 and (rotation is not None or turned[2, 2] > 0.999):
             return q
-        jacobian = arm.jacobian(q)
-        step = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + 1e-4 * np.eye(6), error)
-        q = np.clip(q + 0.5 * step, low, high)
+        q = np.clip(q + 0.5 * damped_step(arm.jacobian(q), error), low, high)
     return None
 
 

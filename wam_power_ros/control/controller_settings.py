@@ -105,6 +105,7 @@ class ControllerSettings(MotionSettings):
         region: Guarded region, which ends a rollout; None for none.
         arm: Identity of the arm that a policy must match, if it names one; None to accept any.
         set_point_period: Time between two references that are sent [s]; 0 if torques are sent.
+        poses: Whether references are poses of the tool, not positions of the joints.
         state_period: Sampling period of the joint states, if it is not `period` [s].
     """
 
@@ -112,4 +113,5 @@ class ControllerSettings(MotionSettings):
     region: InstanceOf[Region] | None = None
     arm: InstanceOf[ArmIdentity] | None = None
     set_point_period: float = 0.0
+    poses: bool = False
     state_period: float = 0.0

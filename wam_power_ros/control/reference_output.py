@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reference output: the controller of an arm that takes positions instead of torques.
+"""Reference output: the controller of an arm that takes positions or poses instead of torques.
 
 The torques of `Controller` drive the rigid-body model of the arm, and the positions of the model
 are sent. So policies, modes, limits and requests are the same, and all of it is checked on the
@@ -10,6 +10,9 @@ would tell, such as a contact or a payload, cannot be checked.
 In a fault the references come to rest within `STOP_TIME` and stay there. While a person guides the
 arm, in the free drive of its maker, they stay behind it by `SLACK` at most. No reference is further
 from the one before than the speed limits allow in one period.
+
+With poses the driver alone decides on the posture, and a redundant arm wanders off from the model.
+So the tool is what must follow and be at the start; joints are checked as reported.
 """
 
 from __future__ import annotations
@@ -19,21 +22,25 @@ from collections import Counter
 
 import numpy as np
 
+from wam_power_ros import rotations
 from wam_power_ros.control import safety
 from wam_power_ros.control.arm import Arm, Motion
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.controller_settings import ControllerSettings
+from wam_power_ros.control.inverse_kinematics import posture_near
 from wam_power_ros.control.joint_references import Brake
 from wam_power_ros.control.model_arm import ModelArm
 from wam_power_ros.control.modes import PASSIVE_MODES, ControllerError, Mode, Refusal
 from wam_power_ros.control.plausibility import Bound, Plausibility
 from wam_power_ros.control.state_checks import STATE_LOSS_TIMEOUT, JointState, StateChecks
 from wam_power_ros.faults import Fault, FaultKind
+from wam_power_ros.learning.dmp import TabulatedPolicy
 
 STOP_TIME = 0.25  # [s] in which references come to rest in a fault: 7.5 speed limits per second
 FOLLOW_TIME = 0.3  # [s] within which the arm must follow: delay and three time constants of a servo
-FOLLOW_ERROR = 0.1  # [rad], or [m] of a slide, from all references of that time
+FOLLOW_ERROR = 0.1  # [rad], or [m] of a slide or a tool, from all references of that time
 SLACK = 0.003  # [rad] more than a servo sags, so that an arm in no free drive does not sink
+_STEPS, _SAME = 30, 1e-6  # of the inverse kinematics, and its largest error in m and rad
 _FOLLOWING = (*PASSIVE_MODES, Mode.GRAVITY_COMPENSATION)  # the model is where the arm is
 
 
@@ -41,8 +48,8 @@ def controller_of(
     arm: Arm, settings: ControllerSettings, latched: Fault | None = None
 ) -> Controller:
     """Controller of an arm for the output of its settings; arguments as of `Controller`."""
-    kind = ReferenceController if settings.set_point_period else Controller
-    return kind(arm, settings, latched)
+    kind: type[Controller] = ReferenceController if settings.set_point_period else Controller
+    return (PoseController if settings.poses else kind)(arm, settings, latched)
 
 
 class ReferenceController(Controller):
@@ -74,7 +81,8 @@ class ReferenceController(Controller):
         self._silent = True  # nothing has been sent since the last mode in which the arm is held
         self._stopping: Brake | None = None  # in a fault
         self._stopped = 0.0  # time since its beginning [s]
-        self._recent = np.empty((max(2, round(FOLLOW_TIME / settings.period)), n))  # of the model
+        rows, width = max(2, round(FOLLOW_TIME / settings.period)), len(self._place(arm.q_min))
+        self._recent = np.empty((rows, width))  # places of the model
         self._count = 0  # of these since the model began to move by itself
 
     # Status and requests
@@ -189,11 +197,20 @@ class ReferenceController(Controller):
         if self._mode in _FOLLOWING or not self._count:
             return None
         low, high = self._recent.min(axis=0), self._recent.max(axis=0)
-        error = np.maximum(low - q, q - high)
+        place = self._place(q)
+        error = np.maximum(low - place, place - high)
         if error[worst := int(error.argmax())] <= FOLLOW_ERROR:
             return None
-        text = f"joint {worst + 1} is {error[worst]:.3f} rad from all its references of the last "
+        text = f"{self._part(worst, error[worst])} from all its references of the last "
         return Fault(FaultKind.TRACKING, f"{text}{FOLLOW_TIME} s, limit {FOLLOW_ERROR}")
+
+    def _place(self, q: np.ndarray) -> np.ndarray:
+        """What has to follow, at a posture (n,) [rad]."""
+        return q
+
+    def _part(self, number: int, away: float) -> str:
+        """Beginning of a sentence: what a number of `_place` is, and that it is away."""
+        return f"joint {number + 1} is {away:.3f} rad"
 
     def _follow(self, state: JointState) -> None:
         """Put the model where the arm is, carried by its own controller."""
@@ -221,7 +238,8 @@ class ReferenceController(Controller):
             if not math.isfinite(sum(model.q.tolist())):
                 raise ArithmeticError(f"the model is at {model.q.tolist()}")
             self._speed = model.qd
-            self._recent[self._count % len(self._recent) if self._count else ...] = model.q
+            row = self._count % len(self._recent) if self._count else ...
+            self._recent[row] = self._place(model.q)
             self._count += 1
 
     def _late(self) -> float:
@@ -257,3 +275,86 @@ class ReferenceController(Controller):
         reference.setflags(write=False)
         self._reference = reference
         return reference
+
+
+class PoseController(ReferenceController):
+    """Computes poses of the tool in the base frame: position [m], quaternion xyzw. Shape (7,)."""
+
+    def __init__(
+        self, arm: Arm, settings: ControllerSettings, latched: Fault | None = None
+    ) -> None:
+        super().__init__(arm, settings, latched)
+        self._posed = self._reference  # whose pose was sent last
+        self._pose = np.full(7, np.nan)
+
+    def step(
+        self,
+        stamp_ns: int,
+        q: np.ndarray,
+        qd: np.ndarray | None,
+        elapsed: float | None = None,
+        since_sent: float | None = None,
+    ) -> np.ndarray:
+        """See `ReferenceController`."""
+        return self._pose_of(super().step(stamp_ns, q, qd, elapsed, since_sent))
+
+    def stale_torque(self, elapsed: float | None = None) -> np.ndarray:
+        """See `ReferenceController`."""
+        return self._pose_of(super().stale_torque(elapsed))
+
+    def set_gravity_compensation(self, on: bool) -> None:
+        """See `Controller`."""
+        super().set_gravity_compensation(on)
+        self._take_posture()
+
+    def reset(self) -> None:
+        """See `Controller`."""
+        super().reset()
+        self._take_posture()
+
+    def _pose_of(self, reference: np.ndarray) -> np.ndarray:
+        """Pose (7,) of a reference (n,) [rad]; the same array for the same one."""
+        if reference is not self._posed:
+            try:
+                position, rotation = self.arm.tool_pose(reference)
+                quat_xyzw = rotations.quat_xyzw(rotation)
+                if quat_xyzw @ self._pose[3:] < 0.0:  # both are the same, but the step is smaller
+                    quat_xyzw = -quat_xyzw
+                self._pose = np.concatenate([position, quat_xyzw])
+                self._pose.setflags(write=False)
+                self._posed = reference
+            except Exception as error:  # the last pose stays
+                self._fault_of(error)
+        return self._pose
+
+    def _take_posture(self) -> None:
+        """Give the last reference the posture of the arm, which the driver chose; keep its pose.
+
+        Without this the tool would move while the joints return from one to the other.
+        """
+        last, (position, rotation) = self._measured.last, self.arm.tool_pose(self._reference)
+        if last is None:
+            return
+        found = posture_near(self.arm, last.q, position, rotation, _STEPS)
+        if np.abs(self._place(found) - self._place(self._reference)).max() < _SAME:
+            found.setflags(write=False)
+            self._reference, self._offset = found, found - last.q
+
+    @property
+    def _reported(self) -> JointState | None:
+        return self._states.last  # of the model: the posture is the driver's
+
+    def _require_ready(self) -> TabulatedPolicy:
+        policy, last = super()._require_ready(), self._measured.last
+        away = 0.0 if last is None else self._place(last.q) - self._place(policy.q_start)
+        if (error := float(np.abs(away).max())) > self.settings.start_tolerance:
+            text = f"rollout refused: {self._part(0, error)} from the start of policy {policy.id}"
+            raise ControllerError(Refusal.NOT_AT_START, text)
+        return policy
+
+    def _place(self, q: np.ndarray) -> np.ndarray:
+        position, rotation = self.arm.tool_pose(q)
+        return np.concatenate([position, rotation.ravel()])  # a small turn is as much in its axes
+
+    def _part(self, number: int, away: float) -> str:
+        return f"the tool is {away:.3f} m or rad"

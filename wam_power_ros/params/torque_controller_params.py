@@ -95,7 +95,7 @@ class TorqueControllerParams(Params, MotionSettings):
     velocity_topic: str
     command_topic: str = Field(min_length=1)
     command_type: Literal["multiarray", "joint_state"]
-    output: Literal["torque", "position", "trajectory"]
+    output: Literal["torque", "position", "trajectory", "pose"]
     set_point_period: float = Field(
         ge=0.0, le=0.02, description="in s: 0 for one to each state; beyond, the arm moves in steps"
     )
@@ -214,7 +214,7 @@ class TorqueControllerParams(Params, MotionSettings):
     @property
     def message(self) -> str:
         """Kind of the commands, one of `ros.joint_messages.COMMAND_TYPES`."""
-        return self.output if self.output == "trajectory" else self.command_type
+        return self.output if self.output in ("trajectory", "pose") else self.command_type
 
     @property
     def sent_period(self) -> float:
@@ -265,6 +265,7 @@ class TorqueControllerParams(Params, MotionSettings):
                     "period": min(self.period, PERIOD),
                     "state_period": self.period,
                     "set_point_period": self.sent_period,
+                    "poses": self.output == "pose",
                     "driver_compensates_gravity": False,
                 }
             )

@@ -12,6 +12,7 @@ from __future__ import annotations
 import struct
 
 import numpy as np
+from geometry_msgs.msg import PoseStamped
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
@@ -118,7 +119,7 @@ class TorqueSerializer:
 
     def __init__(self, writer: TorqueWriter) -> None:
         self._writer = writer
-        self._in_header = writer.message_type is JointState
+        self._in_header = writer.message_type in (JointState, PoseStamped)
         trajectory = writer.message_type is JointTrajectory
         self._label_offset = _FRAME_OFFSET if trajectory else _LABEL_OFFSET
         self._bytes = bytearray()  # the last message

@@ -13,18 +13,21 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from wam_power_ros.ros import pose_messages
 from wam_power_ros.ros.stamps import checked_stamp, nanoseconds, time_message
 
 COMMAND_TYPES = {
     "multiarray": Float64MultiArray,
     "joint_state": JointState,
     "trajectory": JointTrajectory,
+    "pose": PoseStamped,
 }
-Command = Float64MultiArray | JointState | JointTrajectory
+Command = Float64MultiArray | JointState | JointTrajectory | PoseStamped
 
 
 class JointReading(NamedTuple):
@@ -204,7 +207,7 @@ class TorqueReading(NamedTuple):
 
     stamp_ns: int | None  # None when the sender does not label its commands
     label: str
-    tau: np.ndarray  # (nj,) [N m]; [rad] for an arm that takes positions
+    tau: np.ndarray  # (nj,) [N m] or [rad]; or a pose (7,), see `TorqueWriter`
 
 
 class TorqueWriter:
@@ -212,22 +215,32 @@ class TorqueWriter:
 
     A Float64MultiArray carries "<stamp_ns> <label>" in `layout.dim[0].label`, a JointTrajectory as
     frame_id, a JointState the stamp in its header and the label as frame_id. Real drivers read
-    none of them.
+    none of them. A PoseStamped carries position [m] and quaternion xyzw of the tool, the stamp in
+    its header, and as frame_id the base frame alone, which drivers compare; a label follows it
+    where it is for a stand-in.
 
     Args:
         joint_names: Joints in the order of the commands.
         command_type: One of `COMMAND_TYPES`.
         set_point_period: Time in which a position is to be reached [s]; 0 for torques.
+        frame: Frame of the poses.
+        to_stand_in: Whether poses are labelled.
     """
 
     def __init__(
-        self, joint_names: Sequence[str], command_type: str, set_point_period: float = 0.0
+        self,
+        joint_names: Sequence[str],
+        command_type: str,
+        set_point_period: float = 0.0,
+        frame: str = "",
+        to_stand_in: bool = True,
     ) -> None:
         if command_type not in COMMAND_TYPES:
             raise ValueError(f"command_type {command_type!r} must be one of {list(COMMAND_TYPES)}")
         self.message_type = COMMAND_TYPES[command_type]
         self._states = JointStateWriter(joint_names) if command_type == "joint_state" else None
         self._positions = set_point_period > 0.0
+        self._frame, self._labelled = frame, to_stand_in
         self._trajectory = None
         if command_type == "trajectory":  # stamp 0: from its arrival on
             self._trajectory = JointTrajectory(joint_names=list(joint_names))
@@ -240,10 +253,13 @@ class TorqueWriter:
         self._message.layout.dim = [self._dimension]
 
     def __call__(self, stamp_ns: int, label: str, tau: np.ndarray) -> Command:
-        """Fill the message, the same object every time, with tau (nj,) [N m], or [rad]."""
+        """Fill the message with tau (nj,) [N m] or [rad], or a pose (7,)."""
         if self._states is not None:
             q, torques = (tau, ()) if self._positions else ((), tau)
             return self._states(stamp_ns, q, (), torques, frame=label)
+        if self.message_type is PoseStamped:
+            frame = f"{self._frame} {label}" if self._labelled else self._frame
+            return pose_messages.pose_message(stamp_ns, frame, tau[:3], tau[3:])
         if self._trajectory is not None:
             self._trajectory.header.frame_id = f"{stamp_ns} {label}"
             self._point.positions = array("d", tau.tolist())
@@ -253,12 +269,20 @@ class TorqueWriter:
         return self._message
 
 
-def torque(message: Command, joint_names: Sequence[str]) -> TorqueReading:
+def torque(message: Command, joint_names: Sequence[str], base_frame: str = "") -> TorqueReading:
     """Read a command as a driver does; the last point of a trajectory.
 
     Raises:
-        ValueError: When the length or the names are wrong, or a value is not finite.
+        ValueError: When the length, the names or the frame of a pose are wrong, or a value is not
+            finite.
     """
+    if isinstance(message, PoseStamped):
+        frame, _, label = message.header.frame_id.partition(" ")
+        if frame != base_frame:
+            raise ValueError(f"pose in frame {frame!r}, not {base_frame!r}")
+        reading = pose_messages.pose(message)
+        pose = np.concatenate([reading.position, reading.quat_xyzw])
+        return TorqueReading(reading.stamp_ns, label, pose)
     if isinstance(message, JointState):
         if message.name != list(joint_names):
             raise ValueError(f"names {message.name} must be {list(joint_names)}")
