@@ -179,3 +179,13 @@ def test_the_order_of_a_forwarder_is_that_of_the_torques() -> None:
     group = topic_checks.torque_order("/group", names, "", names)  # has no interface_name
     assert group.verdict is Verdict.OK
     assert topic_checks.torque_order("/bridge", (), "", names).verdict is Verdict.UNCHECKED
+
+
+def test_a_driver_of_poses_is_asked_for_its_frames() -> None:
+    ours = "base_link", "pan"
+    assert topic_checks.pose_frames("/motion", ours, ours).verdict is Verdict.OK
+    for theirs in (("world", "pan"), ("base_link", "tool0")):
+        row = topic_checks.pose_frames("/motion", theirs, ours)
+        assert row.verdict is Verdict.FAIL and "base_frame" in row.advice
+        assert " ".join(theirs[:1]) in row.found and theirs[1] in row.found
+    assert topic_checks.pose_frames("/bridge", (), ours).verdict is Verdict.UNCHECKED

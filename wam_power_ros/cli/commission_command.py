@@ -77,6 +77,9 @@ def commission(
     setup = devices.parameters(folder=folder)
     setup = setup.changed({RECORDER: {"stem": "commissioning"}, SIMULATION: {"scene": SCENE}})
     controller = TorqueControllerParams.of_setup(setup)
+    if controller.output == "pose":
+        text = "output = pose: only the delay of positions is measured; commission the arm with"
+        raise UsageError(f"{text} --config position if it takes them, or give servo_delay by hand")
     gravity_added = controller.driver_compensates_gravity
     arm = setup.arm()
     if arm is None:

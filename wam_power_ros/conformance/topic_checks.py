@@ -297,3 +297,22 @@ def torque_order(
     if interface not in ("", expected):
         return row(text, FAIL, f"set interface_name of that controller to {expected}")
     return row(text, OK)
+
+
+def pose_frames(driver: str, frames: Sequence[str], expected: Sequence[str]) -> Row:
+    """Whether a driver of poses takes them in our base frame, of our tool frame.
+
+    Args:
+        driver: Name of the node that receives the poses.
+        frames: Its base frame and tool frame; empty if it has no parameters for them.
+        expected: Ours.
+    """
+    row = partial(Row, "pose frames", f"base {expected[0]}, tool {expected[1]}")
+    if not frames:
+        advice = "compare the driver's frames with base_frame and tool_frame"
+        return row(f"{driver} has no parameters of its frames", UNCHECKED, advice)
+    text = f"{driver}: base {frames[0]}, tool {frames[1]}"
+    if tuple(frames) == tuple(expected):
+        return row(text, OK)
+    advice = "it would ignore poses, or lead another point: set base_frame and tool_frame to these"
+    return row(text, FAIL, advice)

@@ -62,6 +62,10 @@ OWN_NODES = {"torque_controller", "demonstration_recorder", "check_driver"}  # n
 DISCOVERY_TIMEOUT = 5.0  # [s] for discovery, and for the next message
 DROP_ATTEMPTS = 3  # with the stand-in: a busy machine may miss frames of a fall
 FALL_TIME = 2.0  # [s] in which a released body falls to the ground
+FRAME_PARAMETERS = (  # of base and tool: of cartesian_controllers, and of crisp_controllers
+    ("robot_base_link", "end_effector_link"),
+    ("base_frame", "end_effector_frame"),
+)
 EXIT_STATUS = {Verdict.OK: 0, Verdict.WARN: 0, Verdict.FAIL: 1}
 COLOURS = {
     Verdict.OK: "green",
@@ -218,7 +222,9 @@ class CheckDriver(Node):
         rows, record = self._arm_rows(arm, seconds)
         path = self._command_path()
         mocap = self._mocap_rows(arm, record, seconds)
-        order = [self._torque_order()] if self._arm_params.message == "multiarray" else []
+        rows_of = {"multiarray": self._torque_order, "pose": self._pose_frames}
+        asked = rows_of.get(self._arm_params.message)
+        order = [] if asked is None else [asked()]
         rows += [path, *order, self._watchdog(arm, record, path, active), self._service()]
         frozen = any(row.name == "mocap frozen" and row.verdict is Verdict.FAIL for row in mocap)
         fall = [] if frozen or not (self.frames or self.clouds) else [self._fall()]
@@ -265,17 +271,33 @@ class CheckDriver(Node):
         """Row about the order of the driver, asked for its parameters if it is a forwarder."""
         params = self._arm_params
         expected = "effort" if params.output == "torque" else "position"
-        infos = self.get_subscriptions_info_by_topic(self.resolve_topic_name(params.command_topic))
-        for info in infos:
-            if info.node_name in OWN_NODES:
-                continue
-            driver = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+        for driver in self._drivers():
             values = self.link.parameters(driver, ("joints", "interface_name"), DISCOVERY_TIMEOUT)
             if len(values) == 2:
                 joints, interface = values[0].string_array_value, values[1].string_value
                 names = params.joint_names
                 return topic_checks.torque_order(driver, joints, interface, names, expected)
         return topic_checks.torque_order("the driver", (), "", params.joint_names, expected)
+
+    def _pose_frames(self) -> Row:
+        """Row about the frames of a driver of poses, asked for its parameters."""
+        expected = self._arm_params.base_frame, self._arm_params.tool_frame
+        for driver in self._drivers():
+            for names in FRAME_PARAMETERS:
+                values = self.link.parameters(driver, names, DISCOVERY_TIMEOUT)
+                frames = [value.string_value for value in values]
+                if len(frames) == 2 and all(frames):
+                    return topic_checks.pose_frames(driver, frames, expected)
+        return topic_checks.pose_frames("the driver", (), expected)
+
+    def _drivers(self) -> list[str]:
+        """Names of the other nodes that receive commands."""
+        topic = self.resolve_topic_name(self._arm_params.command_topic)
+        return [
+            f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+            for info in self.get_subscriptions_info_by_topic(topic)
+            if info.node_name not in OWN_NODES
+        ]
 
     def _service(self) -> Row:
         services = {name: types[0] for name, types in self.get_service_names_and_types()}

@@ -96,10 +96,8 @@ class TorqueController(LifecycleNode):
 
         self._reader = joint_messages.JointStateReader(params.joint_names)
         self._read = cdr.StateReader(self._reader)
-        frame = params.base_frame, params.simulation
-        writer = joint_messages.TorqueWriter(
-            params.joint_names, params.message, params.sent_period, *frame
-        )
+        names, frame = params.joint_names, (params.base_frame, params.simulation)
+        writer = joint_messages.TorqueWriter(names, params.message, params.sent_period, *frame)
         self._write = cdr.TorqueSerializer(writer)
         self._command_qos = qos = interface.DEEP if sim_time else interface.COMMAND
         self._commands = self.create_publisher(writer.message_type, params.command_topic, qos)
