@@ -102,23 +102,23 @@ ALLOWED["benchmark"] = {*ALLOWED}
 BUDGET = {
     "ground": 1532,  # what is missing is named with its remedy; a task may be a class of a file
     "learning": 2427,  # fit, path and practise of positions; +35: springs as needed
-    "control": 5518,  # +134: poses of the tool; other programs; positions; limits of a set-up and near stops
+    "control": 5507,  # other programs; positions; +123: poses of the tool
     "commissioning": 1418,  # +165: a set-up proposed from a URDF; +116: its report, from cli/
     "tracking": 756,
     "tasks": 3554,  # +93: what cannot be the pancake in the pan
     "practice": 2313,  # +32: tools and springs that failed; +46: candidates are fitted here
-    "conformance": 1111,  # +19: frames of poses; +25: effort without gravity
+    "conformance": 1105,  # +13: frames of poses; +25: effort without gravity
     "bags": 2580,  # +246: sets of LeRobot, written and read
     "params": 1387,  # what may be set at rest; -p body:=NAME is derived from; NatNet, FR3
-    "ros": 2597,  # +25: PoseStamped; variables of ROS and DDS are named with their remedy
+    "ros": 2596,  # +24: PoseStamped; variables of ROS and DDS are named with their remedy
     "client": 1344,
-    "nodes": 3898,  # +23: frames of a driver of poses; actions; +217: an FR3 by its maker's library; +122: NatNet
+    "nodes": 3897,  # +22: frames of poses; +217: an FR3 by its maker's library; +122: NatNet
     "console": 492,  # a person supports the arm, however a movement ended
     "view": 900,
     "reporting": 808,
     "in_process": 509,  # a session on disk without nodes
     "cli": 2456,  # mistakes of a set-up, new-arm, sessions
-    "hardware_sim": 3128,  # +35: an arm that takes poses; +146: what stand-ins alone send or answer, from ros/
+    "hardware_sim": 3128,  # +146: what stand-ins alone send or answer; +35: poses
     "launch": 161,
     "wam_power_interfaces": 159,  # its build without ROS
     "examples": 483,  # +106: five tasks of other libraries

@@ -300,13 +300,7 @@ def torque_order(
 
 
 def pose_frames(driver: str, frames: Sequence[str], expected: Sequence[str]) -> Row:
-    """Whether a driver of poses takes them in our base frame, of our tool frame.
-
-    Args:
-        driver: Name of the node that receives the poses.
-        frames: Its base frame and tool frame; empty if it has no parameters for them.
-        expected: Ours.
-    """
+    """Whether a driver's base and tool frame, empty if it has no such parameters, are ours."""
     row = partial(Row, "pose frames", f"base {expected[0]}, tool {expected[1]}")
     if not frames:
         advice = "compare the driver's frames with base_frame and tool_frame"

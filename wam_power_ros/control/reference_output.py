@@ -58,6 +58,8 @@ class ReferenceController(Controller):
     Before the first state the positions are NaN. The settings have a `set_point_period`.
     """
 
+    _away = "joint {0} is {1:.3f} rad"
+
     def __init__(
         self, arm: Arm, settings: ControllerSettings, latched: Fault | None = None
     ) -> None:
@@ -201,16 +203,12 @@ class ReferenceController(Controller):
         error = np.maximum(low - place, place - high)
         if error[worst := int(error.argmax())] <= FOLLOW_ERROR:
             return None
-        text = f"{self._part(worst, error[worst])} from all its references of the last "
+        text = f"{self._away.format(worst + 1, error[worst])} from all its references of the last "
         return Fault(FaultKind.TRACKING, f"{text}{FOLLOW_TIME} s, limit {FOLLOW_ERROR}")
 
     def _place(self, q: np.ndarray) -> np.ndarray:
         """What has to follow, at a posture (n,) [rad]."""
         return q
-
-    def _part(self, number: int, away: float) -> str:
-        """Beginning of a sentence: what a number of `_place` is, and that it is away."""
-        return f"joint {number + 1} is {away:.3f} rad"
 
     def _follow(self, state: JointState) -> None:
         """Put the model where the arm is, carried by its own controller."""
@@ -280,12 +278,9 @@ class ReferenceController(Controller):
 class PoseController(ReferenceController):
     """Computes poses of the tool in the base frame: position [m], quaternion xyzw. Shape (7,)."""
 
-    def __init__(
-        self, arm: Arm, settings: ControllerSettings, latched: Fault | None = None
-    ) -> None:
-        super().__init__(arm, settings, latched)
-        self._posed = self._reference  # whose pose was sent last
-        self._pose = np.full(7, np.nan)
+    _away = "the tool is {1:.3f} m or rad"
+    _posed: np.ndarray | None = None  # the reference whose pose was sent last
+    _pose = np.full(7, np.nan)
 
     def step(
         self,
@@ -328,10 +323,7 @@ class PoseController(ReferenceController):
         return self._pose
 
     def _take_posture(self) -> None:
-        """Give the last reference the posture of the arm, which the driver chose; keep its pose.
-
-        Without this the tool would move while the joints return from one to the other.
-        """
+        """Give the last reference the arm's posture and keep its pose, or the tool would move."""
         last, (position, rotation) = self._measured.last, self.arm.tool_pose(self._reference)
         if last is None:
             return
@@ -348,13 +340,10 @@ class PoseController(ReferenceController):
         policy, last = super()._require_ready(), self._measured.last
         away = 0.0 if last is None else self._place(last.q) - self._place(policy.q_start)
         if (error := float(np.abs(away).max())) > self.settings.start_tolerance:
-            text = f"rollout refused: {self._part(0, error)} from the start of policy {policy.id}"
-            raise ControllerError(Refusal.NOT_AT_START, text)
+            text = f"{self._away.format(0, error)} from the start of policy {policy.id}"
+            raise ControllerError(Refusal.NOT_AT_START, f"rollout refused: {text}")
         return policy
 
     def _place(self, q: np.ndarray) -> np.ndarray:
         position, rotation = self.arm.tool_pose(q)
         return np.concatenate([position, rotation.ravel()])  # a small turn is as much in its axes
-
-    def _part(self, number: int, away: float) -> str:
-        return f"the tool is {away:.3f} m or rad"

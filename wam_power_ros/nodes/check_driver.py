@@ -222,9 +222,8 @@ class CheckDriver(Node):
         rows, record = self._arm_rows(arm, seconds)
         path = self._command_path()
         mocap = self._mocap_rows(arm, record, seconds)
-        rows_of = {"multiarray": self._torque_order, "pose": self._pose_frames}
-        asked = rows_of.get(self._arm_params.message)
-        order = [] if asked is None else [asked()]
+        asked = {"multiarray": self._torque_order, "pose": self._pose_frames}
+        order = [ask() for kind, ask in asked.items() if kind == params.message]
         rows += [path, *order, self._watchdog(arm, record, path, active), self._service()]
         frozen = any(row.name == "mocap frozen" and row.verdict is Verdict.FAIL for row in mocap)
         fall = [] if frozen or not (self.frames or self.clouds) else [self._fall()]

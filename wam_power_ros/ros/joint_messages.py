@@ -215,9 +215,8 @@ class TorqueWriter:
 
     A Float64MultiArray carries "<stamp_ns> <label>" in `layout.dim[0].label`, a JointTrajectory as
     frame_id, a JointState the stamp in its header and the label as frame_id. Real drivers read
-    none of them. A PoseStamped carries position [m] and quaternion xyzw of the tool, the stamp in
-    its header, and as frame_id the base frame alone, which drivers compare; a label follows it
-    where it is for a stand-in.
+    none of them. A PoseStamped has the stamp in its header, and as frame_id the base frame alone,
+    which drivers compare; to a stand-in the label follows.
 
     Args:
         joint_names: Joints in the order of the commands.
