@@ -251,3 +251,10 @@ def test_a_servo_that_is_none_is_not_written(
     assert main.main(servo_recorded(tmp_path, "multiarray", 1.0)) == 1
     assert "Nothing was written" in capsys.readouterr().out
     assert not (tmp_path / "arm.yaml").exists()
+
+
+def test_an_arm_that_takes_poses_is_not_measured_by_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main.main(["commission", "--folder", str(tmp_path / "none"), "--config", "pose"]) != 0
+    assert "output = pose" in capsys.readouterr().err
