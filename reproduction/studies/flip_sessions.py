@@ -95,16 +95,14 @@ def teach(
     count: int,
     pitch_rate: float = PITCH_RATE,
     habit: str = "",
-    springs: int = 0,
 ) -> list[Policy]:
-    """Fit a policy to each demonstration of a small series, see `demonstrate` and `policy_of`."""
-    return _fitted(demonstrate(environment, seed, count, pitch_rate, habit), springs)
+    """Fit a policy to each demonstration of a small series, see `demonstrate`."""
+    return _fitted(demonstrate(environment, seed, count, pitch_rate, habit))
 
 
-def _fitted(shown: Sequence[Demonstration], springs: int) -> list[Policy]:
-    return [
-        Flip.policy_of([each], f"demonstration-{k + 1}", springs) for k, each in enumerate(shown)
-    ]
+def _fitted(shown: Sequence[Demonstration], springs: int = 0) -> list[Policy]:
+    named = [(f"demonstration-{number}", each) for number, each in enumerate(shown, 1)]
+    return [Flip.policy_of([each], name, springs) for name, each in named]
 
 
 def demonstrate(
@@ -157,9 +155,8 @@ def session(
     shown = demonstrate(environment, seed, demonstrations, pitch_rate, habit)
     settings = preset("flip", name, **(changes or {}))
     context = Flip.context_of(shown, None)
-    practice = Practice(
-        settings, context, _fitted(shown, settings.practice.springs), seed, environment
-    )
+    policies = _fitted(shown, settings.practice.springs)
+    practice = Practice(settings, context, policies, seed, environment)
     records, best = [*environment.practise(practice)], practice.best
     trials = [record for record in records if record.kind != "retest"]
     parameters = practice.parametrization

@@ -70,20 +70,24 @@ class Learner(NamedTuple):
         told: Measurements of a rollout that it receives.
         preset: Name of the preset of the task.
         name: Name of the learner, "" for that of the preset.
+        springs: Number of spring-dampers, 0 for that of the task.
     """
 
     told: str
     preset: str
     name: str = ""
+    springs: int = 0
 
     def changes(self, retests: int) -> dict[str, Any]:
         """Changes to the preset, with this number of re-tests."""
         named = {"learner": {"name": RIVALS.get(self.name, self.name)}} if self.name else {}
-        return {"retests": retests, **named}
+        return {"retests": retests, "springs": self.springs, **named}
 
 
+_PLANNER = Learner("return, landing error, rotation, a model of the toss", "model_based")
 LEARNERS = {
-    "model_based": Learner("return, landing error, rotation, a model of the toss", "model_based"),
+    "model_based": _PLANNER,
+    "sixteen_springs": _PLANNER._replace(springs=16),
     "hindsight": Learner("return, landing error, rotation", "hindsight"),
     "corrections": Learner("landing error, rotation", "corrections_only"),
     "power": Learner("return", "return_only"),

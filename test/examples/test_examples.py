@@ -13,7 +13,7 @@ from conftest import ROOT, python_path
 EXAMPLES = ROOT / "examples"
 OVER_DDS, DRIVER = "09_teach_learn_replay", "10_write_a_driver"
 PRINTS = {  # expressions of which each line of the output is to have one, in this order
-    "01_fit_a_bag": [r"16 spring-dampers", r"reproduced within \d\d? mm"],
+    "01_fit_a_bag": [r"8 spring-dampers", r"reproduced within \d\d? mm"],
     "02_learn_a_reach": [r"demonstrated: 0\.[1-3]", r"learnt:       0\.[6-9]"],
     "03_write_a_learner": [
         r"at first: return 0\.0",

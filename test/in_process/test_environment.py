@@ -48,7 +48,7 @@ def test_a_caught_pancake_needs_nobody_before_the_next_toss_and_a_dropped_one_a_
     seed: int, caught: bool, by: str
 ) -> None:
     environment = Environment(World(scene_type("flip"), seed=seed))
-    policy = teach(environment, seed, 1, pitch_rate=7.6, springs=8)[0]
+    policy = teach(environment, seed, 1, pitch_rate=7.6)[0]
     task = preset("flip").make_task({})
     for number in range(3):
         known = environment.put_back(task, policy)

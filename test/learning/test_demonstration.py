@@ -148,7 +148,7 @@ def test_a_turn_of_the_tool_is_a_movement_and_is_reproduced(arm: Arm) -> None:
     assert 0.5 * LENGTH < taught.duration < LENGTH and taught.left_out == ()
     policy = fit([taught], FLIP_FIT, "turn")
     middle = math.sqrt(FLIP_FIT.k_min * FLIP_FIT.k_max) * np.eye(3)
-    assert policy.stiffness == pytest.approx(np.tile(middle, (len(policy.stiffness), 1, 1)))
+    assert policy.stiffness == pytest.approx(np.tile(middle, (FLIP_FIT.count, 1, 1)))
     tables, x, r = tabulate(policy), taught.position[0], np.zeros(3)
     twist, position, rotation = np.zeros(6), [x], [r]
     for k in range(len(taught.t) - 1):

@@ -28,7 +28,6 @@ from wam_power_ros.tasks.flip.settings import FLIP_FIT
 from wam_power_ros.tasks.reach.settings import REACH_FIT
 
 DT = 0.002
-EIGHT = FLIP_FIT.with_count(8)
 
 
 def toss(n: int = 426, seed: int | None = None) -> Demonstration:
@@ -91,7 +90,7 @@ def linear_acceleration(
 
 
 def test_tabulated_acceleration_is_equation_1() -> None:
-    policy = fit([toss()], EIGHT, "p")
+    policy = fit([toss()], FLIP_FIT, "p")
     tables = tabulate(policy)
     rng = np.random.default_rng(0)
     for k in (0, 17, len(tables.b) - 1, len(tables.b) + 50):
@@ -110,7 +109,7 @@ def test_tabulated_acceleration_is_equation_1() -> None:
 
 
 def test_many_reproductions_are_the_acceleration_integrated_velocity_first() -> None:
-    policies = [fit([toss(seed=seed)], EIGHT, "p") for seed in range(5)]
+    policies = [fit([toss(seed=seed)], FLIP_FIT, "p") for seed in range(5)]
     policies = [replace(policy, basis=policies[0].basis) for policy in policies]
     x0, xd0 = np.array([0.7, 0.0, 0.9]), np.array([0.1, 0.0, -0.2])
     paths, speeds = reproduce_many(
@@ -139,7 +138,7 @@ def test_a_movement_made_by_equation_1_gives_back_its_attractors(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(dmp, "HOLD_TIME", 0.0)  # it does not end at rest
-    truth = fit([toss()], EIGHT, "p")
+    truth = fit([toss()], FLIP_FIT, "p")
     x, _ = reproduced(truth, np.array([0.7, 0.0, 0.9]))
     made = replace(toss(len(x)), position=x)
     found = dmp._fitted_attractors(truth.basis, truth.stiffness, truth.damping, [made])
@@ -166,7 +165,7 @@ def test_a_reproduction_from_rest_stays_where_the_demonstration_ended() -> None:
 
 def test_the_toss_is_reproduced_to_millimetres_and_a_degree() -> None:
     demonstration = toss()
-    policy = fit([demonstration], EIGHT, "p")
+    policy = fit([demonstration], FLIP_FIT, "p")
     tables = tabulate(policy)
     x, _ = reproduced(policy, demonstration.position[0], demonstration.velocity[0])
     assert rmse(x, demonstration.position) < 0.005
@@ -194,7 +193,7 @@ def test_a_reach_ends_turned_as_demonstrated(begin: float) -> None:
 
 
 def test_coordination_matrices_are_symmetric_with_eigenvalues_in_the_range() -> None:
-    policy = fit([toss()], EIGHT, "p")
+    policy = fit([toss()], FLIP_FIT, "p")
     assert np.array_equal(policy.stiffness, np.swapaxes(policy.stiffness, 1, 2))
     values = np.linalg.eigvalsh(policy.stiffness)
     assert values.min() == pytest.approx(150.0)
@@ -203,7 +202,7 @@ def test_coordination_matrices_are_symmetric_with_eigenvalues_in_the_range() -> 
 
 def test_the_stiffness_is_the_rescaled_inverse_of_the_residuals_covariance() -> None:
     demonstration = toss()
-    policy = fit([demonstration], EIGHT, "p")
+    policy = fit([demonstration], FLIP_FIT, "p")
     h = activations(policy.basis, demonstration.t)
     d = demonstration
     y = d.acceleration / 325.0 + d.velocity * 32.0 / 325.0 + d.position
@@ -248,7 +247,7 @@ TILTED = rotations.exp([0.3, -0.5, 0.2])
 def test_an_axis_that_does_not_move_has_the_mean_stiffness_and_leaves_the_range_to_the_others(
     still: list[list[float]], moving: list[list[float]]
 ) -> None:
-    policy = fit([along(toss(), *moving)], EIGHT, "p")
+    policy = fit([along(toss(), *moving)], FLIP_FIT, "p")
     for axis in still:
         expected = np.tile(math.sqrt(150.0 * 500.0) * np.array(axis), (8, 1))
         assert policy.stiffness @ axis == pytest.approx(expected, abs=2.0)  # no coupling either
@@ -281,8 +280,8 @@ def test_the_same_movement_at_two_speeds_is_fitted_as_one_of_the_mean_speed() ->
             period=demonstration.period * factor,
         )
 
-    both = fit([demonstration, slower(1.4)], EIGHT, "p")
-    mean = fit([slower(1.2)], EIGHT, "p")
+    both = fit([demonstration, slower(1.4)], FLIP_FIT, "p")
+    mean = fit([slower(1.2)], FLIP_FIT, "p")
     assert both.basis.duration == pytest.approx(mean.basis.duration)
     assert both.attractors == pytest.approx(mean.attractors, abs=1e-6)
     assert both.rotation_attractors == pytest.approx(mean.rotation_attractors, abs=1e-6)
@@ -300,29 +299,29 @@ def test_angular_velocity_is_that_of_the_turning_matrix() -> None:
 
 def test_a_movement_gets_as_many_springs_as_it_needs_and_no_more() -> None:
     demonstration = toss()
-    each = EIGHT, EIGHT.doubled(), EIGHT.doubled().doubled()
+    each = [FLIP_FIT.with_count(count) for count in (8, 16, 32)]
     fitted = [fit([demonstration], settings, "p") for settings in each]
     loss = {policy.basis.count: path_error(policy, [demonstration]) for policy in fitted}
     for error, count in ((1.01 * loss[8], 8), (1.01 * loss[16], 16), (1.01 * loss[32], 32)):
-        policy = fit([demonstration], replace(EIGHT, error=error), "p")
+        policy = fit([demonstration], replace(FLIP_FIT, error=error), "p")
         assert policy.basis.count == count
         assert path_error(policy, [demonstration]) <= error
-    finest = fit([demonstration], replace(EIGHT, error=1e-9), "p")
+    finest = fit([demonstration], replace(FLIP_FIT, error=1e-9), "p")
     assert finest.basis.count == REFINED_MAX
-    plain = fit([demonstration], EIGHT, "p")
+    plain = fit([demonstration], FLIP_FIT, "p")
     assert plain.basis.count == 8  # without a wanted error
 
 
 def test_twice_as_many_springs_are_twice_as_stiff() -> None:
-    policy = fit([toss()], replace(EIGHT, error=1e-9), "p")
+    policy = fit([toss()], replace(FLIP_FIT, error=1e-9), "p")
     values = np.linalg.eigvalsh(policy.stiffness)
-    assert values.min() == pytest.approx(4.0 * EIGHT.k_min)
-    assert values.max() == pytest.approx(4.0 * EIGHT.k_max)
+    assert values.min() == pytest.approx(4.0 * FLIP_FIT.k_min)
+    assert values.max() == pytest.approx(4.0 * FLIP_FIT.k_max)
 
 
 def test_a_short_recording_is_not_fitted_with_more_springs_than_it_has_samples_for() -> None:
     short = from_positions(toss().position[:40], DT)
-    assert fit([short], replace(EIGHT, error=1e-9), "p").basis.count == 8
+    assert fit([short], replace(FLIP_FIT, error=1e-9), "p").basis.count == 8
 
 
 def test_start_and_orientation_reference_are_those_of_the_first_demonstration() -> None:
@@ -331,13 +330,13 @@ def test_start_and_orientation_reference_are_those_of_the_first_demonstration() 
     quat = rotations.multiply(np.broadcast_to(turn, (400, 4)), other.quat_xyzw)
     moving = first.q + np.outer(first.t, np.ones(7))
     other = replace(other, q=other.q + 0.5, quat_xyzw=quat)
-    policy = fit([replace(first, q=moving), other], EIGHT, "p")
+    policy = fit([replace(first, q=moving), other], FLIP_FIT, "p")
     assert np.array_equal(policy.q_start, moving[0])
     assert np.array_equal(policy.orientation_reference, first.quat_xyzw[0])
 
 
 def test_a_demonstration_that_never_moves_still_gives_a_valid_policy() -> None:
-    policy = fit([from_positions(np.tile([0.7, 0.0, 0.9], (100, 1)), DT)], EIGHT, "p")
+    policy = fit([from_positions(np.tile([0.7, 0.0, 0.9], (100, 1)), DT)], FLIP_FIT, "p")
     assert policy.attractors == pytest.approx(np.tile([0.7, 0.0, 0.9], (8, 1)), abs=1e-9)
 
 
@@ -371,15 +370,15 @@ def test_clipping_leaves_good_matrices_alone_and_makes_bad_ones_good() -> None:
 )
 def test_senseless_settings_are_refused(change: dict[str, float], words: str) -> None:
     with pytest.raises(ValueError, match=words):
-        replace(EIGHT, **change)
+        replace(FLIP_FIT, **change)
 
 
 def test_no_demonstration_or_too_short_a_one_is_refused() -> None:
     with pytest.raises(ValueError, match="no demonstration"):
-        fit([], EIGHT, "p")
+        fit([], FLIP_FIT, "p")
     with pytest.raises(ValueError, match="samples"):
         fit([from_positions(np.zeros((10, 3)), DT)], FitSettings(8, 0.5, 150, 500, 32), "p")
     with pytest.raises(ValueError, match="k_min"):
         positive_definite(np.eye(3)[None], 0.0)
     with pytest.raises(ValueError, match="dt"):
-        tabulate(fit([toss()], EIGHT, "p"), 0.0)
+        tabulate(fit([toss()], FLIP_FIT, "p"), 0.0)

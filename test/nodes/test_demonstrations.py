@@ -94,12 +94,13 @@ def test_a_demonstration_whose_reproduction_would_end_in_a_fault_is_not_reproduc
         of_arm(arm_of(slow)).candidates(SETTINGS, [BAG])
 
 
-@pytest.mark.parametrize(("preset_name", "springs"), [("paper", 8), ("model_based", 16)])
-def test_the_paper_has_eight_springs_and_the_default_as_many_as_the_path_needs(
-    preset_name: str, springs: int, demonstrations: Demonstrations
+@pytest.mark.parametrize(("springs", "count"), [(0, 8), (16, 16)])
+def test_a_policy_has_the_springs_that_the_session_asks_for(
+    springs: int, count: int, demonstrations: Demonstrations
 ) -> None:
-    _, _, (policy,) = demonstrations.candidates(preset("flip", preset_name), [BAG])
-    assert policy.basis.count == springs
+    _, _, (policy,) = demonstrations.candidates(preset("flip", springs=springs), [BAG])
+    assert policy.basis.count == count
+    assert np.linalg.eigvalsh(policy.stiffness).max() == pytest.approx(500.0 * count / 8)
 
 
 def test_a_movement_is_simulated_once_whatever_its_id(

@@ -216,12 +216,9 @@ class FitSettings:
             raise ValueError(f"error = {self.error} must be positive")
 
     def with_count(self, count: int) -> FitSettings:
-        """The same with that many spring-dampers, whatever `error` asks for; 0 for no change."""
-        return replace(self, count=count, error=np.inf) if count else self
-
-    def doubled(self) -> FitSettings:
-        """The same with twice as many spring-dampers, twice as stiff."""
-        return replace(self, count=2 * self.count, k_min=2 * self.k_min, k_max=2 * self.k_max)
+        """The same with so many spring-dampers: with twice as many, they are twice as stiff."""
+        more = count / self.count
+        return replace(self, count=count, k_min=more * self.k_min, k_max=more * self.k_max)
 
 
 def fit(demonstrations: Sequence[Demonstration], settings: FitSettings, policy_id: str) -> Policy:
@@ -248,7 +245,8 @@ def fit(demonstrations: Sequence[Demonstration], settings: FitSettings, policy_i
     """
     if not demonstrations:
         raise ValueError("no demonstration to fit; at least one is needed")
-    policy, finer = _fit(demonstrations, settings, policy_id), settings.doubled()
+    policy = _fit(demonstrations, settings, policy_id)
+    finer = settings.with_count(2 * settings.count)
     shortest = min(len(demonstration.t) for demonstration in demonstrations)
     if finer.count > REFINED_MAX or 3 * finer.count > shortest:
         return policy

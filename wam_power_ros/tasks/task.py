@@ -235,7 +235,10 @@ class Task:
         cls, demonstrations: Sequence[Demonstration], policy_id: str, springs: int = 0
     ) -> Policy:
         """Fit a policy, of `springs` spring-dampers if given; a ValueError says why none can be."""
-        return fit(demonstrations, cls.fit_settings.with_count(springs), policy_id)
+        settings = cls.fit_settings
+        if springs:
+            settings = replace(settings.with_count(springs), error=math.inf)
+        return fit(demonstrations, settings, policy_id)
 
     @classmethod
     def context_of(

@@ -13,15 +13,13 @@ from wam_power_ros.learning.demonstration import Movement
 from wam_power_ros.learning.dmp import FitSettings
 from wam_power_ros.tasks.flip.parametrization import FlipNoise
 
-# 8 spring-dampers as in the paper, or 16 where those lose 2 mm of the path, as of a flick, unless a
-# preset has its own number. The other values are tuned for a movement of about 0.85 s.
+# 8 spring-dampers as in the paper; the other values are tuned for a movement of about 0.85 s.
 FLIP_FIT = FitSettings(
     count=8,
     width=0.5,
     k_min=150.0,
     k_max=500.0,
     damping=32.0,
-    error=2e-3,
     movement=Movement(end=0.05),  # the slow end of a catch is kept
 )
 # Rotation of a true flip in the air [degrees]: of a success, and in the ground truth of the
@@ -69,7 +67,6 @@ _HINDSIGHT: Mapping[str, Any] = {
     "noise": {"stiffness": 0.16, "attractor": 0.016, "rotation": 0.05, "catch_shift": 0.016},
     "learner": {"name": "power", "sigma": 6, "weights": "sharpened", "decay": 0.97},
     "ret": "landing",
-    "springs": 8,
     "budget": 60,
     "mean_every": 5,
     "gain": 0.7,
@@ -81,7 +78,7 @@ _HINDSIGHT: Mapping[str, Any] = {
 }
 PRESETS: Mapping[str, Mapping[str, Any]] = {
     # Plans on a model of the toss, and falls back on the learner of `hindsight`.
-    "model_based": {**_HINDSIGHT, "learner": {"name": "model_based"}, "springs": 0},
+    "model_based": {**_HINDSIGHT, "learner": {"name": "model_based"}},
     "hindsight": _HINDSIGHT,
     # For comparison: what the returns, or the corrections, reach alone.
     "return_only": {**_HINDSIGHT, "gain": 0.0},
@@ -95,7 +92,6 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
         "noise": {"stiffness": 0.1, "attractor": 0.01, "rotation": 0.05, "catch_shift": 0.01},
         "learner": {"name": "power", "sigma": 6, "weights": "return", "decay": 1.0},
         "ret": "eq5",
-        "springs": 8,
         "budget": 50,
         "mean_every": 0,
         "success_return": 0.9,
