@@ -43,7 +43,8 @@ from wam_power_ros.tasks.flip.settings import FLIP_FIT
 
 SEED = 43
 JOINTS = [f"wam_j{i}" for i in range(1, 8)]
-SETTINGS = preset("flip", budget=2, retests=1)
+# A learner that plans would simulate its plans again at every start.
+SETTINGS = preset("flip", "hindsight", budget=2, retests=1)
 ROLLOUTS = ["trial-0001", "trial-0002", "trial-0003"]  # a reproduction, an exploration, a re-test
 
 
