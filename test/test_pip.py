@@ -180,9 +180,7 @@ def test_every_command_says_its_options_where_every_extra_is_missing(folder: Pat
     [
         (["learn", "--session", "no_ros"], "[ros]"),
         (["teach"], "[ros]"),
-        (["config", "--config", "wam_can"], "[ros]"),
         (["run", "learner"], "[ros]"),
-        (["run", "wam_sim"], "[ros]"),
         (["enable"], "[ros]"),
         (["view", str(ROOT / "bags")], "[view]"),
         (

@@ -33,7 +33,7 @@ def test_two_arms_in_two_namespaces_learn_side_by_side(
         folder, asked = tmp_path / name, SessionOptions("reach", trials=2, bags=BAGS)
         setup = Devices().parameters("reach", seed, folder)
         given = learner_parameters(folder, asked, seed, "reach")
-        setup = setup.changed({LEARNER: given | {"changes": json.dumps({"retests": 1})}})
+        setup = setup.changed({LEARNER: given | {"changes": json.dumps({"retests": 0})}})
         plan = Plan(folder, setup, stand_ins=True, also=(LEARNER,))
         plan.file.parent.mkdir(parents=True)
         plan.file.write_text(overlay.text(setup))
@@ -47,7 +47,7 @@ def test_two_arms_in_two_namespaces_learn_side_by_side(
     for name in ARMS:
         lines = (tmp_path / name / "rollouts.jsonl").read_text().splitlines()
         explored.append([json.loads(line)["ret"] for line in lines])
-        assert len(explored[-1]) == 3  # a reproduction, an exploration, a re-test
+        assert len(explored[-1]) == 2  # a reproduction, an exploration
         bag = Bag(tmp_path / name / "bags/rollout_trial-0002")
         assert {topic.split("/")[1] for topic in bag.topics} == {name, "recorder"}
         (path,) = bag.messages([f"/{name}/rollout/end_effector"])
