@@ -448,6 +448,13 @@ def test_the_tool_rests_while_references_take_up_the_posture_that_the_driver_cho
     assert driver.controller.mode is Mode.HOLD, driver.controller.latched
 
 
+def test_the_numbers_of_a_pose_do_not_jump_where_its_quaternion_changes_sign() -> None:
+    controller, turn = Driver(poses=True).controller, np.eye(ARM.n)[-1]
+    angles = np.linspace(-2.0 * np.pi, 2.0 * np.pi, 800)  # of the last joint
+    sent = np.array([controller._pose_of(HOME + angle * turn) for angle in angles])
+    assert np.abs(np.diff(sent, axis=0)).max() < 0.02
+
+
 def test_a_tool_that_is_away_from_the_start_is_refused_there() -> None:
     driver = Driver(poses=True)
     driver.ready()
