@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import argparse
 import signal
 from pathlib import Path
 
@@ -22,7 +21,6 @@ from wam_power_ros.cli.launcher import (
     short_path,
     timestamp,
 )
-from wam_power_ros.cli.parser import add_command, arm_options
 from wam_power_ros.cli.plan import RECORDER, SIMULATION, TRACKER, Plan
 from wam_power_ros.commissioning.acceptance import notes, refusals
 from wam_power_ros.commissioning.excitation import Excitation, excitation
@@ -39,30 +37,6 @@ MOVEMENT = "movement.npz"
 SCENE = "markers"  # of the stand-in
 LOG_PERIOD = 30.0  # [s] between two lines about the movement under way
 WARNING = "Tool below 1.2 m/s: nobody within reach, a hand on the pendant. "
-
-
-def add_to(subparsers: argparse._SubParsersAction) -> None:
-    """Add the command to the command line."""
-    parser = add_command(
-        subparsers,
-        "commission",
-        commission,
-        "let the arm measure its zeros, friction, tool and cameras; writes a set-up file",
-        "Move the arm for about four minutes, with markers fixed to its empty tool, and compare "
-        "what encoders, torques and cameras say. An arm that takes positions needs no markers, and "
-        "half a minute. Hardware: nobody within reach.",
-    )
-    mass = "of what the last joint carries [kg], weighed"
-    parser.add_argument("--tool-mass", type=float, help=mass)
-    flat = (
-        "the tracked body lies flat in the tool, its z axis along the tool's: then the zero of the "
-        "last joint is found, too"
-    )
-    parser.add_argument("--flat", action="store_true", help=flat)
-    parser.add_argument("--output", type=Path, help="set-up file (default: arm.yaml in the folder)")
-    folder = "of the recording; an existing one is analysed again"
-    parser.add_argument("--folder", type=Path, help=folder)
-    arm_options(parser)
 
 
 def commission(

@@ -6,7 +6,6 @@ It reads the machine and the set-up and starts nothing.
 
 from __future__ import annotations
 
-import argparse
 import os
 import resource
 from pathlib import Path
@@ -16,7 +15,6 @@ import numpy as np
 
 from wam_power_ros import compiled
 from wam_power_ros.cli.launcher import Devices
-from wam_power_ros.cli.parser import add_command, arm_options, task_option
 from wam_power_ros.cli.set_up_checks import mistakes
 from wam_power_ros.params import overlay
 from wam_power_ros.params.body_tracker_params import BodyTrackerParams, missing_package
@@ -34,14 +32,6 @@ class Row(NamedTuple):
     verdict: str
     text: str
     then: str = ""
-
-
-def add_to(subparsers: argparse._SubParsersAction) -> None:
-    """Add the command to the command line."""
-    text = "say what is missing before the first demonstration; status 1 if something is"
-    parser = add_command(subparsers, "doctor", doctor, text)
-    task_option(parser, "none")
-    arm_options(parser)
 
 
 def doctor(devices: Devices, task: str | None = None) -> int:

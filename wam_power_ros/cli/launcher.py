@@ -29,9 +29,7 @@ from wam_power_ros.console.prompt import ask, show
 from wam_power_ros.durable_files import check_name
 from wam_power_ros.entry import SIGNALS
 from wam_power_ros.params import overlay
-from wam_power_ros.params.body_tracker_params import BodyTrackerParams
 from wam_power_ros.params.resources import robot_description
-from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.ros import network
 from wam_power_ros.ros.domain import exported, hold, private_domain, shared
 
@@ -90,6 +88,9 @@ def check(setup: overlay.Setup) -> None:
         ValueError: A parameter is out of range or contradicts another, or the URDF lacks joints or
             links that the set-up names.
     """
+    from wam_power_ros.params.body_tracker_params import BodyTrackerParams
+    from wam_power_ros.params.torque_controller_params import TorqueControllerParams
+
     controller = TorqueControllerParams.of_setup(setup)
     if setup.arm() is not None:
         controller.controller(robot_description(controller.urdf))

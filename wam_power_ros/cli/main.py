@@ -17,19 +17,12 @@ import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from functools import partial
-from importlib import metadata
+from importlib import import_module, metadata
 from pathlib import Path
 from typing import Any
 
 from wam_power_ros import __version__, installed
-from wam_power_ros.cli import (
-    bags_command,
-    commands,
-    commission_command,
-    doctor_command,
-    new_arm_command,
-    sessions_command,
-)
+from wam_power_ros.cli import bags_command, commands, sessions_command
 from wam_power_ros.cli.launcher import Devices, UsageError
 from wam_power_ros.cli.parser import (
     add_command,
@@ -42,7 +35,7 @@ from wam_power_ros.cli.parser import (
     task_option,
 )
 from wam_power_ros.cli.processes import ProcessError
-from wam_power_ros.cli.session_options import SessionOptions
+from wam_power_ros.cli.session_options import SESSIONS, SessionOptions
 from wam_power_ros.durable_files import explained
 from wam_power_ros.entry import INTERRUPTED, missing
 from wam_power_ros.params import overlay
@@ -60,6 +53,7 @@ HEADINGS = {
     "Names, set-ups, nodes": ("list", "config", "run"),
 }
 LISTED = ("tasks", "learners", "presets", "set-ups")
+OUTPUTS = ("torque", "position", "trajectory", "pose")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -160,8 +154,14 @@ def _parser() -> argparse.ArgumentParser:
     port = "or the next free one (default 8080)"
     view.add_argument("--port", type=natural, default=8080, help=port)
 
-    doctor_command.add_to(subparsers)
-    sessions_command.add_to(subparsers)
+    text = "say what is missing before the first demonstration; status 1 if something is"
+    doctor = add("doctor", _later("doctor_command", "doctor"), text)
+    task_option(doctor, "none")
+    arm_options(doctor)
+
+    listing = add("sessions", sessions_command.sessions, "list sessions")
+    folders = f"a session, or a folder of sessions (default: {SESSIONS})"
+    listing.add_argument("folder", type=Path, nargs="*", help=folders)
     feedback = add("feedback", commands.feedback, "rate the last rollout, or teach, in a session")
     kinds = (
         "rate: the rollout for whose rating the session waits (task rated); reward or punish: the "
@@ -189,8 +189,35 @@ def _parser() -> argparse.ArgumentParser:
     run_policy.add_argument("--folder", type=Path, help="for the recordings (default: runs/NOW)")
     arm_options(run_policy)
 
-    new_arm_command.add_to(subparsers)
-    commission_command.add_to(subparsers)
+    text = "propose the set-up of an arm from its URDF, with a reason for each value"
+    new_arm = add("new-arm", _later("new_arm_command", "new_arm"), text)
+    new_arm.add_argument("urdf", type=Path, metavar="URDF", help="file, or xacro file")
+    new_arm.add_argument("--tool", default="", metavar="LINK", help="link that is the tool")
+    taken = "what the driver takes"
+    new_arm.add_argument("--output", choices=OUTPUTS, default=OUTPUTS[0], help=taken)
+    new_arm.add_argument("--file", type=Path, metavar="FILE", help="set-up to write")
+
+    commission = add(
+        "commission",
+        _later("commission_command", "commission"),
+        "let the arm measure its zeros, friction, tool and cameras; writes a set-up file",
+        "Move the arm for about four minutes, with markers fixed to its empty tool, and compare "
+        "what encoders, torques and cameras say. An arm that takes positions needs no markers, and "
+        "half a minute. Hardware: nobody within reach.",
+    )
+    mass = "of what the last joint carries [kg], weighed"
+    commission.add_argument("--tool-mass", type=float, help=mass)
+    flat = (
+        "the tracked body lies flat in the tool, its z axis along the tool's: then the zero of the "
+        "last joint is found, too"
+    )
+    commission.add_argument("--flat", action="store_true", help=flat)
+    output = "set-up file (default: arm.yaml in the folder)"
+    commission.add_argument("--output", type=Path, help=output)
+    recorded = "of the recording; an existing one is analysed again"
+    commission.add_argument("--folder", type=Path, help=recorded)
+    arm_options(commission)
+
     add("enable", commands.enable, "use the keyboard as the switch that hold_to_run requires")
     bags_command.add_to(subparsers)
     recover = add("recover", bags_command.recover, "recover bags damaged by a kill or a full disk")
@@ -205,6 +232,15 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("rest", nargs=argparse.REMAINDER, metavar="...", help="arguments of the node")
     parser.epilog = _listed(subparsers.choices)
     return parser
+
+
+def _later(module: str, name: str) -> Callable[..., int]:
+    """A command whose module, which computes with the arm's model, is imported when it is run."""
+
+    def command(**values: object) -> int:
+        return getattr(import_module(f"wam_power_ros.cli.{module}"), name)(**values)
+
+    return command
 
 
 def _listed(commands: Mapping[str, argparse.ArgumentParser]) -> str:

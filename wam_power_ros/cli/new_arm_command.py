@@ -3,27 +3,13 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 from wam_power_ros.cli.launcher import UsageError, check, short_path
-from wam_power_ros.cli.parser import add_command
 from wam_power_ros.cli.set_up_checks import mistakes
 from wam_power_ros.commissioning.new_arm import proposals, text
 from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import robot_description
-
-OUTPUTS = ("torque", "position", "trajectory", "pose")
-
-
-def add_to(subparsers: argparse._SubParsersAction) -> None:
-    """Add the command to the command line."""
-    text = "propose the set-up of an arm from its URDF, with a reason for each value"
-    parser = add_command(subparsers, "new-arm", new_arm, text)
-    parser.add_argument("urdf", type=Path, metavar="URDF", help="file, or xacro file")
-    parser.add_argument("--tool", default="", metavar="LINK", help="link that is the tool")
-    parser.add_argument("--output", choices=OUTPUTS, default="torque", help="what the driver takes")
-    parser.add_argument("--file", type=Path, metavar="FILE", help="set-up to write")
 
 
 def new_arm(urdf: Path, tool: str, output: str, file: Path | None) -> int:

@@ -3,14 +3,12 @@
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from wam_power_ros.cli.launcher import UsageError, short_path
-from wam_power_ros.cli.parser import add_command
 from wam_power_ros.cli.session_options import SESSIONS
 from wam_power_ros.durable_files import printable
 
@@ -18,13 +16,6 @@ if TYPE_CHECKING:
     from wam_power_ros.practice.session import Session
 
 LINE = ("session", "task", "learner", "rollouts", "best return", "outcome", "begun")
-
-
-def add_to(subparsers: argparse._SubParsersAction) -> None:
-    """Add the command to the command line."""
-    parser = add_command(subparsers, "sessions", sessions, "list sessions")
-    help_folder = f"a session, or a folder of sessions (default: {SESSIONS})"
-    parser.add_argument("folder", type=Path, nargs="*", help=help_folder)
 
 
 def sessions(folder: Sequence[Path]) -> None:

@@ -11,10 +11,8 @@ from pydantic import Field, model_validator
 from typing_extensions import Self
 
 from wam_power_ros.control.arm import Arm, guarded_points
-from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.controller_settings import ControllerSettings, MotionSettings
 from wam_power_ros.control.corrections import Corrections
-from wam_power_ros.control.reference_output import controller_of
 from wam_power_ros.control.safety import limits_of
 from wam_power_ros.faults import Fault
 from wam_power_ros.learning.policy import PERIOD
@@ -23,6 +21,8 @@ from wam_power_ros.regions import Region, region_of
 
 if TYPE_CHECKING:
     from rclpy.node import Node
+
+    from wam_power_ros.control.controller import Controller
 
 JOINTS_MAX = 16
 Joints = Annotated[
@@ -238,6 +238,8 @@ class TorqueControllerParams(Params, MotionSettings):
             ValueError: The URDF does not have the joints and frames that these parameters name, or
                 limits contradict each other.
         """
+        from wam_power_ros.control.reference_output import controller_of
+
         guarded = guarded_points(self.guarded_names, self.guarded_links, self.guarded_points)
         names, tool = self.model_joint_names, self.tool_frame
         base, allowed = self.base_frame, self.position_limits
