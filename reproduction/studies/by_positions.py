@@ -40,6 +40,8 @@ PLACES = {  # task and set-ups; a flip is faster than the joints of a UR5e
     "flip, WAM": ("flip", ()),
     "reach, WAM": ("reach", ()),
     "reach, UR5e": ("reach", ("ur", "full_speed")),
+    "reach, Gen3": ("reach", ("gen3", "full_speed")),  # these two take no torques
+    "reach, xArm 7": ("reach", ("xarm7", "full_speed")),
 }
 OUTPUTS = {
     "torques": None,

@@ -76,7 +76,7 @@ def test_each_of_fourteen_mistakes_is_named(
 
 @pytest.mark.parametrize("task", ["flip", "reach", "ball_in_cup"])
 @pytest.mark.parametrize(
-    "arm", ["geodude", "libbarrett", "cobot", "ur", "franka", "openarm", "gen3"]
+    "arm", ["geodude", "libbarrett", "cobot", "ur", "franka", "openarm", "gen3", "xarm7"]
 )
 def test_no_set_up_of_ours_has_a_mistake(arm: str, task: str) -> None:
     if task == "ball_in_cup" and arm not in ("geodude", "libbarrett"):

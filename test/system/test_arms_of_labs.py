@@ -23,7 +23,7 @@ from wam_power_ros.learning import policy as policies
 from wam_power_ros.params import overlay
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 
-ARMS = {"ur": 6, "franka": 7, "openarm": 7, "gen3": 7}
+ARMS = {"ur": 6, "franka": 7, "openarm": 7, "gen3": 7, "xarm7": 7}
 WAMS = ("geodude", "libbarrett")
 
 
