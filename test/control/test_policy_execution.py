@@ -9,7 +9,8 @@ from rigid_arm import MODEL as ARM
 from wam_power_ros import rotations
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.joint_control import TrackingLost
-from wam_power_ros.control.policy_execution import Execution, prepare
+from wam_power_ros.control.policy_execution import Execution
+from wam_power_ros.control.policy_preparation import prepare
 from wam_power_ros.control.state_checks import JointState
 from wam_power_ros.learning.policy import Basis, Policy
 from wam_power_ros.learning.rollout import EndEffectorPath

@@ -10,7 +10,7 @@ from rigid_arm import HOME, LIMITS, MODEL, make_policy
 
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.modes import ControllerError, Refusal
-from wam_power_ros.control.policy_execution import prepare
+from wam_power_ros.control.policy_preparation import prepare
 from wam_power_ros.learning.policy import with_id
 
 SETTINGS = ControllerSettings()

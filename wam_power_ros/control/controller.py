@@ -31,7 +31,8 @@ from wam_power_ros.control.modes import (
     Refusal,
     check_transition,
 )
-from wam_power_ros.control.policy_execution import Execution, prepare
+from wam_power_ros.control.policy_execution import Execution
+from wam_power_ros.control.policy_preparation import prepare
 from wam_power_ros.control.state_checks import (
     STATE_LOSS_TIMEOUT,
     JointState,

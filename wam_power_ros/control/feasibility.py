@@ -22,7 +22,8 @@ from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.joint_control import TrackingLost
 from wam_power_ros.control.model_arm import ModelArm
 from wam_power_ros.control.modes import ControllerError, Mode
-from wam_power_ros.control.policy_execution import Execution, prepare
+from wam_power_ros.control.policy_execution import Execution
+from wam_power_ros.control.policy_preparation import prepare
 from wam_power_ros.control.safety import Limits, LimitSprings, MotionCheck, limits_of
 from wam_power_ros.control.servo_response import followed
 from wam_power_ros.control.state_checks import JointState

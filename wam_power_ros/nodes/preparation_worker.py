@@ -32,7 +32,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from wam_power_interfaces.action import ExecutePolicy, MoveToStart, Replay
 from wam_power_interfaces.msg import Policy, RolloutEnd
-from wam_power_ros.control import policy_execution, replay_trajectory
+from wam_power_ros.control import policy_preparation, replay_trajectory
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.modes import ControllerError
 from wam_power_ros.control.safety import Limits
@@ -224,7 +224,7 @@ class PreparationWorker(Node):
         policy = policies.from_json(message.text)
         if message.id not in ("", policy.id):
             raise ValueError(f"the policy {policy.id!r} is named {message.id!r} in the goal")
-        prepared = vars(policy_execution.prepare(policy, limits, settings))
+        prepared = vars(policy_preparation.prepare(policy, limits, settings))
         arrays = {name: each for name, each in prepared.items() if isinstance(each, np.ndarray)}
         rest = {name: each for name, each in prepared.items() if name not in arrays}
         self._asked[id] = Policy(id=policy.id, text=message.text)
