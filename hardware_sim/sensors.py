@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
@@ -77,6 +78,7 @@ class MocapSettings(BaseModel):
     occlusion: float = Field(0.0, ge=0.0, le=1.0, description="a share of the frames")
     lost: Literal["omit", "repeat", "zero"] = "omit"
     single_marker: bool = False
+    camera: bool = False
 
 
 class MocapFrame(NamedTuple):
@@ -103,6 +105,11 @@ class Mocap:
         self._period_ns = round(1e9 / settings.rate)
         self._latency_ns = round(settings.latency * 1e9)
         self._rng = np.random.default_rng(0)
+        self._camera = None
+        if settings.camera:
+            from hardware_sim.tag_film import Camera  # needs OpenCV
+
+            self._camera = Camera()
         self._waiting: list[MocapFrame] = []
         self._last: MocapFrame | None = None  # last frame that was not lost
         self._next_ns = 0
@@ -121,9 +128,24 @@ class Mocap:
         """Whether the next frame is due."""
         return now_ns >= self._next_ns
 
-    def expose(self, now_ns: int, position: np.ndarray, rotation: np.ndarray) -> None:
-        """Take the due frame of a body at `position` (3,) [m] with `rotation` (3, 3)."""
+    def expose(
+        self,
+        now_ns: int,
+        position: np.ndarray,
+        rotation: np.ndarray,
+        twist: np.ndarray | None = None,
+    ) -> None:
+        """Take the due frame of a body at `position` (3,) [m] with `rotation` (3, 3).
+
+        Its `twist` (6,) [m/s, rad/s], None at rest, blurs the image of a camera.
+        """
         self._next_ns += self._period_ns
+        if self._camera is not None:
+            with contextlib.suppress(ValueError):
+                place, turned = self._camera.pose(now_ns, position, rotation, twist, self._rng)
+                quat_xyzw = rotations.quat_xyzw(turned)
+                self._waiting.append(MocapFrame(now_ns, place, quat_xyzw, np.empty((0, 3))))
+            return
         settings, rng = self._settings, self._rng
         count = len(self._layout)
         noise = rng.standard_normal((count, 3)) * settings.noise

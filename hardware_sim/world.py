@@ -342,9 +342,10 @@ class World:
             self._encoders.read((self._q + self.hidden.zeros).tolist())
             self._log.record(saturated)
         if self.scene.body and self._mocap.due(self.time_ns):
-            position, rotation = self._body_pose()
+            position, rotation, twist = self._body_motion()
             turn, offset = self.hidden.cameras
-            self._mocap.expose(self.time_ns, turn @ position + offset, turn @ rotation)
+            twist = np.concatenate([turn @ twist[:3], turn @ twist[3:]])
+            self._mocap.expose(self.time_ns, turn @ position + offset, turn @ rotation, twist)
 
     def _advance(self) -> bool:
         """Step motors and physics by one tick; returns whether a motor was at its limit."""
@@ -366,13 +367,19 @@ class World:
                 self._guided_step(substep)
         return saturated
 
-    def _body_pose(self) -> tuple[np.ndarray, np.ndarray]:
-        """Position (3,) [m] and rotation (3, 3) of the tracked body."""
+    def _body_motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Position (3,) [m], rotation (3, 3) and velocities (6,) [m/s, rad/s] of the tracked body.
+
+        Those of a mounted one, which moves slowly, are not told.
+        """
         if self.scene.mounted is None:
-            return self._body[:3].copy(), rotation_of(self._body)
+            turned, twist = rotation_of(self._body), self._body_twist.copy()
+            twist[3:] = turned @ twist[3:]
+            return self._body[:3].copy(), turned, twist
         position, rotation = self.scene.mounted
         mujoco.mj_kinematics(self.model, self.data)  # a step leaves the tool where it began
-        return self._tool_position + self._tool_rotation @ position, self._tool_rotation @ rotation
+        tool, turned = self._tool_position, self._tool_rotation
+        return tool + turned @ position, turned @ rotation, np.zeros(6)
 
     def _commanded_torque(self) -> list[float]:
         """Joint torques (n,) that the driver commands to the motors [N m]."""

@@ -20,10 +20,10 @@ from sensor_msgs.msg import CameraInfo, Image
 from hardware_sim import body_messages
 from wam_power_ros import rotations
 from wam_power_ros.nodes.tag_camera import grey_image
-from wam_power_ros.nodes.tag_detector import TagDetector
 from wam_power_ros.params import overlay
 from wam_power_ros.ros import body_sources, interface, pose_messages
 from wam_power_ros.ros.stamps import time_message
+from wam_power_ros.tracking.tag_detector import TagDetector
 
 K = np.array([[600.0, 0.0, 320.0], [0.0, 600.0, 240.0], [0.0, 0.0, 1.0]])
 NO_DISTORTION = np.zeros(5)
@@ -58,6 +58,19 @@ def test_the_pose_of_a_drawn_tag_is_found(depth: float, tilt: float) -> None:
     found = TagDetector(*TAG).pose(1, drawn(place, rotation), K, NO_DISTORTION)
     assert np.linalg.norm(found[0] - place) < 1.5e-3 * depth
     assert np.linalg.norm(rotations.log(found[1] @ rotation.T)) < np.deg2rad(0.5)
+
+
+def test_tags_anywhere_on_a_body_are_seen_and_none_that_is_nearly_edge_on() -> None:
+    turn = rotations.exp(np.array([0.3, -0.2, 0.1]))
+    pose = (0.03, -0.02, 0.05, *rotations.quat_xyzw(turn))
+    detector = TagDetector("36h11", (3,), 0.06, pose)
+    place, rotation = np.array([0.02, -0.03, 0.6]), leaning(0.6)
+    found = detector.pose(1, drawn(place, rotation), K, NO_DISTORTION)
+    wanted = rotation @ turn.T
+    assert np.linalg.norm(rotations.log(found[1] @ wanted.T)) < np.deg2rad(0.5)
+    assert np.linalg.norm(found[0] + found[1] @ pose[:3] - place) < 1e-3
+    with pytest.raises(ValueError, match="edge-on"):
+        TagDetector(*TAG).pose(2, drawn(np.array([0.0, 0.0, 0.3]), leaning(1.4)), K, NO_DISTORTION)
 
 
 def test_an_image_without_the_tag_or_with_one_of_another_size_has_no_pose() -> None:

@@ -22,11 +22,11 @@ from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image
 
 from wam_power_ros import rotations
-from wam_power_ros.nodes.tag_detector import TagDetector
 from wam_power_ros.params.tag_camera_params import TagCameraParams
 from wam_power_ros.ros import interface, node_runner, pose_messages
 from wam_power_ros.ros.diagnostics import Diagnostics
 from wam_power_ros.ros.stamps import sensor_stamp
+from wam_power_ros.tracking.tag_detector import TagDetector
 
 GREY = {"rgb8": cv2.COLOR_RGB2GRAY, "bgr8": cv2.COLOR_BGR2GRAY, "mono8": None}
 GREY |= {"rgba8": cv2.COLOR_RGBA2GRAY, "bgra8": cv2.COLOR_BGRA2GRAY}

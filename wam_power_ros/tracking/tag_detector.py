@@ -14,8 +14,10 @@ import numpy as np
 
 from wam_power_ros import rotations
 
+FLAT = 1e-3  # [m] of corners in one plane
 ERROR_MAX = 2.0  # [px] rms of the corners of a true pose: above, a tag is misread or mismeasured
 ALIKE = 1.5  # ratio of the errors of two poses below which either may be the true one
+EDGE_ON = 0.2  # sine of the angle between corners in a plane and the view: below, it is a guess
 ANGLE_ALIKE = 0.1  # [rad] between two poses that need not be told apart
 MEMORY = 300_000_000  # [ns] for which the last pose tells which of two is true
 CORNERS = 0.5 * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])  # as detected
@@ -54,7 +56,7 @@ class TagDetector:
         Raises:
             ValueError: No tag of the body is seen, or the pose is not known.
         """
-        found, numbers, _ = self._detector.detectMarkers(grey)
+        found, numbers, _ = self._detector.detectMarkers(grey) if grey.size else ((), None, ())
         seen = {} if numbers is None else dict(zip(numbers.ravel().tolist(), found, strict=True))
         ours = [number for number in self._corners if number in seen]
         if not ours:
@@ -63,24 +65,34 @@ class TagDetector:
         ours = [it for it in ours if edges[it] > 0.5 * max(edges.values())]  # not seen edge-on
         points = np.vstack([self._corners[number] for number in ours])
         rays = np.vstack([_corners(grey, seen[number].reshape(4, 2), k, d) for number in ours])
-        flat = np.linalg.matrix_rank(points - points.mean(axis=0), tol=1e-3) < 3
-        method = cv2.SOLVEPNP_IPPE if flat else cv2.SOLVEPNP_SQPNP
+        # Corners in one plane are solved in its own axes: OpenCV needs z = 0.
+        centre = points.mean(axis=0)
+        _, spread, axes = np.linalg.svd(points - centre)
+        axes[2] *= np.linalg.det(axes)
+        points = (points - centre) @ axes.T
+        method = cv2.SOLVEPNP_IPPE if spread[2] < FLAT else cv2.SOLVEPNP_SQPNP
         _, turns, places, _ = cv2.solvePnPGeneric(points, rays, ONE, None, flags=method)
         fits = []
         for guess in zip(turns, places, strict=True):
             turn, place = cv2.solvePnPRefineLM(points, rays, ONE, None, *guess)
             error = cv2.projectPoints(points, turn, place, ONE, None)[0].reshape(-1, 2) - rays
             error *= k[0, 0]  # to pixels
-            fits.append((float(np.sqrt((error**2).sum(axis=1).mean())), place.ravel(), turn))
+            rotation = rotations.exp(turn.ravel()) @ axes
+            place = place.ravel() - rotation @ centre
+            fits.append((float(np.sqrt((error**2).sum(axis=1).mean())), place, rotation))
         fits.sort(key=lambda fit: fit[0])
         candidates = [
-            (place, rotations.exp(turn.ravel()))
-            for error, place, turn in fits
+            (place, rotation)
+            for error, place, rotation in fits
             if error < max(ALIKE * fits[0][0], 0.1) and place[2] > 0.0
         ]
         if not candidates or fits[0][0] > ERROR_MAX:
             raise ValueError(f"tags {ours} do not fit tag_size and tag_poses: {fits[0][0]:.1f} px")
         pose = self._nearest(stamp_ns, candidates)
+        place = pose[0] + pose[1] @ centre
+        facing = float(abs(place @ (pose[1] @ axes[2])) / np.linalg.norm(place))
+        if spread[2] < FLAT and facing < EDGE_ON:
+            raise ValueError(f"tags {ours} are seen edge-on")
         self._last = stamp_ns, pose[1]
         return pose
 
@@ -116,7 +128,7 @@ def _corners(grey: np.ndarray, corners: np.ndarray, k: np.ndarray, d: np.ndarray
     beside = np.linspace(-reach, reach, 25)
     grid = on[:, :, None] + beside[:, None] * outward[:, None, None]  # (4, n, 25, 2)
     grid = grid.reshape(4 * SAMPLES, len(beside), 2).astype(np.float32)
-    values = cv2.remap(grey, grid, None, cv2.INTER_LINEAR).astype(float)
+    values = cv2.remap(grey, grid[..., 0], grid[..., 1], cv2.INTER_LINEAR).astype(float)
     rise = np.clip(np.diff(values, axis=1), 0.0, None) ** 2  # from black to white
     shift = rise @ (0.5 * (beside[1:] + beside[:-1])) / (rise.sum(axis=1) + 1e-9)
     points = on + shift.reshape(4, SAMPLES, 1) * outward[:, None]
