@@ -11,36 +11,24 @@ import pytest
 from conftest import ROOT, Probe, Process, Processes
 from diagnostic_msgs.msg import DiagnosticArray
 from std_srvs.srv import Trigger
-from test_session_over_dds import JOINTS, SEED, learnt, lines
+from test_session_over_dds import SEED, TAUGHT, fitted, learnt, lines
 from toss_task import practice_of
 
 from hardware_sim.scenes import scene_type
 from hardware_sim.settings import WorldSettings
 from hardware_sim.world import World
 from wam_power_interfaces.srv import AddDemonstration, Pause
-from wam_power_ros.bags import reader
 from wam_power_ros.cli.plan import DOMAIN_FILE
-from wam_power_ros.control.arm import Arm
 from wam_power_ros.in_process.environment import Environment
-from wam_power_ros.learning.demonstration import from_joint_samples
-from wam_power_ros.learning.dmp import fit
-from wam_power_ros.learning.policy import Policy
 from wam_power_ros.practice import session_log
 from wam_power_ros.practice.session import Session, read
 from wam_power_ros.practice.session_log import NewDemonstration, Record
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.diagnostics import LEARNER_STATE
-from wam_power_ros.tasks.flip.settings import FLIP_FIT
 
-TAUGHT, LATER = sorted((ROOT / "bags").glob("demo_*"))[:2]
-SETTINGS = preset("flip", "hindsight", budget=5, retests=0)
-
-
-def fitted(bag: Path) -> Policy:
-    arm = Arm((ROOT / "urdf/wam7.urdf").read_text(), JOINTS)
-    stamps_ns, q = reader.read_demonstration(bag, JOINTS)
-    return fit([from_joint_samples(arm, stamps_ns, q)], FLIP_FIT, "demonstration-1")
+LATER = sorted((ROOT / "bags").glob("demo_*"))[1]
+SETTINGS = preset("flip", "hindsight", budget=3, retests=0)
 
 
 @pytest.mark.long
@@ -100,9 +88,9 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
     assert not refused.success  # nothing to rate: no rollout yet, or not even a session read
     probe.until(rollouts, "a first rollout", 300.0)
     assert say(interface.LEARNER_REWARD).startswith("trial-0001 rewarded: return ")
-    assert pause().success
+    probe.until(lambda: not pause().under_way, "the end of the trial under way", 300.0)
     refused = probe.call(AddDemonstration, interface.ADD_DEMONSTRATION, deadline=300.0)
-    assert (refused.success, refused.message) == (False, "the request names no bag")
+    assert not refused.success  # it names no bag
     status, answer = tell("demonstration", LATER.parent)  # no bag, but a folder of them
     # the middleware may write lines, too
     assert status == 2 and f"\nrefused: {LATER.parent}" in f"\n{answer}", answer
@@ -118,31 +106,17 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
     second = learner()
     probe.until(lambda: states()[-1:] == ["paused"], "the pause from before the kill", 300.0)
     assert lines(folder) == kept and tell("continue")[0] == 0
-    probe.until(lambda: rollouts()[-1].demonstration == "demonstration-2", "the new one", 400.0)
-    assert pause().success
-
-    def paused() -> bool:
-        """Whether the learner says, when it is paused again, that no trial is under way."""
-        answer = pause()
-        return answer.success and not answer.under_way
-
-    if len(rollouts()) < 5:
-        probe.until(paused, "the end of the trial under way", 300.0)
-        probe.until(lambda: states()[-1:] == ["paused"], "its diagnostics", 300.0)
-    if len(rollouts()) < 5:
-        assert say(interface.LEARNER_PUNISH).startswith(f"{rollouts()[-1].id} punished: ")
-        assert read(folder).log[-1].after == len(rollouts())  # nothing was under way
-        assert tell("continue")[0] == 0
     probe.until(lambda: second.poll() is not None, "the end of the session", 400.0)
     assert second.returncode == 0, processes.output(second)
     assert lines(folder)[: len(kept)] == kept
     assert "practises" in states()
+    assert "demonstration-2" in [record.demonstration for record in rollouts()]
 
     # The same in one process, undisturbed: what a person did, at the places the log has it.
     bench = Environment(World(scene_type("flip"), WorldSettings(), SEED))
     practice = practice_of([candidate], SETTINGS, SEED, arm=bench)
     events = [line for line in read(folder).log if not isinstance(line, Record | session_log.Pause)]
-    assert len(events) == 3
+    assert len(events) == 2  # a reward, a demonstration
     while (trial := practice.next_trial()) is not None:
         rollout, truth = bench.run(trial.policy)
         practice.learn(trial, rollout, truth=truth)

@@ -19,7 +19,7 @@ from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.diagnostics import LEARNER_STATE
 
-SETTINGS = preset("rated", budget=3, retests=0)
+SETTINGS = preset("rated", budget=2, retests=0)
 
 
 @pytest.mark.long
@@ -62,7 +62,6 @@ def test_a_session_waits_for_a_persons_rating_of_each_rollout_and_learns_from_it
     wait()
     for wrong in (-0.1, 1.5, float("nan")):
         assert not rate(wrong).success
-    assert f"a rating of {1.5} must be from 0" in rate(1.5).message
     assert rollouts() == []
     assert processes.end(first, signal.SIGKILL) == -signal.SIGKILL
     probe.spin(1.0)  # what the first has said comes in, before the next is listened to
@@ -71,16 +70,13 @@ def test_a_session_waits_for_a_persons_rating_of_each_rollout_and_learns_from_it
     assert rate(0.25).success
     probe.until(lambda: len(rollouts()) == 1, "the first on record", 300.0)
     wait()
-    command = [sys.executable, "-m", "wam_power_ros.cli", "feedback", "rate", "6"]
+    command = [sys.executable, "-m", "wam_power_ros.cli", "feedback", "rate", "9"]
     told = processes.start([*command, "--session", str(folder)], ROS_DOMAIN_ID="")
     probe.until(lambda: told.poll() is not None, "an answer", 300.0)
     assert told.returncode == 0, processes.output(told)
-    probe.until(lambda: len(rollouts()) == 2, "the second on record", 300.0)
-    wait()
-    assert rate(1.0).success
     probe.until(lambda: again.poll() is not None, "the end of the session", 300.0)
     records = rollouts()
-    assert [record.ret for record in records] == [0.25, pytest.approx(6.0 / 9.0), 1.0]
-    assert [record.success for record in records] == [False, False, True]
+    assert [record.ret for record in records] == [0.25, 1.0]
+    assert [record.success for record in records] == [False, True]
     assert all(record.learnt for record in records)
-    assert read(folder).task.outcome(records[2]) == "rated 1"
+    assert read(folder).task.outcome(records[1]) == "rated 1"
