@@ -31,13 +31,9 @@ def test_each_return_is_in_the_column_of_its_kind_and_the_best_never_falls() -> 
     for i, record in enumerate(records):
         given = {kind: columns[k][i] for k, kind in enumerate(KINDS) if np.isfinite(columns[k][i])}
         assert given == ({} if record.ret is None else {record.kind: record.ret})
-    assert np.all(np.diff(best) >= 0.0) and best[-1] == max(r.ret or 0.0 for r in records)
-
-
-def test_a_rating_is_shown_beside_the_measured_return() -> None:
     rated = RECORDS[0].model_copy(update={"adjustment": 0.3})
-    assert curve([rated])[-1][0] == RECORDS[0].ret
-    assert label(rated).endswith("+0.3")
+    assert curve([rated])[-1][0] == RECORDS[0].ret and label(rated).endswith("+0.3")
+    assert np.all(np.diff(best) >= 0.0) and best[-1] == max(r.ret or 0.0 for r in records)
 
 
 def test_the_newest_rollouts_come_first_with_the_terms_of_their_returns() -> None:
