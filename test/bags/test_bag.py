@@ -25,7 +25,9 @@ def test_listing_verifies_no_bag_and_grading_each_once(
         return verify(file)
 
     monkeypatch.setattr(files, "opened", counting)
-    bags = [demonstration(tmp_path / name, np.zeros((100, 7)), WAM) for name in ("demo_a", "demo_b")]
+    bags = [
+        demonstration(tmp_path / name, np.zeros((100, 7)), WAM) for name in ("demo_a", "demo_b")
+    ]
     assert main.main(["bags", "list", str(tmp_path)]) == 0
     assert not verified
     assert main.main(["bags", "show", *map(str, bags)]) == 0

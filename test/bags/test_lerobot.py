@@ -252,15 +252,6 @@ def test_what_cannot_be_written_is_refused_and_leaves_nothing(
     assert [path.name for path in tmp_path.iterdir()] == ["there"]
 
 
-def test_a_bag_without_a_movement_is_left_out_with_the_reason(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    pytest.importorskip("pyarrow")
-    made = export(tmp_path / "set", TOSSES[0], tmp_path / "missing")
-    assert f"left out: {tmp_path / 'missing'} is not a bag" in capsys.readouterr().out
-    assert described(made)["total_episodes"] == 1
-
-
 def test_lerobot_itself_reads_a_set(tmp_path: Path) -> None:
     """Not part of `make test`: lerobot is large. See docs/command_line.md."""
     pytest.importorskip("lerobot")

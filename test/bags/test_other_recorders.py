@@ -165,14 +165,6 @@ def test_a_joint_in_messages_of_two_kinds_is_refused(tmp_path: Path) -> None:
         read_states(Bag(of_states(tmp_path / "both", states)), NAMES)
 
 
-def test_a_name_without_a_position_is_refused_and_nothing_is_written(tmp_path: Path) -> None:
-    states = [(r, s, (*names, "grip"), row) for r, s, names, row in ARM]
-    path = of_states(tmp_path / "theirs", states)
-    with pytest.raises(ValueError, match="3 positions for names"):
-        importing.import_bag(Bag(path), tmp_path / "ours", NAMES)
-    assert not (tmp_path / "ours").exists()
-
-
 def test_gaps_are_those_of_the_arm_whatever_else_is_on_its_topic(tmp_path: Path) -> None:
     writer = BagWriter(tmp_path / "two")
     writer.add("/joint_states", JOINT_STATE, [])

@@ -41,20 +41,6 @@ def browser() -> Iterator[Any]:
         yield started
 
 
-class Viewing:
-    """`wam-power view` of a folder, as a process."""
-
-    def __init__(self, folder: Path) -> None:
-        command = [sys.executable, "-m", "wam_power_ros.cli", "view", str(folder), "--port", "0"]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        self.url = self.process.stdout.readline().split()[0]
-
-    def end(self) -> None:
-        """End it with Ctrl-C."""
-        self.process.send_signal(signal.SIGINT)
-        assert self.process.wait(60) == 0
-
-
 class Running:
     """A running session whose learner and arm are this test: locked folder, services, topics."""
 
@@ -130,9 +116,12 @@ def running(domain_id: int, tmp_path: Path) -> Iterator[Running]:
 
 @pytest.fixture
 def session_url(running: Running) -> Iterator[str]:
-    viewing = Viewing(running.folder)
-    yield viewing.url
-    viewing.end()
+    """Of `wam-power view` of its folder, as a process, until Ctrl-C."""
+    command = [sys.executable, "-m", "wam_power_ros.cli", "view", str(running.folder)]
+    process = subprocess.Popen([*command, "--port", "0"], stdout=subprocess.PIPE, text=True)
+    yield process.stdout.readline().split()[0]
+    process.send_signal(signal.SIGINT)
+    assert process.wait(60) == 0
 
 
 def differs(page: Any, before: np.ndarray) -> bool:  # noqa: ANN401
