@@ -53,16 +53,6 @@ def test_a_franka_with_another_number_of_joints_is_refused(tmp_path: Path) -> No
         FrankaDriverParams.of_setup(overlay.setup(["ur", str(mine)]))
 
 
-def test_other_set_ups_override_that_of_the_task(tmp_path: Path) -> None:
-    mine = tmp_path / "mine.yaml"
-    mine.write_text("demonstration_recorder: {ros__parameters: {stem: mine}}")
-    setup = overlay.setup([str(mine)], simulated=True, task="reach")
-    assert setup["demonstration_recorder"]["stem"] == "mine"
-    assert setup["wam_sim"]["scene"] == "reach"
-    assert setup["wam_sim"]["pace"] == "real_time"
-    assert overlay.setup(task="reach")["wam_sim"]["pace"] == "lockstep"
-
-
 def test_the_printed_parameters_are_those_of_task_and_set_up(said: Callable[..., str]) -> None:
     nodes = yaml.safe_load(said("config", "--task", "reach", "--config", "geodude", "--simulate"))
     assert nodes["/**/learner"]["ros__parameters"]["task"] == "reach"

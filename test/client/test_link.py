@@ -169,15 +169,6 @@ def test_a_service_that_never_agrees_is_reported_with_its_answer(
     assert raised.value.answer == (answer and Answer(Code.UNKNOWN, answer.text))
 
 
-def test_a_long_wait_is_logged_once_with_what_it_is_for(
-    link: Link, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(links, "LOG_AFTER", 0.1)
-    assert not link.until(lambda: False, "the return of the cows", 0.4)
-    assert not link.until(lambda: False, timeout=0.4)
-    assert capfd.readouterr().err.count("waiting for the return of the cows") == 1
-
-
 def test_a_wait_ends_with_the_link_and_with_its_context(domain_id: int) -> None:
     context = rclpy.Context()
     rclpy.init(context=context, domain_id=domain_id)

@@ -8,10 +8,20 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import ROOT, Probe, Process, Processes
+from conftest import ROOT, Probe, Processes
 from diagnostic_msgs.msg import DiagnosticArray
 from std_srvs.srv import Trigger
-from test_session_over_dds import SEED, TAUGHT, fitted, learnt, lines
+from test_session_over_dds import (
+    SEED,
+    TAUGHT,
+    arm_and_controller,
+    fitted,
+    learner,
+    learnt,
+    lines,
+    states_of_the_learner,
+    tracker,
+)
 from toss_task import practice_of
 
 from hardware_sim.scenes import scene_type
@@ -25,7 +35,6 @@ from wam_power_ros.practice.session import Session, read
 from wam_power_ros.practice.session_log import NewDemonstration, Record
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.diagnostics import LEARNER_STATE
 
 LATER = sorted((ROOT / "bags").glob("demo_*"))[1]
 SETTINGS = preset("flip", "hindsight", budget=3, retests=0)
@@ -39,17 +48,8 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
 ) -> None:
     folder, candidate = tmp_path / "session", fitted(TAUGHT)
     Session.begin(folder, SETTINGS, SEED, [candidate]).close()
-    sim = {"use_sim_time": True}
-    given = {"wam_sim:pace": "lockstep", "wam_sim:seed": SEED}
-    processes.node("hardware_sim.main", "wam_sim.yaml", **given)
-    quick = {"move_speed": 1.0}
-    controller = "wam_power_ros.nodes.torque_controller"
-    processes.node(controller, "torque_controller.yaml", "simulation.yaml", **sim, **quick)
-    processes.node("wam_power_ros.nodes.body_tracker", "pancake_tracker.yaml", **sim)
-
-    def learner() -> Process:
-        node, given = "wam_power_ros.nodes.learner", {"session": folder, "record_rollouts": False}
-        return processes.node(node, "learner.yaml", "simulation.yaml", **sim, **given)
+    arm_and_controller(processes)
+    tracker(processes)
 
     def rollouts() -> list[Record]:
         return [line for line in read(folder).log if isinstance(line, Record)]
@@ -75,13 +75,7 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
 
     reports = probe.listen(DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS)
 
-    def states() -> list[str]:
-        """What the learner has said of the session."""
-        found = [each for report in reports for each in report.status]
-        found = [each.values for each in found if each.name == "learner: session"]
-        return [each.value for values in found for each in values if each.key == LEARNER_STATE]
-
-    first = learner()
+    first = learner(processes, folder, record_rollouts=False)
     offered = probe.node.get_service_names_and_types
     probe.until(lambda: f"/{interface.LEARNER_REWARD}" in dict(offered()), "the learner", 300.0)
     refused = probe.call(Trigger, interface.LEARNER_REWARD, deadline=300.0)
@@ -103,13 +97,17 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
 
     probe.spin(1.0)  # what the first has said comes in, before the second is listened to
     del reports[:]
-    second = learner()
-    probe.until(lambda: states()[-1:] == ["paused"], "the pause from before the kill", 300.0)
+    second = learner(processes, folder, record_rollouts=False)
+    probe.until(
+        lambda: states_of_the_learner(reports)[-1:] == ["paused"],
+        "the pause from before the kill",
+        300.0,
+    )
     assert lines(folder) == kept and tell("continue")[0] == 0
     probe.until(lambda: second.poll() is not None, "the end of the session", 400.0)
     assert second.returncode == 0, processes.output(second)
     assert lines(folder)[: len(kept)] == kept
-    assert "practises" in states()
+    assert "practises" in states_of_the_learner(reports)
     assert "demonstration-2" in [record.demonstration for record in rollouts()]
 
     # The same in one process, undisturbed: what a person did, at the places the log has it.

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from conftest import Probe, Process, Processes, lift
 from diagnostic_msgs.msg import DiagnosticArray
+from test_session_over_dds import arm_and_controller, learner, states_of_the_learner
 
 from wam_power_interfaces.srv import Rate
 from wam_power_ros.cli.plan import DOMAIN_FILE
@@ -17,7 +18,6 @@ from wam_power_ros.practice.session import Session, read
 from wam_power_ros.practice.session_log import Record
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.diagnostics import LEARNER_STATE
 
 SETTINGS = preset("rated", budget=2, retests=0)
 
@@ -30,27 +30,16 @@ def test_a_session_waits_for_a_persons_rating_of_each_rollout_and_learns_from_it
     Session.begin(folder, SETTINGS, 5, [lift("demonstration-1")]).close()
     (folder / "logs").mkdir()
     (folder / "logs" / DOMAIN_FILE).write_text(processes.environment["ROS_DOMAIN_ID"])
-    sim = {"use_sim_time": True}
-    processes.node("hardware_sim.main", "wam_sim.yaml", **{"wam_sim:pace": "lockstep"})
-    controller = "wam_power_ros.nodes.torque_controller"
-    processes.node(controller, "torque_controller.yaml", "simulation.yaml", **sim, move_speed=1.0)
+    arm_and_controller(processes)
     reports = probe.listen(DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS)
 
-    def learner() -> Process:
-        given = {"session": folder, "record_rollouts": False, "scene_reset": False}
-        name = "wam_power_ros.nodes.learner"
-        return processes.node(name, "learner.yaml", "simulation.yaml", **sim, **given)
-
-    def awaited() -> bool:
-        """Whether the last that the learner has said is that it waits for a rating."""
-        found = [each for report in reports for each in report.status]
-        values = [v for each in found if each.name == "learner: session" for v in each.values]
-        states = [value.value for value in values if value.key == LEARNER_STATE]
-        return states[-1:] == ["rate"]
+    def started() -> Process:
+        return learner(processes, folder, record_rollouts=False, scene_reset=False)
 
     def wait() -> None:
         del reports[:]
-        probe.until(awaited, "a rollout to rate", 300.0)
+        waits = lambda: states_of_the_learner(reports)[-1:] == ["rate"]  # noqa: E731
+        probe.until(waits, "a rollout to rate", 300.0)
 
     def rollouts() -> list[Record]:
         return [line for line in read(folder).log if isinstance(line, Record)]
@@ -58,14 +47,14 @@ def test_a_session_waits_for_a_persons_rating_of_each_rollout_and_learns_from_it
     def rate(value: float) -> Rate.Response:
         return probe.call(Rate, interface.LEARNER_RATE, Rate.Request(value=value), deadline=300.0)
 
-    first = learner()
+    first = started()
     wait()
     for wrong in (-0.1, 1.5, float("nan")):
         assert not rate(wrong).success
     assert rollouts() == []
     assert processes.end(first, signal.SIGKILL) == -signal.SIGKILL
     probe.spin(1.0)  # what the first has said comes in, before the next is listened to
-    again = learner()
+    again = started()
     wait()
     assert rate(0.25).success
     probe.until(lambda: len(rollouts()) == 1, "the first on record", 300.0)

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import ROOT, Probe, Process, Processes, python_path
+from diagnostic_msgs.msg import DiagnosticArray
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from nav_msgs.msg import Path as PathMessage
@@ -38,6 +39,7 @@ from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session import Session
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import interface, pose_messages
+from wam_power_ros.ros.diagnostics import LEARNER_STATE
 from wam_power_ros.tasks.flip.settings import FLIP_FIT
 
 SEED = 43
@@ -120,24 +122,40 @@ def begin(folder: Path, candidate: Policy) -> Path:
 SIM = {"use_sim_time": True}
 
 
-def all_but_the_learner(processes: Processes, folder: Path) -> Process:
-    """Start the nodes of a session; returns the controller."""
+def arm_and_controller(processes: Processes) -> Process:
+    """Start the arm in lockstep and its controller; returns the latter."""
     given = {"wam_sim:pace": "lockstep", "wam_sim:seed": SEED}
     processes.node("hardware_sim.main", "wam_sim.yaml", **given)
+    files = "torque_controller.yaml", "simulation.yaml"
+    node = "wam_power_ros.nodes.torque_controller"
+    return processes.node(node, *files, **SIM, move_speed=1.0)
+
+
+def tracker(processes: Processes) -> None:
     processes.node("wam_power_ros.nodes.body_tracker", "pancake_tracker.yaml", **SIM)
+
+
+def all_but_the_learner(processes: Processes, folder: Path) -> Process:
+    """Start the nodes of a session; returns the controller."""
+    controller = arm_and_controller(processes)
+    tracker(processes)
     recorder = "demonstration_recorder"
     directory = {"directory": folder / "bags"}
     files = f"{recorder}.yaml", "simulation.yaml"
     processes.node(f"wam_power_ros.nodes.{recorder}", *files, **SIM, **directory)
-    controller = "torque_controller"
-    quick = {"move_speed": 1.0}
-    files = f"{controller}.yaml", "simulation.yaml"
-    return processes.node(f"wam_power_ros.nodes.{controller}", *files, **SIM, **quick)
+    return controller
 
 
-def learner(processes: Processes, folder: Path) -> Process:
+def learner(processes: Processes, folder: Path, **given: object) -> Process:
     node = "wam_power_ros.nodes.learner"
-    return processes.node(node, "learner.yaml", "simulation.yaml", **SIM, session=folder)
+    return processes.node(node, "learner.yaml", "simulation.yaml", **SIM, session=folder, **given)
+
+
+def states_of_the_learner(reports: list[DiagnosticArray]) -> list[str]:
+    """What the learner has said of its session, in order."""
+    found = [each for report in reports for each in report.status]
+    values = [v for each in found if each.name == "learner: session" for v in each.values]
+    return [value.value for value in values if value.key == LEARNER_STATE]
 
 
 @pytest.mark.long

@@ -10,7 +10,15 @@ import pytest
 from conftest import ACTIONS, Probe, Processes
 from diagnostic_msgs.msg import DiagnosticArray
 from std_srvs.srv import SetBool, Trigger
-from test_session_over_dds import SEED, TAUGHT, all_but_the_learner, fitted, learner, learnt
+from test_session_over_dds import (
+    SEED,
+    TAUGHT,
+    all_but_the_learner,
+    fitted,
+    learner,
+    learnt,
+    states_of_the_learner,
+)
 from toss_task import practice_of
 
 from hardware_sim.scenes import scene_type
@@ -21,7 +29,6 @@ from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.practice.session import Session, read
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.diagnostics import LEARNER_STATE
 
 # A learner that plans would simulate its plans again at every start.
 SETTINGS = preset("flip", "hindsight", budget=3, retests=0)
@@ -50,9 +57,7 @@ def test_nothing_moves_after_a_stop_until_a_person_continues_and_kill_9_changes_
     reports = probe.listen(DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS)
 
     def paused() -> bool:
-        found = [each for report in reports for each in report.status if each.name[:7] == "learner"]
-        values = [{each.key: each.value for each in status.values} for status in found]
-        return bool(values) and values[-1][LEARNER_STATE] == "paused"
+        return states_of_the_learner(reports)[-1:] == ["paused"]
 
     def lets_go_on() -> bool:
         """Continue; the request may go to the killed learner, or the session not be there."""

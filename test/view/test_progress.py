@@ -5,20 +5,17 @@ from __future__ import annotations
 
 import fcntl
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from toss_task import ANY_ARM, demonstrated_policy, some_records
+from toss_task import some_records
 
 pytest.importorskip("viser", reason="no viser")
 
 from wam_power_ros.params import overlay
-from wam_power_ros.practice.session import Session
 from wam_power_ros.practice.settings import preset
-from wam_power_ros.tasks.task import Assessment
 from wam_power_ros.view import session_page
-from wam_power_ros.view.progress import KINDS, NEWEST_COUNT, Progress, curve, label, newest
+from wam_power_ros.view.progress import KINDS, NEWEST_COUNT, curve, label, newest
 
 RECORDS = some_records(8)
 
@@ -46,24 +43,6 @@ def test_the_newest_rollouts_come_first_with_the_terms_of_their_returns() -> Non
     for term, value in RECORDS[-1].terms.items():
         assert f"| {term} | {value:.3f} |" in text
     assert newest([], task).strip() == "|  |\n| --- |"
-
-
-def test_the_page_says_why_a_session_failed(tmp_path: Path) -> None:
-    settings = preset("flip", budget=6, retests=0)
-    with Session.begin(tmp_path / "session", settings, 5, [demonstrated_policy()]) as session:
-        practice = session.practice(ANY_ARM)
-        page = SimpleNamespace(add_curve=lambda kinds: SimpleNamespace(), terms=SimpleNamespace())
-        progress = Progress(page, session.folder, session.task)
-        for _ in range(settings.practice.attempts):
-            progress.refresh()
-            assert progress.failed == []
-            nothing = Assessment(None, why="the pancake was never seen")
-            session.append(practice.learn_assessed(practice.next_trial(), nothing))
-    progress.refresh()
-    assert progress.failed == [
-        "why it failed: 3 of 3 rollouts could not be judged, the last one because the pancake was "
-        "never seen"
-    ]
 
 
 def test_a_session_runs_while_a_learner_or_a_launcher_holds_its_folder(tmp_path: Path) -> None:
