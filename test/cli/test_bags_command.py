@@ -36,13 +36,6 @@ def test_takes_are_listed_by_what_their_descriptions_say(take: Path, said: Said)
     assert odd.split() == ["reach_\\x1b[2J\\nx", "reach", "6.1", "s"]  # with the rest at both ends
 
 
-def test_a_take_is_shown_with_its_topics_and_joints(take: Path, said: Said) -> None:
-    text = said("bags", "show", take)
-    assert f"{take}: reach, 2.67 s, good" in text
-    assert "/joint_states" in text and "smoothness -1.5" in text
-    assert text.count("% of its limit") == 7
-
-
 def test_each_take_that_is_shown_is_graded_with_the_reasons(
     take: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

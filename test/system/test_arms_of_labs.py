@@ -69,17 +69,6 @@ def test_a_set_up_of_an_arm_is_complete_and_its_reach_lies_within_its_limits(arm
         assert np.all(np.abs(model.gravity(q)) < 0.8 * params.torque_share * model.tau_max)
 
 
-def test_the_driver_of_a_ur_is_rehearsed_in_its_shape() -> None:
-    setup = overlay.setup(["ur"], simulated=True)
-    driver = ArmSimParams.of_setup(setup)
-    assert (driver.effort, driver.command_topic) == (
-        "current",
-        "forward_effort_controller/commands",
-    )
-    assert driver.state_order == "sorted"
-    assert overlay.setup(["franka"], simulated=True)["wam_sim"]["effort"] == "filled"
-
-
 @pytest.mark.long
 def test_a_ur_is_taught_and_learns_to_reach_over_dds(tmp_path: Path) -> None:
     lockstep = tmp_path / "lockstep.yaml"

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 from conftest import ROOT, Processes
-from test_hardware_guide import CLI, interrupted_learning
+from test_hardware_guide import CLI, found, interrupted_learning
 
 from wam_power_ros.cli import main
 
@@ -28,11 +28,6 @@ def commands(page: str) -> list[str]:
     return [
         line for line in lines if re.match(rf"python -c|wam-power (?!{'|'.join(BESIDE)})", line)
     ]
-
-
-def found(folder: Path, word: str) -> list[Path | str]:
-    """What a shell makes of a word."""
-    return sorted(folder.glob(word)) if "*" in word else [word]
 
 
 def test_the_commands_of_a_researcher_are_commands() -> None:
