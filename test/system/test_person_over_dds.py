@@ -107,10 +107,6 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_in_a_rollout_ch
     probe.spin(float(np.random.default_rng(SEED).uniform(0.1, 0.6)))
     assert processes.end(killed, signal.SIGKILL) == -signal.SIGKILL
     first = learner(processes, folder)
-    offered = probe.node.get_service_names_and_types
-    probe.until(lambda: f"/{interface.LEARNER_REWARD}" in dict(offered()), "the learner", 300.0)
-    refused = probe.call(Trigger, interface.LEARNER_REWARD, deadline=300.0)
-    assert not refused.success  # nothing to rate: no rollout yet, or not even a session read
     probe.until(rollouts, "a first rollout", 300.0)
     assert say(interface.LEARNER_REWARD).startswith("trial-0001 rewarded: return ")
     probe.until(lambda: not pause().under_way, "the end of the trial under way", 300.0)
