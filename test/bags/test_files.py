@@ -167,12 +167,6 @@ def test_metadata_that_differ_from_the_copy_in_the_file_are_refused(bag: Path, n
         read_demonstration(bag, NAMES)
 
 
-@pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.STORAGE])
-def test_a_compressed_bag_reads_the_same(tmp_path: Path, mode: CompressionMode) -> None:
-    path = compressed(tmp_path / "lab", mode, StoragePlugin.MCAP, random_q(30))
-    np.testing.assert_array_equal(read_demonstration(path, NAMES)[1], random_q(30))
-
-
 def compressed(path: Path, mode: CompressionMode, storage: StoragePlugin, q: np.ndarray) -> Path:
     writer = Writer(path, version=9, storage_plugin=storage)
     writer.set_compression(mode, CompressionFormat.ZSTD)

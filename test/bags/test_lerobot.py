@@ -169,20 +169,22 @@ def test_an_exported_movement_comes_back_as_a_demonstration(
     assert Bag("back").kind == Bag(TOSSES[1]).kind
 
 
-@pytest.mark.parametrize("names", [["a.pos", "b.pos"], {"motors": ["a", "b"]}])
-def test_the_names_of_other_sets_are_those_of_the_joints(names: object, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("names", "asked"),
+    [
+        (["a.pos", "b.pos"], NAMES),
+        ({"motors": ["a", "b"]}, NAMES),
+        (None, ("observation.state.0", "observation.state.1")),  # by their place
+    ],
+)
+def test_the_names_of_other_sets_are_those_of_the_joints(
+    names: object, asked: tuple[str, str], tmp_path: Path
+) -> None:
     q = movement()
     made = set_of(tmp_path / "set", np.vstack([q, 2 * q]), names, np.repeat([0, 1], len(q)))
-    states = read_states(Bag(lerobot.as_bag(made, tmp_path / "bags", 1)), NAMES)
+    states = read_states(Bag(lerobot.as_bag(made, tmp_path / "bags", 1)), asked)
     np.testing.assert_allclose(states.q, 2 * q, atol=1e-12)
     np.testing.assert_allclose(np.diff(states.stamps) * 1e-9, 1 / 30, atol=1e-6)
-
-
-def test_without_names_the_values_are_named_by_their_place(tmp_path: Path) -> None:
-    made = set_of(tmp_path / "set", movement(), None, np.zeros(90, dtype=int))
-    bag = Bag(lerobot.as_bag(made, tmp_path / "bags", None))
-    states = read_states(bag, ["observation.state.0", "observation.state.1"])
-    np.testing.assert_allclose(states.q, movement(), atol=1e-12)
 
 
 def test_a_person_says_that_the_angles_are_in_degrees(
@@ -237,7 +239,7 @@ def test_what_cannot_be_written_is_refused_and_leaves_nothing(
     assert bags("export", TOSSES[0], *arguments, there) == 2
     assert "exists already; name another folder" in capsys.readouterr().err
     assert bags("export", there, *arguments, tmp_path / "set") == 2
-    assert "is neither a session nor a bag" in capsys.readouterr().err
+    assert "there is no movement to write" in capsys.readouterr().err
     assert bags("export", *TOSSES, "--output", tmp_path / "table.csv") == 2
     assert "a table is of one bag or session, not of 3" in capsys.readouterr().err
     full = OSError(28, "No space left on device")
@@ -248,15 +250,6 @@ def test_what_cannot_be_written_is_refused_and_leaves_nothing(
     assert bags("export", TOSSES[0], *arguments, tmp_path / "set") == 2
     assert "wam_power_ros[export]" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["there"]
-
-
-def test_a_bag_without_a_movement_is_left_out_with_the_reason(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    pytest.importorskip("pyarrow")
-    made = export(tmp_path / "set", TOSSES[0], tmp_path / "missing")
-    assert f"left out: {tmp_path / 'missing'} is not a bag" in capsys.readouterr().out
-    assert described(made)["total_episodes"] == 1
 
 
 def test_lerobot_itself_reads_a_set(tmp_path: Path) -> None:

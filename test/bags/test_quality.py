@@ -28,26 +28,19 @@ def arc(q: np.ndarray) -> float:
     return quality.smoothness(np.linalg.norm(quality.joint_speeds(T, q), axis=1), 0.01)
 
 
-def test_a_smooth_movement_within_the_limits_is_good() -> None:
-    assert remarks(reach()) == []
-    assert quality.grade([]) is Grade.GOOD
-
-
 def test_the_more_a_hand_trembles_the_less_smooth_the_movement() -> None:
     arcs = [arc(reach() + a * np.sin(2 * np.pi * 5 * T)[:, None]) for a in (0.0, 0.02, 0.04)]
     assert arcs == sorted(arcs, reverse=True)
     assert -2.0 < arcs[0] < -1.3  # as published for movements of least jerk
 
 
-def test_a_jerky_movement_is_fair_with_a_remark() -> None:
+def test_a_smooth_movement_is_good_a_jerky_one_fair_and_an_arm_that_rests_poor() -> None:
+    assert remarks(reach()) == []
+    assert quality.grade([]) is Grade.GOOD
     found = remarks(reach() + 0.05 * np.sin(2 * np.pi * 5 * T)[:, None], None)
-    assert quality.grade(found) is Grade.FAIR
-    assert found[0].text.startswith("jerky")
-
-
-def test_an_arm_that_rests_is_poor() -> None:
+    assert quality.grade(found) is Grade.FAIR and found[0].text.startswith("jerky")
     (found,) = remarks(0.01 * reach())
-    assert found.grade is Grade.POOR and "hardly moves" in found.text
+    assert found.grade is Grade.POOR
 
 
 @pytest.mark.parametrize(
@@ -70,14 +63,11 @@ def test_angles_in_degrees_are_asked_about_where_limits_are_known() -> None:
     assert remarks(40.0 * reach(), None) == []
 
 
-def test_missing_messages_are_named_from_a_share_on() -> None:
+def test_what_a_recording_lacks_is_named_from_a_share_on() -> None:
     counts = {"/joint_states": 900, "/pose": 50}
     assert quality.completeness_remarks(counts, {"/joint_states": 10, "/pose": 2}, "") == []
     (found,) = quality.completeness_remarks(counts, {"/joint_states": 100, "/pose": 0}, "")
     assert found.text == "100 of 1000 messages missing on /joint_states"
-
-
-def test_a_recording_that_nobody_asked_to_end_is_named() -> None:
     assert quality.completeness_remarks({}, {}, layout.STOP_REQUESTED) == []
     (found,) = quality.completeness_remarks({}, {}, "shutdown")
     assert (found.grade, found.text) == (Grade.FAIR, "cut short: shutdown")

@@ -6,9 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bag_samples import NAMES, QOS, START, demonstration, joint_state, random_q
+from bag_samples import NAMES, QOS, START, demonstration, joint_state, of_states, random_q
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from wam_power_ros import arm_identity
@@ -18,11 +20,6 @@ from wam_power_ros.bags.bag import Bag
 from wam_power_ros.bags.layout import TYPES
 from wam_power_ros.bags.reader import read_demonstration, read_states
 from wam_power_ros.bags.writer import BagWriter
-from wam_power_ros.control.arm import Arm
-from wam_power_ros.learning.demonstration import from_joint_samples
-from wam_power_ros.params.resources import share
-
-WAM_JOINTS = [f"wam_j{number}" for number in range(1, 8)]
 
 
 def test_a_demonstration_comes_back_bit_for_bit_in_the_order_asked_for(tmp_path: Path) -> None:
@@ -47,12 +44,10 @@ def test_a_bag_taught_under_another_driver_is_read_by_the_order_it_notes(tmp_pat
 
 
 def test_an_independent_reader_decodes_the_bag(tmp_path: Path) -> None:
-    mcap_reader = pytest.importorskip("mcap.reader")
-    decoder = pytest.importorskip("mcap_ros2.decoder")
     q = random_q(50)
     path = demonstration(tmp_path / "demo", q)
     with (path / "demo.mcap").open("rb") as file:
-        mcap = mcap_reader.make_reader(file, decoder_factories=[decoder.DecoderFactory()])
+        mcap = make_reader(file, decoder_factories=[DecoderFactory()])
         found = list(mcap.iter_decoded_messages(topics=["/joint_states"]))
         summary = mcap.get_summary()
     ours = [message for *_, message in found if message.name == list(NAMES)]
@@ -63,11 +58,11 @@ def test_an_independent_reader_decodes_the_bag(tmp_path: Path) -> None:
     assert b"MSG: builtin_interfaces/Time" in schemas[layout.JOINT_STATE].data
 
 
-@pytest.mark.parametrize("qos", ["as in the file", "another"])  # in the metadata
 @pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
-def test_a_bag_of_another_recorder_reads_the_same(
-    storage: StoragePlugin, qos: str, tmp_path: Path
+def test_a_bag_whose_metadata_note_another_qos_than_its_file_is_read(
+    storage: StoragePlugin, tmp_path: Path
 ) -> None:
+    """As in bags of rosbag2, which notes in one what discovery told later."""
     q = random_q(20)
     with Writer(tmp_path / "old", version=8, storage_plugin=storage) as writer:
         topic = writer.add_connection(
@@ -76,54 +71,40 @@ def test_a_bag_of_another_recorder_reads_the_same(
         for index, row in enumerate(q):
             stamp_ns = START + 2_000_000 * index
             writer.write(topic, stamp_ns, joint_state(stamp_ns, NAMES, row))
-    if qos == "another":  # as in bags of rosbag2, which notes in one what discovery told later
-        metadata = tmp_path / "old/metadata.yaml"
-        metadata.write_text(metadata.read_text().replace("depth: 10", "depth: 0"))
+    metadata = tmp_path / "old/metadata.yaml"
+    metadata.write_text(metadata.read_text().replace("depth: 10", "depth: 0"))
     back = read_states(Bag(tmp_path / "old"), NAMES, "/wam/joint_states").q
     np.testing.assert_array_equal(back, q)
 
 
+ONES = [1.0] * 3
+
+
 @pytest.mark.parametrize(
-    ("change", "why"),
+    ("states", "why"),
     [
-        (lambda states: states.append((START, NAMES, [1.0, np.nan, 0.0])), "not finite"),
-        (lambda states: states.append((START, NAMES[:2], [1.0, 2.0])), "missing among"),
-        (lambda states: states.append((START, NAMES, [1.0, 2.0])), "2 positions for names"),
-        (lambda states: states.append((START, ("wam_j1",) * 2, [1.0, 2.0])), "2 positions for"),
-        (
-            lambda states: states.extend(
-                [(START, NAMES, [1.0] * 3), (START - 60_000_000, NAMES, [1.0] * 3)]
-            ),
-            "follows",
-        ),
-        (
-            lambda states: states.extend([(START, NAMES, [1.0] * 3), (START, NAMES, [2.0] * 3)]),
-            "follows",
-        ),
-        (lambda states: states.append((START, ("hand",), [1.0])), "no message on"),
-        (lambda states: None, "no message on"),
+        ([(START, NAMES, [1.0, np.nan, 0.0])], "not finite"),
+        ([(START, NAMES[:2], [1.0, 2.0])], "missing among"),
+        ([(START, NAMES, [1.0, 2.0])], "2 positions for names"),
+        ([(START, ("wam_j1",) * 2, [1.0, 2.0])], "2 positions for"),
+        ([(START, NAMES, ONES), (START - 60_000_000, NAMES, ONES)], "follows"),
+        ([(START, NAMES, ONES), (START, NAMES, [2.0] * 3)], "follows"),
+        ([(START, ("hand",), [1.0])], "no message on"),
+        ([], "no message on"),
     ],
 )
 def test_states_that_cannot_be_a_demonstration_are_refused_by_name(
-    tmp_path: Path, change: object, why: str
+    tmp_path: Path, states: list[tuple[int, tuple[str, ...], list[float]]], why: str
 ) -> None:
-    states: list = []
-    change(states)
-    writer = BagWriter(tmp_path / "demo")
-    writer.add("/joint_states", layout.JOINT_STATE, QOS)
-    for index, (stamp_ns, names, q) in enumerate(states):
-        writer.write("/joint_states", START + index, joint_state(stamp_ns, names, q))
-    path = writer.close({})
+    path = of_states(tmp_path / "demo", [(START + k, *state) for k, state in enumerate(states)])
     with pytest.raises(ValueError, match=why):
         read_demonstration(path, NAMES)
 
 
 def test_another_device_on_the_topic_may_leave_its_positions_out(tmp_path: Path) -> None:
-    writer = BagWriter(tmp_path / "demo")
-    writer.add("/joint_states", layout.JOINT_STATE, QOS)
-    for names, positions in ((NAMES, [1.0, 2.0, 3.0]), (["finger"], []), (["finger"] * 2, [0.1])):
-        writer.write("/joint_states", START, joint_state(START, names, positions))
-    assert len(read_demonstration(writer.close({}), NAMES)[0]) == 1
+    others = (NAMES, [1.0, 2.0, 3.0]), (("finger",), []), (("finger",) * 2, [0.1])
+    path = of_states(tmp_path / "demo", [(START, START, *each) for each in others])
+    assert len(read_demonstration(path, NAMES)[0]) == 1
 
 
 @pytest.mark.parametrize("source", ["sim", "hardware"])
@@ -193,7 +174,7 @@ def test_a_hostile_metadata_file_is_refused_and_runs_nothing(
 
 @pytest.mark.requirement("S-17")
 @given(data=st.data())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 def test_a_damaged_file_is_refused_or_read_and_nothing_else(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
@@ -210,15 +191,6 @@ def test_a_damaged_file_is_refused_or_read_and_nothing_else(
         assert str(path) in str(error)
     else:
         assert np.isfinite(q).all()
-
-
-@pytest.mark.parametrize("bag", sorted(share("bags").glob("demo_*")), ids=lambda bag: bag.name)
-def test_the_bags_that_are_shipped_hold_a_toss(bag: Path) -> None:
-    arm = Arm(share("urdf/wam7.urdf").read_text(), WAM_JOINTS)
-    stamps_ns, q = read_demonstration(bag, WAM_JOINTS)
-    demonstration = from_joint_samples(arm, stamps_ns, q)
-    assert 0.5 < demonstration.duration < 1.5
-    assert demonstration.velocity[:, 2].max() > 1.5  # [m/s] upward
 
 
 @pytest.mark.requirement("S-59")

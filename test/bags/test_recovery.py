@@ -159,64 +159,34 @@ def foreign(path: Path, compression: CompressionMode, storage: StoragePlugin) ->
     return path
 
 
-def test_a_topic_of_an_unknown_type_is_left_out_and_named(tmp_path: Path) -> None:
-    made = recover(foreign(tmp_path / "lab", CompressionMode.NONE, StoragePlugin.MCAP))
+def test_a_topic_of_an_unknown_type_and_a_damaged_chunk_are_left_out_and_named(
+    tmp_path: Path,
+) -> None:
+    path = foreign(tmp_path / "lab", CompressionMode.STORAGE, StoragePlugin.MCAP)
+    made = recover(path)
     assert made.messages == {"/text": 1}
     assert "lab_msgs/msg/Lamp" in made.left_out["/lamp"]
-    assert "left out: /lamp" in str(made)
-
-
-def test_compressed_chunks_are_recovered_and_a_damaged_one_is_named(tmp_path: Path) -> None:
-    path = foreign(tmp_path / "lab", CompressionMode.STORAGE, StoragePlugin.MCAP)
-    assert recover(path).messages == {"/text": 1}
-    (tmp_path / "lab_recovered").rename(tmp_path / "first")
+    made.path.rename(tmp_path / "first")
     file = path / "lab.mcap"
-    file.write_bytes(file.read_bytes().replace(b"\x28\xb5\x2f\xfd", bytes(4)))
+    file.write_bytes(file.read_bytes().replace(b"\x28\xb5\x2f\xfd", bytes(4)))  # of zstd
     made = recover(path)
     assert sum(made.messages.values()) == 0
     assert any("chunk at byte" in part for part in made.left_out)
 
 
-def test_what_cannot_be_recovered_is_refused_by_its_name_and_leaves_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_what_cannot_be_recovered_is_refused_and_a_recovered_bag_is_never_replaced(
+    tmp_path: Path,
 ) -> None:
-    path = foreign(tmp_path / "lab", CompressionMode.NONE, StoragePlugin.SQLITE3)
-    with pytest.raises(ValueError, match=r"no .mcap file to recover; it has \['lab.db3'"):
-        recover(path)
-    assert [file.name for file in tmp_path.iterdir()] == ["lab"]
-    assert main.main(["recover", str(path)]) == 2
-    assert "Traceback" not in capsys.readouterr().err
-
-
-def test_nothing_and_rubbish_are_refused_and_a_recovered_bag_is_never_replaced(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main.main(["recover", str(tmp_path / "nowhere")]) == 2
-    assert "it has no files" in capsys.readouterr().err
+    foreign(tmp_path / "lab", CompressionMode.NONE, StoragePlugin.SQLITE3)
     (tmp_path / "rubbish.mcap").write_bytes(b"0" * 100)
-    assert main.main(["recover", str(tmp_path / "rubbish.mcap")]) == 2
-    assert "is not an MCAP file" in capsys.readouterr().err
+    for name, why in (
+        ("lab", r"no .mcap file to recover; it has \['lab.db3'"),
+        ("nowhere", "it has no files"),
+        ("rubbish.mcap", "is not an MCAP file"),
+    ):
+        with pytest.raises(ValueError, match=why):
+            recover(tmp_path / name)
+    assert {file.name for file in tmp_path.iterdir()} == {"lab", "rubbish.mcap"}
     path = demonstration(tmp_path / "demo", random_q(5))
     assert main.main(["recover", str(path)]) == 0
-    assert "11 messages" in capsys.readouterr().out
-    assert main.main(["recover", str(path)]) == 2
-    assert "demo_recovered exists already" in capsys.readouterr().err
-
-
-def test_bytes_that_are_damaged_recover_what_is_before_them_or_are_refused(tmp_path: Path) -> None:
-    path = demonstration(tmp_path / "demo", random_q(40))
-    file = path / "demo.mcap"
-    whole = file.read_bytes()
-    rng = np.random.default_rng(0)
-    for number in range(12):
-        damaged = bytearray(whole)
-        for place in rng.integers(8, len(whole), 3):
-            damaged[place] = rng.integers(256)
-        file.write_bytes(damaged)
-        try:
-            made = recover(path).path
-        except ValueError as error:
-            assert str(path) in str(error)
-        else:
-            made.rename(tmp_path / f"made_{number}")
-    assert len(list(tmp_path.glob("made_*"))) > 4
+    assert main.main(["recover", str(path)]) == 2  # it is there already

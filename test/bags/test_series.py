@@ -20,30 +20,22 @@ def file(tmp_path: Path) -> Path:
     return tmp_path / series.FILE
 
 
-def test_no_list_is_an_empty_series(tmp_path: Path) -> None:
+def test_no_list_is_an_empty_series_and_another_text_is_refused(tmp_path: Path) -> None:
     assert series.read(tmp_path / series.FILE) == []
+    for text in ("{}", "[1]", '["a"'):
+        (tmp_path / series.FILE).write_text(text)
+        with pytest.raises(ValueError, match=r"demonstrations\.json"):
+            series.read(tmp_path / series.FILE)
 
 
-@pytest.mark.parametrize("text", ["{}", "[1]", '["a"'])
-def test_what_is_no_list_of_paths_is_refused(text: str, tmp_path: Path) -> None:
-    (tmp_path / series.FILE).write_text(text)
-    with pytest.raises(ValueError, match=r"demonstrations\.json"):
-        series.read(tmp_path / series.FILE)
-
-
-def test_a_discarded_bag_leaves_the_series_and_is_still_there(file: Path) -> None:
+def test_discarded_bags_leave_the_series_and_are_all_still_there(file: Path) -> None:
     first, second = series.read(file)
     before = Bag(first).topics
     moved = series.discard(first)
     assert series.read(file) == [second]
     assert not first.exists() and Bag(moved).topics == before
-
-
-def test_bags_of_one_name_are_all_kept_in_the_trash(file: Path) -> None:
-    first, _ = series.read(file)
-    one = series.discard(first)
-    other = series.discard(demonstration(first, random_q(20)))
-    assert one != other and one.is_dir() and other.is_dir()
+    other = series.discard(demonstration(first, random_q(20)))  # of the same name
+    assert moved != other and moved.is_dir() and other.is_dir()
 
 
 def test_a_bag_that_was_never_closed_can_be_discarded(tmp_path: Path) -> None:

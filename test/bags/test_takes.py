@@ -22,21 +22,6 @@ def test_bags_are_found_wherever_they_are_but_not_in_the_trash(tmp_path: Path) -
     assert takes.find([tmp_path / "none"]) == []
 
 
-def test_a_take_has_its_states_and_counts_what_is_missing(tmp_path: Path) -> None:
-    q = random_q(300)
-    writer = BagWriter(tmp_path / "take")
-    writer.add("/joint_states", layout.JOINT_STATE, QOS)
-    for index, row in enumerate(q):
-        stamp = START + 2_000_000 * index
-        if not 100 <= index < 104:
-            writer.write("/joint_states", stamp, joint_state(stamp, NAMES, row))
-    take = takes.read(Bag(writer.close({})), NAMES)
-    np.testing.assert_array_equal(take.states.q, np.delete(q, slice(100, 104), axis=0))
-    assert take.counts == {"/joint_states": 296}
-    assert take.missing == {"/joint_states": 4}
-    assert abs(take.duration - 0.598) < 1e-9
-
-
 def test_a_take_is_of_the_kind_that_was_noted_whatever_its_name(tmp_path: Path) -> None:
     writer = BagWriter(tmp_path / "demo_1")
     writer.event("start", "reach", START)

@@ -25,7 +25,7 @@ from wam_power_ros.bags.writer import BagWriter, has_header, header_stamp
 JOINT_STATE_HASH = "RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e"
 
 
-def test_the_metadata_is_that_of_jazzy(tmp_path: Path) -> None:
+def test_metadata_and_channels_are_those_of_jazzy(tmp_path: Path) -> None:
     path = demonstration(tmp_path / "demo", random_q(5))
     info = yaml.safe_load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
     assert (info["version"], info["storage_identifier"]) == (9, "mcap")
@@ -40,10 +40,6 @@ def test_the_metadata_is_that_of_jazzy(tmp_path: Path) -> None:
     assert latched["offered_qos_profiles"][0]["lifespan"] == {"sec": 9223372036, "nsec": 854775807}
     for item in topics.values():
         assert item["topic_metadata"]["type_description_hash"].startswith("RIHS01_")
-
-
-def test_the_channels_are_described_as_rosbag2_does(tmp_path: Path) -> None:
-    path = demonstration(tmp_path / "demo", random_q(5))
     with (path / "demo.mcap").open("rb") as file:
         reader = make_reader(file)
         channels = list(reader.get_summary().channels.values())
@@ -80,10 +76,8 @@ def test_the_stamp_of_a_serialized_header_is_read_without_decoding() -> None:
     assert not has_header(layout.STRING)
 
 
-def test_a_bag_that_is_there_is_never_written_over(tmp_path: Path) -> None:
-    path = demonstration(tmp_path / "demo", random_q(5))
-    with pytest.raises(FileExistsError):
-        BagWriter(path)
+def test_a_free_path_is_that_of_no_bag_and_of_none_under_way(tmp_path: Path) -> None:
+    demonstration(tmp_path / "demo", random_q(5))
     assert layout.free_path(tmp_path, "demo") == tmp_path / "demo_2"
     BagWriter(tmp_path / "demo_2").abandon()  # unfinished: taken as well
     assert layout.free_path(tmp_path, "demo") == tmp_path / "demo_3"

@@ -159,28 +159,6 @@ def test_a_set_has_an_episode_for_each_recorded_rollout_of_a_session(
     assert found["timestamp"][1] == pytest.approx(0.01)
 
 
-@pytest.mark.parametrize("suffix", ["csv", "parquet"])
-def test_pandas_reads_both_tables(suffix: str, tmp_path: Path) -> None:
-    pandas = pytest.importorskip("pandas")
-    if suffix == "parquet":
-        pytest.importorskip("pyarrow")
-    take, rollouts = tmp_path / f"take.{suffix}", tmp_path / f"rollouts.{suffix}"
-    folder = session(tmp_path / "session", 3)
-    exported(DEMO, take)
-    exported(folder, rollouts)
-    rounding = 1e-15 if suffix == "csv" else 0.0  # of pandas before 3.1
-    frame = getattr(pandas, f"read_{suffix}")(take)
-    states = reader.read_states(Bag(DEMO), WAM)
-    q = frame[[f"q.{name}" for name in WAM]].to_numpy()
-    np.testing.assert_allclose(q, states.q, rtol=rounding, atol=0.0)
-    np.testing.assert_array_equal(frame["stamp_ns"].to_numpy(), states.stamps)
-    frame = getattr(pandas, f"read_{suffix}")(rollouts)
-    records = read(folder).records
-    assert frame["success"].tolist() == [record.success for record in records]
-    z = [record.z[0] for record in records]
-    np.testing.assert_allclose(frame["z.0"], z, rtol=rounding, atol=0.0)
-
-
 def test_columns_without_a_value_are_of_numbers_in_parquet_too(tmp_path: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
     assert table.write({"t": [0.0, 1.0], "qd.j": [None, None]}, tmp_path / "t.parquet") == 2

@@ -29,7 +29,6 @@ from wam_power_ros.cli.session_options import (
     learner_parameters,
     with_origin,
 )
-from wam_power_ros.params import overlay
 from wam_power_ros.practice.session import Session, read
 from wam_power_ros.practice.settings import preset
 
@@ -101,23 +100,6 @@ def test_feedback_takes_a_bag_or_a_rating_only_where_it_needs_one(
     words: str, needed: str, refusal: Callable[..., str]
 ) -> None:
     assert f"{words.split()[0]} needs {needed}" in refusal("feedback", *words.split())
-
-
-def test_the_obstacle_of_reaching_is_half_way_along_the_nominal_demonstration() -> None:
-    from hardware_sim.scenes import HOME
-    from hardware_sim.scenes.reach import reach
-    from wam_power_ros.control.arm import Arm
-
-    setup = overlay.setup(task="reach")
-    names = setup["torque_controller"]["model_joint_names"]
-    arm = Arm(URDF, names)
-    script = reach(np.random.default_rng(0), spread=0.0)
-    half_way = script.end - 0.5 * script.duration
-    target = script.target(half_way, *arm.tool_pose(HOME))
-    *centre, radius = setup["torque_controller"]["guarded_region"]
-    np.testing.assert_allclose(centre, target.position, atol=1e-3)
-    assert radius == 0.09
-    assert setup["wam_sim"]["guarded_region"] == setup["torque_controller"]["guarded_region"]
 
 
 @pytest.mark.parametrize(

@@ -215,7 +215,7 @@ def test_torques_that_cannot_be_read_are_named(
         ask(bag, START + np.round(1e9 * t).astype(np.int64))
 
 
-def servo_recorded(folder: Path, kind: str, lag: float) -> list[str]:
+def servo_recorded(folder: Path, lag: float) -> list[str]:
     """Words of a command that analyses a movement of an arm that takes positions."""
     t = np.arange(0.0, 4.0, 0.002)
     q = np.outer(np.sin(3.0 * t) ** 3, 0.1 * np.arange(7))
@@ -224,20 +224,17 @@ def servo_recorded(folder: Path, kind: str, lag: float) -> list[str]:
     (folder / "bags").mkdir()
     none = np.empty((0, 2))
     np.savez(folder / "movement.npz", t=t, q=q, rests=none, sweeps=none)
-    bag_of(folder / "bags/commissioning_1", recorded, kind)
-    output = "trajectory" if kind == "trajectory" else "position"
-    values = {"output": output, "command_type": "multiarray" if kind == "trajectory" else kind}
-    values["command_topic"] = "effort_controller/commands"
+    bag_of(folder / "bags/commissioning_1", recorded, "trajectory")
+    values = {"output": "trajectory", "command_topic": "effort_controller/commands"}
     text = json.dumps({"torque_controller": {"ros__parameters": values}})
     (folder / "lab.yaml").write_text(text)
     return ["commission", "--folder", str(folder), "--config", str(folder / "lab.yaml")]
 
 
-@pytest.mark.parametrize("kind", ["multiarray", "joint_state", "trajectory"])
 def test_an_arm_that_takes_positions_measures_how_late_it_follows(
-    tmp_path: Path, kind: str, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = servo_recorded(tmp_path, kind, 0.02)
+    words = servo_recorded(tmp_path, 0.02)
     assert main.main(words) == 0
     assert "30 ms of delay and 20 ms of lag" in capsys.readouterr().out
     setup = overlay.setup([str(tmp_path / "lab.yaml"), str(tmp_path / "arm.yaml")])
@@ -245,16 +242,11 @@ def test_an_arm_that_takes_positions_measures_how_late_it_follows(
     assert (settings.servo_delay, settings.servo_lag) == (0.03, 0.02)
 
 
-def test_a_servo_that_is_none_is_not_written(
+def test_a_servo_that_is_none_is_not_written_and_poses_are_not_measured(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main.main(servo_recorded(tmp_path, "multiarray", 1.0)) == 1
+    assert main.main(servo_recorded(tmp_path, 1.0)) == 1
     assert "Nothing was written" in capsys.readouterr().out
     assert not (tmp_path / "arm.yaml").exists()
-
-
-def test_an_arm_that_takes_poses_is_not_measured_by_them(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
     assert main.main(["commission", "--folder", str(tmp_path / "none"), "--config", "pose"]) != 0
     assert "output = pose" in capsys.readouterr().err

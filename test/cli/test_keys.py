@@ -42,11 +42,9 @@ def test_each_key_reaches_its_node_and_the_answer_is_shown(
 
         probe.node.create_service(kind, name, answer)
 
-    reward, punish = interface.LEARNER_REWARD, interface.LEARNER_PUNISH
-    stop = interface.STOP
-    serve(Trigger, reward)
-    serve(Trigger, punish)
-    serve(Trigger, interface.STOP)
+    reward, punish, stop = interface.LEARNER_REWARD, interface.LEARNER_PUNISH, interface.STOP
+    for name in (reward, punish, stop):
+        serve(Trigger, name)
     serve(Pause, interface.LEARNER_PAUSE)
     before = termios.tcgetattr(sys.stdin)
     with Keys(domain_id) as keys:

@@ -9,19 +9,11 @@ from pathlib import Path
 import pytest
 import yaml
 
-from wam_power_ros.cli.launcher import Devices, Launcher, short_path
+from wam_power_ros.cli.launcher import Devices, Launcher
 from wam_power_ros.cli.plan import Plan
 from wam_power_ros.cli.processes import Processes
 from wam_power_ros.params import overlay
 from wam_power_ros.params.franka_driver_params import FrankaDriverParams
-
-
-def test_a_path_below_the_working_directory_is_shown_relative_to_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert short_path(tmp_path / "sessions" / "a") == Path("sessions/a")
-    assert short_path(Path("/elsewhere")) == Path("/elsewhere")
 
 
 def test_nodes_get_their_parameters_whatever_characters_are_in_them(tmp_path: Path) -> None:
@@ -61,18 +53,7 @@ def test_a_franka_with_another_number_of_joints_is_refused(tmp_path: Path) -> No
         FrankaDriverParams.of_setup(overlay.setup(["ur", str(mine)]))
 
 
-def test_other_set_ups_override_that_of_the_task(tmp_path: Path) -> None:
-    mine = tmp_path / "mine.yaml"
-    mine.write_text("demonstration_recorder: {ros__parameters: {stem: mine}}")
-    setup = overlay.setup([str(mine)], simulated=True, task="reach")
-    assert setup["demonstration_recorder"]["stem"] == "mine"
-    assert setup["wam_sim"]["scene"] == "reach"
-    assert setup["wam_sim"]["pace"] == "real_time"
-    assert overlay.setup(task="reach")["wam_sim"]["pace"] == "lockstep"
-
-
 def test_the_printed_parameters_are_those_of_task_and_set_up(said: Callable[..., str]) -> None:
     nodes = yaml.safe_load(said("config", "--task", "reach", "--config", "geodude", "--simulate"))
     assert nodes["/**/learner"]["ros__parameters"]["task"] == "reach"
-    assert nodes["/**/pancake_tracker"]["ros__parameters"]["body"] == ""
     assert nodes["/**/wam_sim"]["ros__parameters"]["joint_names"][6] == "right_j7"

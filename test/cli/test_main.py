@@ -3,7 +3,6 @@
 
 import io
 import re
-import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,7 +11,6 @@ from pathlib import Path
 
 import pytest
 from conftest import ROOT
-from rich.console import Console
 from toss_task import demonstrated_policy, some_records
 
 from wam_power_ros.cli import main
@@ -39,16 +37,6 @@ def test_wam_power_run_starts_what_ros2_run_starts() -> None:
     assert points.pop("wam-power") == "wam_power_ros.entry:wam_power"
     assert points == {name: point.value for name, point in main.NODES.items()}
     assert all(find_spec(point.load().args[0]) for point in main.NODES.values())
-
-
-def test_a_node_gets_its_arguments_from_the_command_line() -> None:
-    command = [sys.executable, "-m", "wam_power_ros.cli", "run", "learner"]
-    ended = subprocess.run(
-        [*command, "--ros-args", "-p", "seed:=-1"], cwd=ROOT, capture_output=True, timeout=60
-    )
-    assert ended.returncode != 0
-    assert b"seed = -1: Input should be greater than or equal to 0" in ended.stdout + ended.stderr
-    assert b"is missing" not in ended.stdout + ended.stderr
 
 
 def test_seed_and_settings_of_a_session_cannot_be_changed(
@@ -86,26 +74,6 @@ def test_no_controller_starts_on_an_arm_without_a_person_to_confirm(
     message = capsys.readouterr().err
     assert "hand on the pendant" in message
     assert "no answer: standard input is closed" in message
-
-
-def test_the_report_command_writes_the_report(begun: Path, said: Callable[..., str]) -> None:
-    assert "s/report.html" in said("report", begun)
-    assert (begun / "report.html").stat().st_size > 1000
-
-
-def test_a_terminal_shows_the_newest_rollouts_and_the_best_return_so_far(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    records = some_records(40)
-    monkeypatch.setattr(terminal, "ROLLOUTS_SHOWN", 5)
-    table = terminal.rollout_table(records, TASK.outcome)
-    numbers, bests = (list(table.columns[place].cells) for place in (0, -2))
-    assert numbers == ["36", "37", "38", "39", "40"]
-    assert bests[-1] == f"{max(record.ret or 0.0 for record in records):.3f}"
-    text = io.StringIO()
-    with terminal.Display(Console(file=text, width=120, force_terminal=True)) as display:
-        display.show(records, preset("flip", "hindsight", budget=60), TASK)
-    assert "40 of at most 60 rollouts" in re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", text.getvalue())
 
 
 def test_the_summary_counts_the_retests_by_tracker_and_by_truth() -> None:

@@ -52,9 +52,6 @@ def test_a_process_that_dies_is_named_with_the_end_of_its_log_and_one_may_end(
             processes.check()
         monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=4096))
         assert "The disk of" in str(died.error())
-
-
-def test_a_process_that_is_killed_is_told_so_in_words(tmp_path: Path) -> None:
     with Processes(tmp_path, {}) as processes:
         victim = processes.start("victim", SLEEP)
         victim.process.kill()

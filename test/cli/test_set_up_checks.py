@@ -13,37 +13,34 @@ from wam_power_ros.cli.set_up_checks import mistakes
 from wam_power_ros.params import overlay
 
 JOINTS = [f"cobot_joint{number}" for number in range(1, 8)]
-# What is planted at which node, and what is said of it.
-MISTAKES = {
-    "a parameter that does not exist": ("torque_controller", {"tool_frmae": "pan"}, "tool_frmae"),
-    "a joint too few": ("torque_controller", {"model_joint_names": JOINTS[:6]}, "one name for"),
-    "two joints exchanged": (
-        *("torque_controller", {"joint_names": [JOINTS[1], JOINTS[0], *JOINTS[2:]]}),
-        "base to tip",
-    ),
+# What is planted at the controller, and what is said of it.
+OF_CONTROLLER = {
+    "a parameter that does not exist": ({"tool_frmae": "pan"}, "tool_frmae"),
+    "a joint too few": ({"model_joint_names": JOINTS[:6]}, "one name for"),
+    "joints exchanged": ({"joint_names": [JOINTS[1], JOINTS[0], *JOINTS[2:]]}, "base to tip"),
     "a joint of another arm": (
-        *("torque_controller", {"joint_names": JOINTS, "model_joint_names": ["q1", *JOINTS[1:]]}),
+        {"joint_names": JOINTS, "model_joint_names": ["q1", *JOINTS[1:]]},
         "q1",
     ),
-    "a tool that is no link": ("torque_controller", {"tool_frame": "hand"}, "hand"),
-    "a guarded link that is none": (
-        *("torque_controller", {"guarded_links": ["cobot_link3", "wrist"]}),
-        "wrist",
-    ),
-    "guarded points of two links for three": (
-        *("torque_controller", {"guarded_points": [0.0, 0.0, 0.0]}),
-        "guarded_points",
-    ),
-    "a base that is no link": ("torque_controller", {"base_frame": "cobot_bas"}, "cobot_bas"),
-    "a URDF that is not there": ("torque_controller", {"urdf": "urdf/cobot8.urdf"}, "cobot8"),
+    "a tool that is no link": ({"tool_frame": "hand"}, "hand"),
+    "a guarded link that is none": ({"guarded_links": ["cobot_link3", "wrist"]}, "wrist"),
+    "guarded points of two links for three": ({"guarded_points": [0.0] * 3}, "guarded_points"),
+    "a base that is no link": ({"base_frame": "cobot_bas"}, "cobot_bas"),
+    "a URDF that is not there": ({"urdf": "urdf/cobot8.urdf"}, "cobot8"),
+    "a table above the home": ({"plane": [0.0, 0.0, 1.0, 1.9]}, "plane"),
+}
+OF_OTHERS = {
     "a home of another arm": ("wam_sim", {"home": [0.0, 0.2, 0.3, 0.0, -0.5, 0.0]}, "7 angles"),
     "a home in degrees": (
-        *("wam_sim", {"home": [0.0, 11.5, 17.2, 0.0, -28.6, 0.0, 0.0]}),
+        "wam_sim",
+        {"home": [0.0, 11.5, 17.2, 0.0, -28.6, 0.0, 0.0]},
         "cobot_joint2 = 11.5",
     ),
     "a goal out of reach": ("wam_sim", {"goal": [1.6, 0.25, 0.6]}, "beyond the reach"),
     "a task that does not exist": ("learner", {"task": "raech"}, "raech"),
-    "a table above the home": ("torque_controller", {"plane": [0.0, 0.0, 1.0, 1.9]}, "plane"),
+}
+MISTAKES = OF_OTHERS | {
+    name: ("torque_controller", *planted) for name, planted in OF_CONTROLLER.items()
 }
 
 

@@ -26,15 +26,11 @@ def test_without_viser_it_says_how_to_install_it(
     assert refusal(capsys).endswith('pip install "wam_power_ros[view]"\n')
 
 
-def test_what_is_no_session_is_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    pytest.importorskip("viser", reason="no viser")
-    assert "typo holds no session" in refusal(capsys, str(tmp_path / "typo"))
-
-
 def test_a_session_that_is_being_taught_is_waited_for(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("viser", reason="no viser")
+    assert "typo holds no session" in refusal(capsys, str(tmp_path / "typo"))
     folder, slept = tmp_path / "s", []
     (folder / "logs").mkdir(parents=True)
     lock = (folder / "logs" / ".lock").open("a")

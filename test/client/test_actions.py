@@ -42,15 +42,16 @@ raise SystemExit(node_runner.run(make))
 COMMAND = [sys.executable, "-c", SERVER]
 
 
+@pytest.fixture(scope="module")
+def server(shared_nodes: tuple[Probe, Processes]) -> Process:
+    return shared_nodes[1].start(COMMAND)
+
+
 @pytest.fixture
-def link(probe: Probe) -> Iterator[Link]:
-    with Link(rclpy.create_node("client", context=probe.context), appear_timeout=20.0) as link:
+def link(shared_nodes: tuple[Probe, Processes]) -> Iterator[Link]:
+    context = shared_nodes[0].context
+    with Link(rclpy.create_node("client", context=context), appear_timeout=20.0) as link:
         yield link
-
-
-@pytest.fixture
-def server(processes: Processes) -> Process:
-    return processes.start(COMMAND)
 
 
 def send(action: Action, id: str) -> Goal:
@@ -61,7 +62,6 @@ def test_a_goal_that_is_done_gives_its_result_and_a_refused_one_an_error_with_it
     link: Link, server: Process
 ) -> None:
     action = Action(link, ResetScene, "act")
-    assert not action.offered
     done = send(action, "done")
     assert done.done().outcome.text == "here you are"
     assert done.answer.code is Code.DONE and done.accepted and done.ended
@@ -72,12 +72,12 @@ def test_a_goal_that_is_done_gives_its_result_and_a_refused_one_an_error_with_it
     assert action.settled
 
 
-def test_an_action_that_does_not_appear_is_named(probe: Probe) -> None:
-    node = rclpy.create_node("client", context=probe.context)
-    with (
-        Link(node, appear_timeout=0.2) as link,
-        pytest.raises(ServiceError, match="/nowhere did not appear"),
-    ):
+def test_an_action_that_does_not_appear_is_named(
+    link: Link, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert not Action(link, ResetScene, "nowhere").offered
+    monkeypatch.setattr(link, "appear_timeout", 0.2)
+    with pytest.raises(ServiceError, match="/nowhere did not appear"):
         send(Action(link, ResetScene, "nowhere"), "done")
 
 
@@ -88,20 +88,6 @@ def test_a_goal_without_an_end_is_an_error_after_the_timeout_and_goes_on(
     with pytest.raises(ServiceError, match="/act: no answer"):
         goal.done(timeout=0.5)
     assert goal.accepted and not goal.ended
-
-
-def test_a_goal_whose_server_was_killed_and_restarted_ends_as_unknown_within_seconds(
-    link: Link, server: Process, processes: Processes
-) -> None:
-    action = Action(link, ResetScene, "act")
-    goal = send(action, "long")
-    assert goal.accepted and not goal.ended
-    assert processes.end(server, signal.SIGKILL) == -signal.SIGKILL
-    assert not link.until(lambda: goal.ended, timeout=2.0 * actions.ASK_PERIOD)  # nobody knows
-    again = processes.start(COMMAND)
-    assert link.until(lambda: goal.ended, timeout=30.0), processes.output(again)
-    assert goal.answer.code is Code.UNKNOWN and goal.result is None
-    assert send(action, "done").done().outcome.text == "here you are"
 
 
 def test_a_goal_that_nobody_accepts_counts_as_lost(
@@ -119,3 +105,18 @@ def test_a_goal_that_nobody_accepts_counts_as_lost(
         server.send_signal(signal.SIGCONT)
     assert link.until(lambda: goal.accepted, timeout=20.0)
     assert goal.answer.code is Code.UNKNOWN  # it stays so
+
+
+def test_a_goal_whose_server_was_killed_and_restarted_ends_as_unknown_within_seconds(
+    link: Link, server: Process, shared_nodes: tuple[Probe, Processes]
+) -> None:
+    _, processes = shared_nodes
+    action = Action(link, ResetScene, "act")
+    goal = send(action, "long")
+    assert goal.accepted and not goal.ended
+    assert processes.end(server, signal.SIGKILL) == -signal.SIGKILL
+    assert not link.until(lambda: goal.ended, timeout=2.0 * actions.ASK_PERIOD)  # nobody knows
+    again = processes.start(COMMAND)
+    assert link.until(lambda: goal.ended, timeout=30.0), processes.output(again)
+    assert goal.answer.code is Code.UNKNOWN and goal.result is None
+    assert send(action, "done").done().outcome.text == "here you are"

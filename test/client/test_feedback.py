@@ -116,19 +116,12 @@ def test_the_stand_in_demonstrates_from_the_start() -> None:
     assert services.asked == [*BEFORE, *simulated, *AFTER, *GIVEN]
 
 
-def test_a_person_leads_while_it_is_recorded_and_is_told_that_the_learner_pauses() -> None:
+def test_a_person_leads_while_it_is_recorded_and_the_learner_learns_while_the_arm_holds() -> None:
     said: list[str] = []
     services = Services()
-    teach(services, lambda: services.asked.append(("hand", None)), said.append)
-    assert said == ["/bags/demo_1"]
+    answer = teach(services, lambda: services.asked.append(("hand", None)), said.append)
+    assert said == services.bags == [answer.text] == ["/bags/demo_1"]
     assert services.asked == [*BEFORE, (RECORD, True), ("hand", None), *AFTER, *GIVEN]
-
-
-def test_the_learner_learns_from_the_bag_while_the_arm_holds_and_then_continues() -> None:
-    services = Services()
-    assert teach(services).text == "/bags/demo_1"
-    assert services.asked[-4:] == [*AFTER, *GIVEN]
-    assert services.bags == ["/bags/demo_1"]
 
 
 def test_a_refused_demonstration_is_reported_and_the_learner_continues() -> None:

@@ -9,28 +9,17 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import pytest
 from conftest import python_path
 from std_srvs.srv import Trigger
 from toss_task import demonstrated_policy
 
-from wam_power_ros.cli import main
 from wam_power_ros.cli.plan import DOMAIN_FILE
-from wam_power_ros.client.feedback import SERVICES
 from wam_power_ros.practice.session import Session
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import interface
 
 if TYPE_CHECKING:
     from conftest import Probe
-
-
-def test_every_kind_of_feedback_can_be_given_on_the_command_line() -> None:
-    for kind in (*SERVICES.keys() - {"stop"}, "demonstration"):
-        assert main._parser().parse_args(["feedback", kind]).kind == kind
-    assert main._parser().parse_args(["stop"]).command.keywords["kind"] == "stop"
-    with pytest.raises(SystemExit):
-        main._parser().parse_args(["feedback", "applause"])
 
 
 def test_an_arm_is_stopped_from_the_command_line_while_no_learner_runs(

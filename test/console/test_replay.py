@@ -1,29 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command `replay`: finished on the stand-in, refused, stopped by Ctrl-C."""
+"""The command `replay`: refused, stopped by Ctrl-C, ended with a node."""
 
 from __future__ import annotations
 
 import _thread
 import math
-import os
-import re
-import signal
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from bag_samples import REACH, WAM
-from conftest import ROOT, Probe, Processes
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
 from wam_power_interfaces.action import Replay
 from wam_power_ros.bags import reader
+from wam_power_ros.cli.launcher import Devices, Launcher
+from wam_power_ros.cli.plan import DOMAIN_FILE, Plan
+from wam_power_ros.cli.processes import ProcessError, Processes
 from wam_power_ros.client.robot import Robot
+from wam_power_ros.console import replay_running
 from wam_power_ros.console.replay import replay, with_possible_speed
 from wam_power_ros.control import replay_trajectory
 from wam_power_ros.entry import INTERRUPTED
@@ -32,39 +29,12 @@ from wam_power_ros.ros.action_server import Action
 from wam_power_ros.ros.outcomes import Answer, Code, ServiceError, fill
 
 
-def replaying(*arguments: object) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "wam_power_ros.cli", "replay", *map(str, arguments)]
-    return subprocess.Popen(
-        command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-    )
-
-
-def test_a_shipped_bag_is_replayed_and_its_tracking_error_reported(tmp_path: Path) -> None:
-    process = replaying(REACH, "--speed", 1.5, "--folder", tmp_path)
-    said = process.communicate(timeout=900.0)[0]
-    assert process.returncode == 0, said
-    worst = float(re.search(r"rms error ([\d.]+) rad in the worst joint", said)[1])
-    tool = float(re.search(r"tool: rms ([\d.]+) mm", said)[1])
-    assert worst < 0.05
-    assert tool < 10.0
-    assert said.count(" rad, at most ") == 7
-    (made,) = (tmp_path / "bags").iterdir()
-    assert f"recorded: {made}" in said
-    _, wanted = reader.read_demonstration(REACH, WAM)
-    _, done = reader.read_demonstration(made, WAM)
-    np.testing.assert_allclose(done[-1], wanted[-1], atol=0.03)
-    assert np.abs(done - wanted[0]).max(axis=1).min() < 0.03  # at the start
-
-
-def test_without_nodes_a_replay_on_them_says_what_to_do(processes: Processes, probe: Probe) -> None:
-    code = """
-from wam_power_ros.console import replay_running
-replay_running.APPEAR_TIMEOUT = 1.0
-raise SystemExit(replay_running.main())
-"""
-    process = processes.start([sys.executable, "-c", code, str(REACH)])
-    assert process.wait(60.0) == 2
-    assert "no node torque_controller in this domain" in processes.output(process)
+def test_without_nodes_a_replay_on_them_says_what_to_do(
+    robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(replay_running, "APPEAR_TIMEOUT", 0.5)
+    with pytest.raises(ServiceError, match="no node torque_controller in this domain"):
+        replay_running.replay_running(robot.link, REACH, 1.0)
 
 
 def test_the_possible_speed_is_given_as_a_value_of_the_option() -> None:
@@ -146,19 +116,14 @@ def test_only_a_controller_that_is_still_starting_is_asked_again(
         assert len(answers) == 1
 
 
-def test_a_node_that_ends_ends_a_replay_with_its_name_at_once(tmp_path: Path) -> None:
-    process = replaying(REACH, "--speed", 0.01, "--folder", tmp_path)
-    for line in process.stdout:
-        if line.startswith("Replaying"):
-            break
-    children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
-    (controller,) = (
-        int(child)
-        for child in children
-        if b"torque_controller" in Path(f"/proc/{child}/cmdline").read_bytes()
-    )
-    os.kill(controller, signal.SIGKILL)
-    said = process.stdout.read()
-    assert process.wait(600.0) == 2, said
-    assert "wam-power: torque_controller was ended by SIGKILL" in said
-    assert "did not answer" not in said and "Traceback" not in said
+def test_a_node_that_ends_ends_a_wait_for_the_arm_with_its_name_at_once(
+    domain_id: int, tmp_path: Path
+) -> None:
+    plan = Plan(tmp_path, Devices().parameters(), stand_ins=True)
+    (tmp_path / "logs").mkdir()
+    (tmp_path / "logs" / DOMAIN_FILE).write_text(str(domain_id))
+    with Processes(tmp_path, {}) as processes, Launcher(plan, processes).robot() as robot:
+        node = processes.start("torque_controller", ["sleep", "60"])
+        node.process.kill()
+        with pytest.raises(ProcessError, match="torque_controller was ended by SIGKILL"):
+            robot.link.until(lambda: False, timeout=60.0)

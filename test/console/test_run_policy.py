@@ -64,13 +64,9 @@ def test_what_is_no_policy_of_this_arm_is_refused_before_any_node_starts(
     (tmp_path / "text.json").write_bytes(b"\xff\xfe")
     assert "text.json is not a policy: " in refusal("run-policy", "text.json")
     theirs = ArmIdentity("other", tuple("abcdefg"), "0" * 64, "0" * 64)
+    assert "run-policy policy.json" in refusal("replay", "policy.json")
     saved.write_text(to_json(dataclasses.replace(lift("lift"), arm=theirs)))
     assert "policy lift belongs to another arm" in refusal("run-policy", "policy.json")
-
-
-def test_replay_names_the_command_for_a_policy(refusal: Callable[..., str], saved: Path) -> None:
-    assert "to execute a policy: " in (said := refusal("replay", "policy.json"))
-    assert "run-policy policy.json" in said and "recover" not in said
 
 
 def test_the_task_is_that_of_the_session_else_of_its_first_preset(tmp_path: Path) -> None:

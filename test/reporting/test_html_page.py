@@ -19,17 +19,14 @@ def test_a_column_of_text_is_set_left_and_one_of_numbers_is_not() -> None:
     assert '<td class="best">0.7</td>' in html
 
 
-def test_a_section_is_found_by_its_anchor() -> None:
-    title = "Taught on the arm, and executed by it"
-    assert html_page.anchor(title) == "taught-on-the-arm-and-executed-by-it"
-    assert f'id="{html_page.anchor(title)}"' in html_page.section(title)
-
-
-def test_a_page_is_one_document_with_its_title() -> None:
+def test_a_page_is_one_document_whose_sections_are_found_by_their_anchors() -> None:
     html = html_page.page("R & D", [html_page.items(["x"]), "", "a < b"])
     assert "<ul><li>x</li></ul>\na &lt; b" in html
     assert html.startswith("<!doctype html>") and "<title>R &amp; D</title>" in html
     assert html_page.image(b"x", '"', "image/png").startswith('<img alt="&#34;" src="data:image/')
+    title = "Taught on the arm, and executed by it"
+    assert html_page.anchor(title) == "taught-on-the-arm-and-executed-by-it"
+    assert f'id="{html_page.anchor(title)}"' in html_page.section(title)
 
 
 def test_a_row_of_another_length_than_the_head_is_refused() -> None:

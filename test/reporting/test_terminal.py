@@ -62,22 +62,6 @@ def test_every_cause_of_a_failure_is_one_sentence_with_its_numbers(cause: Cause)
     assert terminal.failed(None) == []
 
 
-def test_stamps_are_told_in_milliseconds_and_shares_below_nothing_as_none() -> None:
-    (text,) = terminal.failed(Failure(Cause.CLOCKS, 41, 60, size=0.0823))
-    assert "stamps were +82 ms late in 41 of 60 rollouts" in text
-    (text,) = terminal.failed(Failure(Cause.IGNORED, 30, 60, "landing_y", -0.4))
-    assert "landing y followed the learnt parameters by none of what" in text
-
-
-def test_the_budget_is_not_known_before_the_session_is(practice: Practice) -> None:
-    text = io.StringIO()
-    with terminal.Display(Console(file=text, width=80, force_terminal=True)) as display:
-        display.show_message("torque_controller: waiting for joint states", is_problem=False)
-    shown = text.getvalue()
-    assert "of at most" not in shown
-    assert "waiting for joint states" in shown
-
-
 def test_a_file_that_is_quiet_gets_a_sign_of_life(practice: Practice) -> None:
     text = io.StringIO()
     with terminal.Display(Console(file=text, width=80)) as display:
@@ -149,16 +133,6 @@ def test_rollouts_of_the_budget_and_re_tests_are_counted_apart(practice: Practic
         display.show(tests[:3], settings, practice.task)
         display.show(tests, settings, practice.task)
     assert "re-test 2 of 10" in text.getvalue() and "of 14" not in text.getvalue()
-
-
-def test_one_of_a_thing_is_told_in_the_singular(practice: Practice) -> None:
-    told = [terminal.counted(number, "take") for number in (0, 1, 2)]
-    assert told == ["0 takes", "1 take", "2 takes"]
-    record = practice.records[0]
-    task = practice.task
-    assert terminal.summary([record], task).startswith("1 rollout; mean return ")
-    unusable = record.model_copy(update={"ret": None})
-    assert terminal.summary([unusable], task) == "1 rollout, none usable"
 
 
 def test_a_summary_counts_who_put_the_body_back(practice: Practice) -> None:

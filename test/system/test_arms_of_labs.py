@@ -69,55 +69,26 @@ def test_a_set_up_of_an_arm_is_complete_and_its_reach_lies_within_its_limits(arm
         assert np.all(np.abs(model.gravity(q)) < 0.8 * params.torque_share * model.tau_max)
 
 
-def test_the_driver_of_a_ur_is_rehearsed_in_its_shape() -> None:
-    setup = overlay.setup(["ur"], simulated=True)
-    driver = ArmSimParams.of_setup(setup)
-    assert (driver.effort, driver.command_topic) == (
-        "current",
-        "forward_effort_controller/commands",
-    )
-    assert driver.state_order == "sorted"
-    assert overlay.setup(["franka"], simulated=True)["wam_sim"]["effort"] == "filled"
-
-
 @pytest.mark.long
-def test_a_ur_teaches_replays_and_learns_to_reach_over_dds(tmp_path: Path) -> None:
+def test_a_ur_is_taught_and_learns_to_reach_over_dds(tmp_path: Path) -> None:
     lockstep = tmp_path / "lockstep.yaml"
     fewer = "learner: {ros__parameters: {changes: '{\"retests\": 1}'}}"
     lockstep.write_text(f"wam_sim: {{ros__parameters: {{pace: lockstep}}}}\n{fewer}\n")
+    words = ("learn", "--task", "reach", "--demonstrations", "1", "--trials", "2", "--session", "s")
     simulated = ("--config", "ur", "--config", str(lockstep), "--simulate")
-
-    def done(*arguments: str) -> str:
-        status, output = ended(wam_power(tmp_path, *arguments, *simulated))
-        assert status == 0, output
-        return output
-
-    done("teach", "--task", "reach", "--demonstrations", "1", "--folder", "taught")
-    (bag,) = (tmp_path / "taught/bags").iterdir()
-    (_, _, cdr), *_ = Bag(bag).messages([layout.STATES])
-    state = layout.decoded(cdr, layout.JOINT_STATE)
-    assert list(state.name) == sorted(state.name)
-    gravity = np.array(state.effort)
-    assert np.abs(gravity).max() < 4.0  # [A]; g(q) is up to 27 N m here
-    assert "tool: rms" in done("replay", str(bag), "--folder", "replayed")
-    done("learn", "--task", "reach", "--bags", str(bag), "--trials", "2", "--session", "s")
+    status, output = ended(wam_power(tmp_path, *words, *simulated))
+    assert status == 0, output
     rows = [json.loads(line) for line in (tmp_path / "s/rollouts.jsonl").read_text().splitlines()]
     assert [row["kind"] for row in rows[:2]] == ["reproduction", "explore"]
     assert all(len(row["truth"]["peak_qd"]) == 6 and row["ret"] > 0.0 for row in rows)
+    (_, _, cdr), *_ = Bag(tmp_path / "s/bags" / rows[0]["bag"]).messages([layout.STATES])
+    state = layout.decoded(cdr, layout.JOINT_STATE)
+    assert list(state.name) == sorted(state.name)
+    assert np.abs(state.effort).max() < 4.0  # [A]; g(q) is up to 27 N m here
     best = policies.from_json((tmp_path / "s/policy.json").read_text())
     (row,) = [row for row in rows if row["id"] == best.id]
     rollout, truth = Environment.of(overlay.read(tmp_path / "s/logs/parameters.yaml")).run(best)
     assert rollout.fault is None and truth == row["truth"]  # as in one process
-
-
-def simulated(processes: Processes, file: Path) -> list[str]:
-    """Start the stand-in of a set-up and wait for it; returns the begin of other commands."""
-    command = [sys.executable, "-m", "wam_power_ros.cli", "run"]
-    sim = processes.start([*command, "wam_sim", "--ros-args", "--params-file", str(file)])
-    end = time.monotonic() + 60.0
-    while "the arm, held by its driver" not in processes.output(sim) and time.monotonic() < end:
-        time.sleep(0.1)
-    return command
 
 
 def test_check_driver_of_a_ur_by_positions_asks_for_no_torque_and_for_a_reach_for_no_camera(
@@ -128,7 +99,11 @@ def test_check_driver_of_a_ur_by_positions_asks_for_no_torque_and_for_a_reach_fo
     )
     names, file = ["ur", "position", str(external)], tmp_path / "setup.yaml"
     file.write_text(overlay.text(overlay.setup(names, simulated=True, task="reach")))
-    command = simulated(processes, file)
+    command = [sys.executable, "-m", "wam_power_ros.cli", "run"]
+    sim = processes.start([*command, "wam_sim", "--ros-args", "--params-file", str(file)])
+    end = time.monotonic() + 60.0
+    while "the arm, held by its driver" not in processes.output(sim) and time.monotonic() < end:
+        time.sleep(0.1)
     given = [word for name in names for word in ("--config", name)]
     answers = ("--task", "reach", "--seconds", "2", "--active", "--json")
     rows_file = tmp_path / "rows.json"
@@ -141,21 +116,3 @@ def test_check_driver_of_a_ur_by_positions_asks_for_no_torque_and_for_a_reach_fo
     assert "without gravity" in rows["gravity"]["found"]
     assert rows["gravity"]["verdict"] == "not checked"
     assert not [name for name in rows if "mocap" in name]
-
-
-def test_check_driver_says_of_a_ur_what_it_cannot_tell(
-    processes: Processes, tmp_path: Path
-) -> None:
-    file = tmp_path / "setup.yaml"
-    file.write_text(overlay.text(overlay.setup(["ur"], simulated=True)))
-    command = simulated(processes, file)
-    answers = ("--seconds", "2", "--active", "--json", str(tmp_path / "rows.json"))
-    check = processes.start([*command, "check_driver", "--config", "ur", *answers])
-    assert check.wait(120) == 0, processes.output(check)
-    table = json.loads((tmp_path / "rows.json").read_text())["rows"]
-    rows = {row["name"]: (row["verdict"], row["found"]) for row in table}
-    assert "in another order, matched by name" in rows["joint names"][1]
-    assert rows["torque order"][0] == "ok" and "/wam_sim: shoulder_pan" in rows["torque order"][1]
-    assert rows["effort"][0] == "ok" and rows["effort"][1].endswith(" A of the motors")
-    assert rows["gravity"][0] == "not checked" and "signs agree at" in rows["gravity"][1]
-    assert rows["watchdog"][0] == "not checked" and "no torque" in rows["watchdog"][1]

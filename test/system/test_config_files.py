@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from conftest import ROOT, Probe, Process, Processes, diagnosis
+from conftest import ROOT, Probe, Processes, diagnosis
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import GetParameters
 
@@ -40,7 +40,6 @@ ARMS = (
     "simulation",
     "trajectory",
 )  # other files with parameters of an arm
-AT_ONCE = 5  # nodes, each in a namespace beside a driver of its own
 OBSERVED = 1.0  # [s] after a node has reported: an active controller sends 100 torques in it
 JOINTS = [
     f"{stem}{number}"
@@ -48,7 +47,7 @@ JOINTS = [
     for number in range(1, 8)
 ]
 JOINTS += overlay.setup(["ur"]).joint_names
-# Real time, 100 states a second with the joints of every set-up; says how many torques have come.
+# Real time, 100 states a second with the joints of every set-up; says that a torque has come.
 DRIVER = f"""
 import sys, time
 import rclpy
@@ -59,10 +58,7 @@ from std_msgs.msg import Float64MultiArray
 from wam_power_ros.ros import interface, joint_messages
 rclpy.init()
 node = Node("controller_manager")
-torques = 0
-def count(message):
-    global torques
-    torques += 1
+def hear(message):
     print("torque", flush=True)
 states = []
 for place in sys.argv[1:]:
@@ -72,8 +68,8 @@ for place in sys.argv[1:]:
     qos = interface.COMMAND
     for forwarder in ("effort_controller", "forward_effort_controller"):
         topic = f"{{place}}/{{forwarder}}/commands"
-        node.create_subscription(Float64MultiArray, topic, count, qos)
-    node.create_subscription(JointState, f"{{place}}/joint_torque_commands", count, qos)
+        node.create_subscription(Float64MultiArray, topic, hear, qos)
+    node.create_subscription(JointState, f"{{place}}/joint_torque_commands", hear, qos)
 names = {JOINTS!r}
 count_of_joints = len(names)
 home = ([0.0, 0.35, 0.0, 2.0, 0.0, -0.47, 0.0] * 7)[:count_of_joints]
@@ -107,50 +103,6 @@ def files(names: tuple[str, ...]) -> list[Path]:
     return [ROOT / f"config/{name}.yaml" for name in names]
 
 
-class Lab:
-    """A stranger's driver, whose torques are counted, and nodes beside it."""
-
-    def __init__(self, probe: Probe, processes: Processes) -> None:
-        self._probe, self._processes = probe, processes
-        self._reports = probe.listen(
-            DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
-        )
-        self._places = [f"/place{number}" for number in range(AT_ONCE)]
-        self._driver = processes.script(DRIVER, *self._places)
-        probe.until(lambda: "driver" in processes.output(self._driver), "the driver")
-
-    @property
-    def torques(self) -> int:
-        """Torques that have reached the driver."""
-        return self._processes.output(self._driver).count("torque\n")
-
-    def observe(self, node: str, files: list[list[Path]]) -> None:
-        """Start a node with each list of files, and observe them for a while."""
-        self._reports.clear()
-        started = []
-        for place, paths in zip(self._places, files, strict=False):
-            started.append((place, self._start(node, place, paths)))
-        for place, process in started:
-            up = lambda: self._up(node, place, process)  # noqa: B023, E731
-            self._probe.until(up, f"{node} at {place}")
-        self._probe.spin(OBSERVED)
-        for _, process in started:
-            self._processes.end(process)
-
-    def _start(self, node: str, place: str, files: list[Path]) -> Process:
-        command = [sys.executable, "-m", MODULES[node], "--ros-args", "-r", f"__ns:={place}"]
-        for file in files:
-            command += ["--params-file", str(file)]
-        return self._processes.start(command)
-
-    def _up(self, node: str, place: str, process: Process) -> bool:
-        """Whether a node has reported, or has refused to run."""
-        if process.poll() is not None:
-            assert process.returncode == 2, self._processes.output(process)
-            return True
-        return bool(diagnosis(self._reports, f"{place[1:]}/{node}"))
-
-
 @pytest.mark.requirement("S-101")
 def test_whatever_files_are_combined_a_controller_starts_itself_in_simulation_alone() -> None:
     found = {True: 0, False: 0}
@@ -169,17 +121,24 @@ def test_whatever_files_are_combined_a_controller_starts_itself_in_simulation_al
 def test_plain_files_and_printed_ones_send_no_torque_to_a_strangers_driver(
     node: str, probe: Probe, processes: Processes, tmp_path: Path
 ) -> None:
-    plain = ((), ("simulation", "geodude"), ("simulation", "ur"))
     own = next(combinations(node))
-    batch = [files((*own, *names)) for names in plain]
-    for names, simulated in (([], True), (["ur"], True)):
-        printed = tmp_path / f"{len(batch)}.yaml"  # as `wam-power config` prints them
-        printed.write_text(overlay.text(overlay.setup(names, simulated)))
-        batch.append([printed])
-    assert len(batch) == AT_ONCE
-    lab = Lab(probe, processes)
-    lab.observe(node, batch)
-    assert lab.torques == 0
+    printed = tmp_path / "ur.yaml"  # as `wam-power config` prints it
+    printed.write_text(overlay.text(overlay.setup(["ur"], True)))
+    lists = [files(own), files((*own, "simulation", "geodude")), [printed]]
+    places = [f"/place{number}" for number in range(len(lists))]
+    reports = probe.listen(DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS)
+    driver = processes.script(DRIVER, *places)
+    probe.until(lambda: "driver" in processes.output(driver), "the driver")
+    started = {}
+    for place, paths in zip(places, lists, strict=True):
+        command = [sys.executable, "-m", MODULES[node], "--ros-args", "-r", f"__ns:={place}"]
+        given = [word for path in paths for word in ("--params-file", str(path))]
+        started[place] = processes.start([*command, *given])
+    for place, process in started.items():  # it has reported, or refused to run
+        up = lambda: process.poll() == 2 or diagnosis(reports, f"{place[1:]}/{node}")  # noqa: B023, E731
+        probe.until(up, f"{node} at {place}")
+    probe.spin(OBSERVED)
+    assert "torque" not in processes.output(driver)
 
 
 @pytest.mark.requirement("S-101")

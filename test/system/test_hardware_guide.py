@@ -48,6 +48,11 @@ def commands() -> list[list[str]]:
     return [words for line in lines if (words := shlex.split(line, comments=True))]
 
 
+def found(folder: Path, word: str) -> list[Path | str]:
+    """What a shell makes of a word."""
+    return sorted(folder.glob(word)) if "*" in word else [word]
+
+
 def interrupted_learning(command: list[str], folder: Path, environment: dict[str, str]) -> None:
     """Let `wam-power learn ... --session NAME` run one more rollout of its session, then Ctrl-C."""
     log = folder / command[command.index("--session") + 1] / "rollouts.jsonl"
@@ -81,6 +86,8 @@ class Lab:
 
     def __init__(self, folder: Path, probe: Probe, processes: Processes) -> None:
         self._folder, self._probe, self._processes = folder, probe, processes
+        self._outside = dict(processes.environment)
+        del self._outside["ROS_DOMAIN_ID"]
         (folder / "bags").symlink_to(ROOT / "bags")
         for text in blocks("yaml"):
             name = text.partition("\n")[0].removeprefix("# ")
@@ -109,7 +116,7 @@ class Lab:
         if verb == ["wam-power"]:
             self._wam_power(words[1:])
         elif words[:3] == ["ros2", "run", "wam_power_ros"]:
-            self._run([*CLI, "run", *words[3:]], ROS_DOMAIN_ID=True)
+            self._run([*CLI, "run", *words[3:]], domain=True)
         elif words[:3] == ["ros2", "launch", "wam_power_ros"]:
             self._launch(*words[3:])
         elif words[:3] == ["ros2", "topic", "hz"]:
@@ -122,32 +129,23 @@ class Lab:
             pytest.fail(f"this test does not know how to run {shlex.join(words)}")
 
     def _wam_power(self, words: list[str]) -> None:
-        words = [str(path) for word in words for path in self._expanded(word)]
+        words = [str(path) for word in words for path in found(self._folder, word)]
         if "--speed" in words:  # a person sees what comes; a test need not wait for it
             words[words.index("--speed") + 1] = "0.6"
         if words[0] in ("replay", "teach", "learn"):
             self.leave()  # as the guide says: end the launch file first
             words += ["--config", str(self._folder / "lockstep.yaml"), "--simulate"]
         if words[0] == "learn":
-            self._learn(words)
+            interrupted_learning([*CLI, *words], self._folder, self._outside)
         else:
             self._run([*CLI, *words])
 
-    def _expanded(self, word: str) -> list[str]:
-        found = sorted(self._folder.glob(word)) if "*" in word else []
-        return [str(path) for path in found] or [word]
-
-    def _environment(self, domain: bool) -> dict[str, str]:
-        environment = dict(self._processes.environment)
-        if not domain:  # wam-power takes a free one for a simulation
-            del environment["ROS_DOMAIN_ID"]
-        return environment
-
-    def _run(self, command: list[str], ROS_DOMAIN_ID: bool = False) -> None:
+    def _run(self, command: list[str], domain: bool = False) -> None:
+        """Run a command, in the domain of the nodes or, for a simulation, in a free one."""
         ended = subprocess.run(
             command,
             cwd=self._folder,
-            env=self._environment(ROS_DOMAIN_ID),
+            env=self._processes.environment if domain else self._outside,
             stdin=subprocess.DEVNULL,
             capture_output=True,
             text=True,
@@ -155,9 +153,6 @@ class Lab:
         )
         sys.stdout.write(ended.stdout + ended.stderr)
         assert ended.returncode == 0, ended.stderr
-
-    def _learn(self, words: list[str]) -> None:
-        interrupted_learning([*CLI, *words], self._folder, self._environment(False))
 
     def _launch(self, file: str, *arguments: str) -> None:
         """What launch/hardware.launch.py starts; `launch` itself is not among the wheels."""

@@ -12,40 +12,34 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from conftest import ROOT, Probe, Process, Processes, python_path
-from mcap.reader import make_reader
-from mcap_ros2.decoder import DecoderFactory
-from nav_msgs.msg import Path as PathMessage
-from std_srvs.srv import SetBool
+from diagnostic_msgs.msg import DiagnosticArray
 
 from hardware_sim.scenes import scene_type
 from hardware_sim.settings import WorldSettings
 from hardware_sim.world import World
-from wam_power_interfaces.msg import GroundTruth
 from wam_power_ros.bags import layout, reader
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.learning.demonstration import from_joint_samples
 from wam_power_ros.learning.dmp import fit
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.rollout import EndEffectorPath
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session import Session
-from wam_power_ros.practice.settings import SessionSettings, preset
-from wam_power_ros.ros import interface, pose_messages
+from wam_power_ros.practice.settings import preset
+from wam_power_ros.ros.diagnostics import LEARNER_STATE
 from wam_power_ros.tasks.flip.settings import FLIP_FIT
 
 SEED = 43
+TAUGHT = min((ROOT / "bags").glob("demo_*"))
 JOINTS = [f"wam_j{i}" for i in range(1, 8)]
 # A learner that plans would simulate its plans again at every start.
 SETTINGS = preset("flip", "hindsight", budget=2, retests=1)
-ROLLOUTS = ["trial-0001", "trial-0002", "trial-0003"]  # a reproduction, an exploration, a re-test
+ROLLOUTS = ["trial-0001", "trial-0002"]  # a reproduction, an exploration; then a re-test
 
 
 def wam_power(folder: Path, *arguments: str) -> subprocess.Popen[str]:
@@ -71,13 +65,6 @@ def ended(process: subprocess.Popen[str], deadline: float = 180.0) -> tuple[int,
     return process.returncode, output
 
 
-def wait_for(condition: Callable[[], Any], what: str, deadline: float = 120.0) -> None:
-    end = time.monotonic() + deadline
-    while not condition():
-        assert time.monotonic() < end, f"not within {deadline} s: {what}"
-        time.sleep(0.02)
-
-
 def lines(folder: Path) -> list[bytes]:
     log = folder / "rollouts.jsonl"
     return log.read_bytes().splitlines(keepends=True) if log.exists() else []
@@ -94,37 +81,15 @@ def children(process: subprocess.Popen[str]) -> list[int]:
     return [int(pid) for pid in listed.split()]
 
 
-def decoded(bag: Path, topic: str) -> list[Any]:
-    with next(bag.glob("*.mcap")).open("rb") as file:
-        reader = make_reader(file, decoder_factories=[DecoderFactory()])
-        return [message for *_, message in reader.iter_decoded_messages(topics=[f"/{topic}"])]
-
-
-@pytest.fixture(scope="module")
-def demonstration(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The bag of one demonstration, recorded by `wam-power teach`; the recorder falls behind."""
-    folder = tmp_path_factory.mktemp("teach")
-    arguments = ("--seed", str(SEED), "--demonstrations", "1", "--folder", "taught")
-    teaching = wam_power(folder, "teach", *arguments)
-    begun = (folder / "taught" / "bags").glob
-    wait_for(lambda: any(begun("*")) or teaching.poll() is not None, "a recording")
-    for pid in children(teaching):
-        if "demonstration_recorder" in Path(f"/proc/{pid}/cmdline").read_text():
-            os.kill(pid, signal.SIGSTOP)
-            time.sleep(0.3)
-            os.kill(pid, signal.SIGCONT)
-    status, output = ended(teaching)
-    assert status == 0, output
-    (bag,) = (folder / "taught" / "bags").iterdir()
-    assert "--bags taught/bags/*" in output.splitlines()[-1]
-    return bag
-
-
-@pytest.fixture(scope="module")
-def candidate(demonstration: Path) -> Policy:
+def fitted(bag: Path) -> Policy:
     arm = Arm((ROOT / "urdf/wam7.urdf").read_text(), JOINTS)
-    stamps_ns, q = reader.read_demonstration(demonstration, JOINTS)
+    stamps_ns, q = reader.read_demonstration(bag, JOINTS)
     return fit([from_joint_samples(arm, stamps_ns, q)], FLIP_FIT, "demonstration-1")
+
+
+@pytest.fixture(scope="module")
+def candidate() -> Policy:
+    return fitted(TAUGHT)
 
 
 @pytest.fixture(scope="module")
@@ -135,84 +100,44 @@ def expected(candidate: Policy) -> list[dict[str, Any]]:
     return learnt([record.to_json() for record in bench.practise(practice)])
 
 
-def begin(folder: Path, candidate: Policy, settings: SessionSettings = SETTINGS) -> Path:
-    Session.begin(folder, settings, SEED, [candidate]).close()
+def begin(folder: Path, candidate: Policy) -> Path:
+    Session.begin(folder, SETTINGS, SEED, [candidate]).close()
     return folder
 
 
 SIM = {"use_sim_time": True}
 
 
-def all_but_the_learner(processes: Processes, folder: Path) -> Process:
-    """Start the nodes of a session; returns the controller."""
+def arm_and_controller(processes: Processes) -> Process:
+    """Start the arm in lockstep and its controller; returns the latter."""
     given = {"wam_sim:pace": "lockstep", "wam_sim:seed": SEED}
     processes.node("hardware_sim.main", "wam_sim.yaml", **given)
+    files = "torque_controller.yaml", "simulation.yaml"
+    node = "wam_power_ros.nodes.torque_controller"
+    return processes.node(node, *files, **SIM, move_speed=1.0)
+
+
+def all_but_the_learner(processes: Processes, folder: Path) -> Process:
+    """Start the nodes of a session; returns the controller."""
+    controller = arm_and_controller(processes)
     processes.node("wam_power_ros.nodes.body_tracker", "pancake_tracker.yaml", **SIM)
     recorder = "demonstration_recorder"
     directory = {"directory": folder / "bags"}
     files = f"{recorder}.yaml", "simulation.yaml"
     processes.node(f"wam_power_ros.nodes.{recorder}", *files, **SIM, **directory)
-    controller = "torque_controller"
-    quick = {"move_speed": 1.0}
-    files = f"{controller}.yaml", "simulation.yaml"
-    return processes.node(f"wam_power_ros.nodes.{controller}", *files, **SIM, **quick)
+    return controller
 
 
-def learner(processes: Processes, folder: Path) -> Process:
+def learner(processes: Processes, folder: Path, **given: object) -> Process:
     node = "wam_power_ros.nodes.learner"
-    return processes.node(node, "learner.yaml", "simulation.yaml", **SIM, session=folder)
+    return processes.node(node, "learner.yaml", "simulation.yaml", **SIM, session=folder, **given)
 
 
-@pytest.mark.long
-def test_a_learner_killed_in_mid_rollout_learns_the_same_when_started_again(
-    probe: Probe,
-    processes: Processes,
-    candidate: Policy,
-    expected: list[dict[str, Any]],
-    tmp_path: Path,
-) -> None:
-    folder = begin(tmp_path / "session", candidate)
-    all_but_the_learner(processes, folder)
-
-    # What a killed learner may leave: a recording, and a path and truth of the trial under way.
-    left = PathMessage
-    left_path = probe.publisher(left, interface.ROLLOUT_END_EFFECTOR, interface.LATCHED)
-    left_truth = probe.node.create_publisher(
-        GroundTruth, interface.body_topic("pancake", "truth"), interface.LATCHED
-    )
-    path = EndEffectorPath(
-        ROLLOUTS[0], np.array([0.0, 0.01]), np.zeros((2, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (2, 1))
-    )
-    left_path.publish(pose_messages.path_message(path, 2_000_000, "wam_base"))
-    long_ago = pose_messages.TruthReading(ROLLOUTS[0], 8_000_000, {"caught": "long ago"})
-    left_truth.publish(pose_messages.ground_truth_message(long_ago))
-    assert probe.call(SetBool, interface.RECORD, SetBool.Request(data=True)).success
-
-    kept: list[bytes] = []
-    for rollout in ROLLOUTS[:2]:
-        killed = learner(processes, folder)
-        recording = layout.unfinished(folder / "bags" / f"rollout_{rollout}")
-        probe.until(recording.exists, f"recording of {rollout}", 120.0)
-        probe.spin(float(np.random.default_rng(SEED).uniform(0.1, 0.6)))
-        assert processes.end(killed, signal.SIGKILL) == -signal.SIGKILL
-        assert lines(folder)[: len(kept)] == kept
-        kept = lines(folder)
-    last = learner(processes, folder)
-    probe.until(lambda: last.poll() is not None, "the end of the session", 120.0)
-    assert last.returncode == 0, processes.output(last)
-    assert lines(folder)[: len(kept)] == kept
-    assert learnt(lines(folder)) == expected
-    recorded = [json.loads(row)["bag"] for row in lines(folder)]
-    # the second is so short, by its fault, that it may be over before the learner is killed
-    again = {"": ("",), "_2": ("_2",), "either": ("", "_2")}
-    for id, kind, bag in zip(ROLLOUTS, ("_2", "either", ""), recorded, strict=True):
-        assert bag in [f"rollout_{id}{ending}" for ending in again[kind]]
-    for bag in recorded:
-        commands = decoded(folder / "bags" / bag, interface.EFFORT_COMMANDS)
-        labels = {message.layout.dim[0].label.partition(" ")[2] for message in commands}
-        assert f"rollout {bag[8:18]}" in labels
-        # one rollout a bag, and only that; with this seed one is too fast for the forearm
-        assert not labels - {"hold", "fault", f"rollout {bag[8:18]}"}
+def states_of_the_learner(reports: list[DiagnosticArray]) -> list[str]:
+    """What the learner has said of its session, in order."""
+    found = [each for report in reports for each in report.status]
+    values = [v for each in found if each.name == "learner: session" for v in each.values]
+    return [value.value for value in values if value.key == LEARNER_STATE]
 
 
 @pytest.mark.requirement("S-67")

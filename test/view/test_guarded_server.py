@@ -56,7 +56,15 @@ def test_only_this_machine_reaches_the_server_and_the_public_relay_is_off(
     assert server.request_share_url() is None
 
 
-@pytest.mark.parametrize("head", [(), ("Host: rebound.example",), ("Origin: http://a", "Host: {}")])
+@pytest.mark.parametrize(
+    "head",
+    [
+        (),
+        ("Host: rebound.example",),
+        ("Origin: http://a", "Host: {}"),
+        ("Connection: Upgrade", "Upgrade: websocket", "Origin: http://a", "Host: {}"),
+    ],
+)
 def test_a_strange_request_does_not_reach_viser(server: GuardedServer, head: Sequence[str]) -> None:
     port = server.get_port()
     said = [line.format(f"127.0.0.1:{port}") for line in head]

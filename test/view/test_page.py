@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page in a real browser: a session, buttons, and pages of another origin."""
+"""The page in a real browser: a session and its buttons."""
 
 from __future__ import annotations
 
@@ -30,30 +30,15 @@ from wam_power_ros.practice.session import Session
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.diagnostics import diagnostics_message
-from wam_power_ros.ros.domain import private_domain
 
 ROLLOUTS = 5
 WHITE = np.full((400, 300, 3), 255)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def browser() -> Iterator[Any]:
     with chromium() as started:
         yield started
-
-
-class Viewing:
-    """`wam-power view` of a folder, as a process."""
-
-    def __init__(self, folder: Path) -> None:
-        command = [sys.executable, "-m", "wam_power_ros.cli", "view", str(folder), "--port", "0"]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        self.url = self.process.stdout.readline().split()[0]
-
-    def end(self) -> None:
-        """End it with Ctrl-C."""
-        self.process.send_signal(signal.SIGINT)
-        assert self.process.wait(60) == 0
 
 
 class Running:
@@ -121,20 +106,22 @@ class Running:
         self._lock.close()
 
 
-@pytest.fixture(scope="module")
-def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
-    with private_domain() as domain:
-        session = Running(tmp_path_factory.mktemp("view") / "flips", domain)
-        yield session
-        session.end()
-        session.probe.close()
+@pytest.fixture
+def running(domain_id: int, tmp_path: Path) -> Iterator[Running]:
+    session = Running(tmp_path / "flips", domain_id)
+    yield session
+    session.end()
+    session.probe.close()
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def session_url(running: Running) -> Iterator[str]:
-    viewing = Viewing(running.folder)
-    yield viewing.url
-    viewing.end()
+    """Of `wam-power view` of its folder, as a process, until Ctrl-C."""
+    command = [sys.executable, "-m", "wam_power_ros.cli", "view", str(running.folder)]
+    process = subprocess.Popen([*command, "--port", "0"], stdout=subprocess.PIPE, text=True)
+    yield process.stdout.readline().split()[0]
+    process.send_signal(signal.SIGINT)
+    assert process.wait(60) == 0
 
 
 def differs(page: Any, before: np.ndarray) -> bool:  # noqa: ANN401
@@ -154,33 +141,12 @@ def says(page: Any, text: str) -> bool:  # noqa: ANN401
     return text in page.inner_text("body")
 
 
-def test_a_page_of_another_origin_cannot_connect(
-    browser: Any,  # noqa: ANN401
-    session_url: str,
-) -> None:
-    import viser
-
-    connect = """([url, protocol]) => new Promise(done => {
-        const socket = new WebSocket(url, protocol);
-        socket.onopen = () => done("open");
-        socket.onerror = () => done("refused");
-    })"""
-    arguments = [session_url.replace("http", "ws"), f"viser-v{viser.__version__}"]
-    stranger = browser.new_page()
-    stranger.set_content("<p>a page from elsewhere</p>")
-    assert stranger.evaluate(connect, arguments) == "refused"
-    page = opened(browser, session_url)
-    assert page.evaluate(connect, arguments) == "open"  # the origin made the difference
-    stranger.close()
-    page.close()
-
-
 def test_a_session_is_displayed_and_controlled_by_buttons_until_it_ends(
     browser: Any,  # noqa: ANN401
     running: Running,
     session_url: str,
 ) -> None:
-    page, second = opened(browser, session_url), opened(browser, session_url)
+    page = opened(browser, session_url)
     running.until(lambda: says(page, "flips (running)"), "the page shows that it runs")
     assert says(page, f"{ROLLOUTS}, best return") and says(page, "no safety function")
     running.until(lambda: says(page, "error: joint 4 is beyond its limit"), "diagnostics")
@@ -202,13 +168,9 @@ def test_a_session_is_displayed_and_controlled_by_buttons_until_it_ends(
         running.until(lambda expected=expected: running.asked[-1:] == [expected], label)
     running.until(lambda: says(page, f"answer to {interface.STOP}"), "the answer is shown")
 
-    page.close()  # closing a browser does not affect another
     asked = len(running.asked)
-    reward = second.get_by_role("button", name="Reward", exact=True)
-    reward.click()
-    running.until(lambda: len(running.asked) == asked + 1, "a call from the second browser")
-
     running.end()
-    running.until(lambda: says(second, "not running"), "the page shows that it has ended")
-    assert reward.is_disabled() and len(running.asked) == asked + 1
-    second.close()
+    running.until(lambda: says(page, "not running"), "the page shows that it has ended")
+    reward = page.get_by_role("button", name="Reward", exact=True)
+    assert reward.is_disabled() and len(running.asked) == asked
+    page.close()
