@@ -26,6 +26,15 @@ TICK = 2_000_000  # [ns]
 GRAVITY = Arm((ROOT / "urdf/wam7.urdf").read_text(), NAMES).gravity(HOME)  # [N m]
 
 
+def scripted(processes: Processes, code: str) -> Process:
+    """A controller that a script has changed, in simulation and in lockstep."""
+    config = ["--ros-args"]
+    for file in SIMULATED:
+        config += ["--params-file", str(ROOT / "config" / file)]
+    quick = ["-p", "realtime_priority:=0", "-p", "state_timeout:=0.0"]
+    return processes.script(code, *config, *quick)
+
+
 class PlayedArm:
     """An arm that never moves: publishes states and collects torques."""
 

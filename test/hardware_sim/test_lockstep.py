@@ -194,30 +194,3 @@ def test_in_real_time_states_go_on_while_the_pancake_is_put_back(
     assert ("hold", True) in outcomes, outcomes
 
 
-@pytest.mark.long
-def test_a_scene_without_a_body_can_be_reset_taught_and_practised(
-    probe: Probe, processes: Processes
-) -> None:
-    arm, policy = arm_model(), lift("reach-0001")
-    start = arm.tool_pose(policy.q_start)[0].tolist()  # region at the start of rollouts
-    hardware = Hardware(
-        probe, processes, "lockstep", body="", scene="reach", guarded_region=[*start, 0.02]
-    )
-    topics = {name for name, _ in probe.node.get_topic_names_and_types()}
-    assert not [name for name in topics if "pancake" in name or name == f"/{interface.MARKERS}"]
-    hardware.control()
-    hardware.free()
-    for _ in range(2):
-        assert hardware.ask("reset").code is Code.DONE
-        probe.until(lambda: np.abs(hardware.state().q - HOME).max() < 0.05, "the arm at home")
-        assert hardware.ask("demonstrate").code is Code.DONE
-        probe.until(
-            lambda: np.linalg.norm(arm.tool_pose(hardware.state().q)[0] - REACH_GOAL) < 0.08,
-            "the tool at the goal",
-        )
-    hardware.give_back()
-    _, truth = hardware.rollout(policy, (0.0, 0.0))
-    assert hardware.truths[0].policy_id == policy.id
-    assert truth["touched"]
-    assert -0.0201 < truth["clearance"] < -0.015
-    assert truth["goal_distance"] > 0.1

@@ -11,7 +11,7 @@ from hardware_sim.scenes.flip import MASS, Flip
 from hardware_sim.settings import WorldSettings
 from hardware_sim.world import World
 
-SEEDS = range(200)
+SEEDS = range(100)
 UNKNOWN = WorldSettings(unknown="session")
 
 

@@ -175,18 +175,3 @@ def test_what_is_worst_is_the_summary(beside: Preparation) -> None:
     assert beside.reports[-1][2:4] == ("ok", "hold")
 
 
-def test_the_diagnostics_name_the_loop_its_fault_and_its_figures(
-    report: ControllerReport, beside: Preparation
-) -> None:
-    report.publish(UNCONFIGURED, {"cycles": "0"}, "")
-    name, device, _, _, values = beside.reports[-1]
-    assert (name, device) == ("probe: loop", PARAMS.hardware_id)
-    expected = {"mode": "unconfigured", "policy": "", "fault kind": "", "cycles": "0"}
-    assert expected.items() <= values.items()
-    assert (values["locked memory"], values["preparation processes"]) == ("granted", 1)
-    faulted = active(STILL)
-    faulted.core.refuse_state()
-    report.publish(faulted, {"cycles": "500"}, "")
-    values = beside.reports[-1][-1]
-    assert (values["mode"], values["fault kind"]) == ("fault", FaultKind.STAMPS.value)
-    assert values["rejected"] == 1

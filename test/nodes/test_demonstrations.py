@@ -61,20 +61,6 @@ def test_what_cannot_be_read_is_left_out_and_the_others_keep_their_numbers(
     assert [record.getMessage() for record in caplog.records if nothing in record.getMessage()]
 
 
-def test_what_a_pause_cuts_off_is_logged_with_what_to_do(
-    demonstrations: Demonstrations, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    demonstrations.read(BAG)
-    assert "left out" not in caplog.text
-    _, once = reader.read_demonstration(BAG, PARAMS.joint_names)
-    back = np.concatenate([once, np.tile(once[-1], (200, 1)), once[::-1]])
-    twice = demonstration(tmp_path / "demo_twice", back, tuple(PARAMS.joint_names))
-    assert demonstrations.read(str(twice)).left_out
-    (record,) = [each for each in caplog.records if "left out" in each.getMessage()]
-    assert record.levelname == "WARNING" and str(twice) in record.getMessage()
-    assert "a pause of" in record.getMessage() and "of their own" in record.getMessage()
-
-
 @pytest.mark.parametrize("bags", [[], ["nothing"]])
 def test_a_session_without_a_usable_bag_is_refused(
     demonstrations: Demonstrations, bags: list[str]

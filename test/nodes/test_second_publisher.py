@@ -68,9 +68,8 @@ class Lab:
 
     def refusal(self, *parts: str) -> str:
         """The last refusal in the diagnostics, once it has these parts."""
-        newest = lambda: diagnosis(self.arm.diagnostics, "torque_controller").get("last refusal")  # noqa: E731
-        said = lambda: all(part in (newest() or "") for part in parts) and newest()  # noqa: E731
-        return str(self.probe.until(said, str(parts)))
+        says = lambda d: all(part in d.get("last refusal", "") for part in parts)  # noqa: E731
+        return self.arm.diagnosis(says, str(parts))["last refusal"]
 
 
 @pytest.fixture(scope="module")
@@ -158,10 +157,7 @@ def test_a_second_publisher_of_velocities_is_a_fault(probe: Probe, processes: Pr
 
 
 @pytest.mark.requirement("S-11")
-def test_states_that_arrive_but_are_refused_are_not_said_to_be_missing(
-    probe: Probe, processes: Processes
-) -> None:
-    lab = Lab(probe, processes)
+def test_states_that_arrive_but_are_refused_are_not_said_to_be_missing(lab: Lab) -> None:
     for names, q, reason in (
         (NAMES, np.rad2deg(HOME), "position of joint 4 is 115, allowed is 20 rad: degrees?"),
         (NAMES[:6], HOME[:6], "joints ['wam_j7'] missing in names"),
@@ -174,6 +170,6 @@ def test_states_that_arrive_but_are_refused_are_not_said_to_be_missing(
             said = diagnosis(lab.arm.diagnostics, "torque_controller").get("message", "")
             return reason in said  # noqa: B023
 
-        probe.until(refused, reason)
+        lab.probe.until(refused, reason)
         said = "activation refused: joint states arrive, but are refused: "
         assert lab.refusal("activation", reason).startswith(f"{said}{reason}")

@@ -6,18 +6,16 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
-from conftest import ROOT, Probe, Process, Processes, lift
+from conftest import ROOT, Probe, Processes, lift
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from played_arm import HOME, MODULE, NAMES, TICK, PlayedArm
-from rosgraph_msgs.msg import Clock
+from played_arm import HOME, NAMES, TICK, PlayedArm
 from sensor_msgs.msg import JointState
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from wam_power_ros.control.arm import Arm
@@ -101,9 +99,6 @@ def test_the_life_cycle_decides_whether_torques_are_sent_and_repeated_states_are
 
     execute = probe.ask("execute", lift("trial-0001"))
     assert probe.answer(execute).code is Code.NOT_ACTIVE and execute.status == ABORTED
-    logged = lambda: processes.output(arm.process)  # noqa: E731
-    waiting = "waiting for ros2 lifecycle set /torque_controller"
-    probe.until(lambda: f"{waiting} configure" in logged(), "what it waits for")
     assert change(Transition.TRANSITION_CONFIGURE)
     probe.spin(1.2)
     assert not arm.read()
@@ -120,9 +115,6 @@ def test_the_life_cycle_decides_whether_torques_are_sent_and_repeated_states_are
         arm.send()
     probe.spin(0.2)
     assert len(arm.read()) == count
-    probe.until(lambda: f"{waiting} activate" in logged(), "what it waits for after that")
-    modes = [line.rpartition("mode ")[2] for line in logged().splitlines() if ": mode " in line]
-    assert modes == ["unconfigured", "inactive", "hold", "inactive"]
     assert change(Transition.TRANSITION_CLEANUP)
     assert change(Transition.TRANSITION_CONFIGURE)
     arm.send()
@@ -175,28 +167,6 @@ def test_a_driver_may_name_joints_otherwise_take_another_message_and_add_gravity
     np.testing.assert_allclose(reading.tau, 0.0, atol=1e-9)
 
 
-def test_teaching_and_stopping_are_a_service_call_away(arm: PlayedArm) -> None:
-    probe = arm.probe
-    on = SetBool.Request(data=True)
-    assert probe.call(SetBool, interface.GRAVITY_COMPENSATION, on).success
-    arm.send()
-    assert arm.answer().label == "gravity_compensation"
-    assert probe.answer(probe.ask("execute", lift("trial-0001")), arm.send).code is Code.BUSY
-    assert probe.call(Trigger, interface.STOP).success
-    arm.send()
-    assert arm.answer().label == "hold"
-
-
-def test_each_request_is_answered_by_its_id_and_one_at_a_time(arm: PlayedArm) -> None:
-    probe = arm.probe
-    first = probe.ask("move_to_start", lift("first"))
-    arm.diagnosis(lambda values: values["mode"] == "move_to_start", "the move")
-    second = probe.ask("move_to_start", lift("second"))
-    assert probe.answer(second).code is Code.BUSY and second.status == ABORTED
-    assert probe.answer(first, arm.send).code is Code.DONE and first.status == SUCCEEDED
-    assert (first.stages, second.stages) == (["moving"], [])
-
-
 def points(count: int) -> JointTrajectory:
     """A movement of so many points, which are not looked at."""
     return JointTrajectory(joint_names=NAMES, points=[JointTrajectoryPoint()] * count)
@@ -225,12 +195,6 @@ WRONG = {  # of each kind: what is asked for, with what, code, and what is named
         {"policy": replace(lift("away"), q_start=HOME + 0.3)},
         Code.NOT_AT_START,
         "away",
-    ),
-    "a joint too few": (
-        "replay",
-        {"movement": joint_messages.movement_message(NAMES[:6], STILL._replace(q=STILL.q[:, :6]))},
-        Code.REFUSED,
-        "wam_j7",
     ),
     "another joint": (
         "replay",
@@ -328,31 +292,6 @@ def test_a_cancel_stops_the_arm_and_ends_the_goal_and_a_late_one_does_nothing(
     assert probe.answer(again, arm.send).code is Code.DONE
 
 
-def test_in_simulated_time_states_may_stay_away(probe: Probe, processes: Processes) -> None:
-    probe.publisher(Clock, interface.CLOCK, interface.CLOCK_QOS, readers=0)
-    arm = PlayedArm(probe, processes, state_timeout=0.006, use_sim_time=True)
-    arm.activate()
-    count = len(arm.read())
-    probe.spin(0.5)
-    assert len(arm.read()) == count
-    arm.send()
-    assert arm.answer().label == "hold"
-
-
-def test_a_recorded_movement_is_replayed(arm: PlayedArm) -> None:
-    replay = arm.probe.replay(joint_messages.movement_message(NAMES, STILL))
-    labels = set()
-
-    def played() -> None:
-        arm.send()
-        labels.add(arm.answer().label)
-
-    answer = arm.probe.answer(replay, played)
-    assert answer.success
-    assert "rms" in answer.text
-    assert "replay" in labels
-
-
 def test_a_movement_on_the_topic_is_played_whatever_its_frame_and_a_bad_one_logged(
     arm: PlayedArm, shared_nodes: tuple[Probe, Processes]
 ) -> None:
@@ -377,14 +316,3 @@ def test_a_movement_on_the_topic_is_played_whatever_its_frame_and_a_bad_one_logg
 
         probe.until(played, "the replay")
         probe.until(lambda: arm.send() or arm.answer().label == "hold", "its end")
-
-
-@pytest.mark.requirement("S-18")
-def test_a_parameter_that_no_real_arm_may_have_stops_the_node_and_is_named(
-    processes: Processes, tmp_path: Path
-) -> None:
-    file = tmp_path / "incomplete.yaml"
-    file.write_text("torque_controller: {ros__parameters: {autostart: true}}")
-    process: Process = processes.node(MODULE, file)
-    assert process.wait(60.0) == 2
-    assert "autostart = True" in processes.output(process)

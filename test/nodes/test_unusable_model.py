@@ -5,15 +5,13 @@ from __future__ import annotations
 
 import re
 import signal
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from conftest import ROOT, Probe, Processes, diagnosis
-from played_arm import HOME, NAMES, SIMULATED, PlayedArm
+from played_arm import HOME, NAMES, PlayedArm, scripted
 from rigid_arm import MODEL, Plant, check, make_policy, tool
-from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from wam_power_ros.control.safety import REST_SPEED
@@ -81,38 +79,11 @@ def test_the_controller_of_an_arm_without_masses_names_the_links_and_sends_nothi
     assert arm.process.poll() is None
 
 
-@pytest.mark.requirement("S-111")
-def test_check_driver_names_the_links_that_move_without_mass(
-    probe: Probe, processes: Processes, tmp_path: Path
-) -> None:
-    setup, urdf = tmp_path / "my_arm.yaml", massless(tmp_path, "wam_link[67]|pan")
-    setup.write_text(f"torque_controller:\n  ros__parameters:\n    urdf: {urdf}\n")
-    check = [sys.executable, "-m", "wam_power_ros.cli", "run", "check_driver"]
-    process = processes.start([*check, "--config", str(setup), "--seconds", "1"])
-    states = probe.publisher(JointState, interface.JOINT_STATES, interface.STATE_OUT)
-    message = JointState(name=NAMES, position=list(HOME), velocity=list(np.zeros(7)))
-
-    def ended() -> bool:
-        message.header.stamp = probe.node.get_clock().now().to_msg()
-        states.publish(message)
-        probe.spin(0.002)
-        return process.poll() is not None
-
-    probe.until(ended, "the check ends")
-    assert process.returncode == 2
-    text = " ".join(processes.output(process).split())
-    assert "'wam_link6', 'wam_link7', 'wam_tool_plate', 'pan'] move without mass" in text
-
-
 @pytest.mark.requirement("S-112")
 def test_a_model_that_raises_ends_a_move_at_rest_and_the_node_goes_on(
     probe: Probe, processes: Processes
 ) -> None:
-    config = ["--ros-args"]
-    for file in SIMULATED:
-        config += ["--params-file", str(ROOT / "config" / file)]
-    quick = ["-p", "realtime_priority:=0", "-p", "state_timeout:=0.0"]
-    arm = PlayedArm(probe, processes, processes.script(BREAKING, *config, *quick))
+    arm = PlayedArm(probe, processes, scripted(processes, BREAKING))
     plant = Plant(HOME, delay=1, sensing=True, friction=1.0)
     arm.activate()
     torques = [arm.read()[-1].tau]

@@ -104,19 +104,6 @@ def test_a_goal_reports_its_stage_and_ends_with_its_outcome_and_result_when_it_i
     assert not moves.action.under_way
 
 
-def test_each_of_several_goals_has_its_own_end(probe: Probe, moves: Moves) -> None:
-    sent = [probe.ask("execute", lift(id)) for id in "abc"]
-    probe.until(lambda: len(moves.begun) == 3, "three of them")
-    for id, code in zip(reversed(moves.begun), (Code.FAULT, Code.DONE, Code.BUSY), strict=True):
-        moves.finish(id, Answer(code, id))
-    answers = {probe.answer(each).text: (each.answer.code, each.status) for each in sent}
-    assert answers == {
-        moves.begun[2]: (Code.FAULT, ABORTED),
-        moves.begun[1]: (Code.DONE, SUCCEEDED),
-        moves.begun[0]: (Code.BUSY, ABORTED),
-    }
-
-
 def test_a_goal_that_is_refused_or_done_at_once_ends_at_once(probe: Probe, moves: Moves) -> None:
     for text, code, says, status in (
         ("no", Code.REFUSED, "'no' is no policy", ABORTED),

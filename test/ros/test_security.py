@@ -162,8 +162,6 @@ def test_a_node_does_what_the_policy_allows_and_the_policy_allows_what_it_does(
     ("environment", "open_"),
     [
         ({}, True),
-        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}, True),
-        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT"}, True),
         ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}, False),
         ({"ROS_SECURITY_ENABLE": "true"}, True),
         ({"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce"}, False),
