@@ -15,9 +15,9 @@ from wam_power_ros.params.node_params import Params
 from wam_power_ros.params.tag_camera_params import TagCameraParams
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 
-ALL: tuple[type[Params], ...] = (
+_ALL: tuple[type[Params], ...] = (
     *(TorqueControllerParams, BodyTrackerParams, DemonstrationRecorderParams, LearnerParams),
     *(TagCameraParams, FrankaDriverParams, NatNetClientParams),
     *(ArmSimParams, OptitrackSimParams),
 )
-READS = {Path(params.file).stem: params for params in ALL}
+READS = {Path(params.file).stem: params for params in _ALL}

@@ -5,15 +5,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 from conftest import ROOT, Probe, Process, Processes, diagnosis
-from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
 from wam_power_ros.control.arm import Arm
+from wam_power_ros.nodes.torque_controller import TorqueController
 from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.ros.simulation_guard import STAND_IN
 from wam_power_ros.ros.stamps import time_message
@@ -35,6 +39,47 @@ def scripted(processes: Processes, code: str) -> Process:
     return processes.script(code, *config, *quick)
 
 
+class ControllerHere:
+    """A controller in the test's own process, which hands it states and reads its torques."""
+
+    def __init__(self, node: TorqueController) -> None:
+        self.node = node
+        self.sent: list[Any] = []
+        self.refused: list[str] = []
+        kind = node._commands.msg_type
+        keep = lambda message: self.sent.append(deserialize_message(message, kind))  # noqa: E731
+        node._guard.publish = keep
+        node._report.refuse = lambda what, why: self.refused.append(f"{what} refused: {why}")
+        node._stamp_clock = SimpleNamespace(check=lambda *_: None)
+        self._number = 0
+
+    def send(self, names: list[str] = NAMES, qd: tuple[float, ...] = (0.0,) * 7) -> str:
+        """Hand over a state at rest, a tick after the last whatever time has passed since.
+
+        Returns:
+            The label of the newest torque, empty before any.
+        """
+        self._number += 1
+        state = JointState(name=names, position=list(HOME), velocity=qd)
+        state.header.stamp = time_message(TICK * self._number)
+        self.node._watchdog.arrived_ns = self.node._sent_ns = time.monotonic_ns() - TICK
+        self.node._on_state(serialize_message(state), numbered(self._number))
+        return joint_messages.torque(self.sent[-1], names).label if self.sent else ""
+
+    def configure(self) -> bool:
+        """Whether the node can be configured."""
+        return self.node.trigger_configure() is TransitionCallbackReturn.SUCCESS
+
+    def activate(self) -> bool:
+        """Whether the node can be activated."""
+        return self.node.trigger_activate() is TransitionCallbackReturn.SUCCESS
+
+
+def numbered(number: int) -> dict[str, int]:
+    """What the middleware says of a publisher's message of a number."""
+    return {"publication_sequence_number": number}
+
+
 class PlayedArm:
     """An arm that never moves: publishes states and collects torques."""
 
@@ -52,9 +97,7 @@ class PlayedArm:
         self.messages = probe.listen(
             Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND
         )
-        self.diagnostics = probe.listen(
-            DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
-        )
+        self.diagnostics = probe.diagnostics()
         self.stamp_ns = TICK
         simulated = parameters.get("use_sim_time", False)
         self.sent_ns, self._real_time = 0, bool(parameters.get("state_timeout")) and not simulated

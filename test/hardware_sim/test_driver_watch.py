@@ -15,7 +15,7 @@ from stand_ins import CONFIGS
 from std_msgs.msg import String
 
 from hardware_sim import driver_watch
-from wam_power_ros.ros import interface
+from wam_power_ros.ros import interface, network
 
 SIM = "hardware_sim.main"
 DRIVER = """
@@ -23,7 +23,7 @@ import rclpy
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
-from wam_power_ros.ros import interface
+from wam_power_ros.ros import interface, network
 rclpy.init()
 node = Node("effort_controller")
 node.create_subscription(
@@ -145,6 +145,16 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     clock = SimpleNamespace(now=0.0)
     monkeypatch.setattr(driver_watch.time, "monotonic", lambda: clock.now)
     return clock
+
+
+@pytest.mark.requirement("S-56")
+def test_a_simulation_refuses_a_middleware_that_cannot_be_confined(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(network, "middleware", lambda: "rmw_zenoh_cpp")
+    remedy = "rmw_zenoh_cpp.*RMW_IMPLEMENTATION=rmw_fastrtps_cpp"
+    with pytest.raises(ValueError, match=remedy):
+        driver_watch.DriverWatch(graph()).check()
 
 
 @pytest.mark.requirement("S-55")

@@ -23,7 +23,7 @@ from hardware_sim.sensors import Mocap, MocapFrame
 from wam_power_ros import rotations
 from wam_power_ros.params import body_tracker_params, overlay
 from wam_power_ros.params.body_tracker_params import MESSAGE_TYPES, BodyTrackerParams
-from wam_power_ros.ros import body_sources, interface, pose_messages
+from wam_power_ros.ros import body_sources, interface
 from wam_power_ros.ros.body_sources import BodySource
 from wam_power_ros.tracking.frame_tree import compose
 from wam_power_ros.tracking.tracker import TrackedState, Tracker

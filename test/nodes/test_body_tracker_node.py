@@ -5,12 +5,11 @@ from __future__ import annotations
 
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import rclpy
 from conftest import Probe, Processes
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry, Path
@@ -20,7 +19,6 @@ from hardware_sim import body_messages
 from wam_power_ros import rotations
 from wam_power_ros.learning.rollout import EndEffectorPath
 from wam_power_ros.nodes.body_tracker import REPAIR_TIME, BodyTracker
-from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface, pose_messages
 from wam_power_ros.ros.stamps import time_message
 from wam_power_ros.tracking import marker_fit
@@ -54,8 +52,8 @@ def pan_path(id: str, duration: float, start_ns: int) -> Path:
 class Tracked:
     """A tracker in this process, whose callbacks and clocks the test calls and sets."""
 
-    def __init__(self) -> None:
-        self.node = BodyTracker()
+    def __init__(self, node: BodyTracker) -> None:
+        self.node = node
         self.states: list[Odometry] = []
         self.paths: list[Path] = []
         self.reports: list[tuple[str, str, dict[str, object]]] = []
@@ -96,23 +94,9 @@ Make = Callable[..., Tracked]
 
 
 @pytest.fixture
-def make(domain_id: int) -> Iterator[Make]:
+def make(node_here: Callable[..., BodyTracker]) -> Make:
     """Makes the tracker of a test."""
-    made: list[Tracked] = []
-
-    def make(**parameters: object) -> Tracked:
-        config = ["--params-file", str(share("config") / CONFIG)]
-        config += [
-            word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")
-        ]
-        rclpy.init(args=["--ros-args", *config], domain_id=domain_id)
-        made.append(Tracked())
-        return made[-1]
-
-    yield make
-    for tracked in made:
-        tracked.node.destroy_node()
-    rclpy.try_shutdown()
+    return lambda **parameters: Tracked(node_here(BodyTracker, CONFIG, **parameters))
 
 
 def test_a_path_holds_every_valid_frame_of_the_rollout_however_they_come(

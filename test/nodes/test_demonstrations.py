@@ -8,11 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bag_samples import demonstration
 from conftest import ROOT
 
 from wam_power_ros import installed
-from wam_power_ros.bags import reader
 from wam_power_ros.nodes.demonstrations import Demonstrations
 from wam_power_ros.nodes.learner import LearnerParams
 from wam_power_ros.nodes.simulated_arm import SimulatedArm
@@ -87,15 +85,3 @@ def test_a_policy_has_the_springs_that_the_session_asks_for(
     _, _, (policy,) = demonstrations.candidates(preset("flip", springs=springs), [BAG])
     assert policy.basis.count == count
     assert np.linalg.eigvalsh(policy.stiffness).max() == pytest.approx(500.0 * count / 8)
-
-
-def test_a_movement_is_simulated_once_whatever_its_id(
-    demonstrations: Demonstrations, monkeypatch: pytest.MonkeyPatch, arm: SimulatedArm
-) -> None:
-    reports: list[str] = []
-    monkeypatch.setattr(arm, "_report", reports.append)
-    monkeypatch.setattr(arm, "_verdicts", {})
-    for number in (1, 2):
-        policy = demonstrations.fit(demonstrations.read(BAG), BAG, f"demonstration-{number}", 0)
-        arm.infeasible(policy)
-    assert len(reports) == 1

@@ -3,29 +3,23 @@
 
 from __future__ import annotations
 
-import sys
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import Probe, Processes, diagnosis, lift
-from diagnostic_msgs.msg import DiagnosticArray
+from conftest import Probe, Processes, lift
 from nav_msgs.msg import Path as PathMessage
-from open_loop import reproduced
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
-from wam_power_ros import rotations
-from wam_power_ros.control.arm import Arm
-from wam_power_ros.learning.demonstration import from_joint_samples
-from wam_power_ros.learning.dmp import fit
+from hardware_sim.arm_node import ArmSim
+from hardware_sim.world import World
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.params import overlay
-from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface, joint_messages, pose_messages
-from wam_power_ros.ros.stamps import sensor_stamp
-from wam_power_ros.tasks.reach.settings import REACH_FIT
 
 IN_STEP = "wam_sim: {ros__parameters: {pace: lockstep}}"  # at any speed of the machine
 
@@ -42,9 +36,7 @@ class Rehearsal:
         self.file.write_text(overlay.text(self.setup))
         arm = self.setup["torque_controller"]
         self.states = probe.listen(JointState, arm["state_topic"], interface.STATE_OUT)
-        self.diagnostics = probe.listen(
-            DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
-        )
+        self.diagnostics = probe.diagnostics()
         processes.node("hardware_sim.main", self.file)
         probe.until(lambda: self.states, "a state")
 
@@ -82,52 +74,45 @@ def test_a_rollout_is_the_same_through_every_driver(
     assert all(not list(speed.name) and len(speed.velocity) == 7 for speed in speeds)
 
 
+Driver = tuple[ArmSim, Callable[[], str]]
+
+
+@pytest.fixture
+def driver(node_here: Callable[..., ArmSim], tmp_path: Path) -> Callable[..., Driver]:
+    """Makes a stand-in in this process, with its state in words."""
+
+    def make(name: str, **values: object) -> Driver:
+        setup = overlay.setup([name], simulated=True).changed({"wam_sim": values})
+        (file := tmp_path / "parameters.yaml").write_text(overlay.text(setup))
+        arm = node_here(ArmSim, file)
+        arm.attach(World.of(arm.params, None), lambda *_: None)
+        said: list[str] = []
+        arm._diagnostics = SimpleNamespace(publish=lambda _, text, values: said.append(text))
+        return arm, lambda: (arm.report({}), said[-1])[1]
+
+    return make
+
+
 def test_a_driver_that_is_set_to_do_so_ends_with_a_command_of_a_wrong_size(
-    probe: Probe, processes: Processes, tmp_path: Path
+    driver: Callable[..., Driver],
 ) -> None:
-    more = tmp_path / "deactivates.yaml"
-    more.write_text("wam_sim: {ros__parameters: {deactivates: true}}")
-    bench = Rehearsal(probe, processes, tmp_path, "geodude", str(more))
-    torques = probe.publisher(Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND)
-
-    def doing() -> str:
-        return diagnosis(bench.diagnostics, "wam_sim").get("message", "")
-
-    probe.until(lambda: doing() == "commanded", "the driver at work")
-    torques.publish(Float64MultiArray(data=[np.nan] * 7))  # dropped without a fault
-    probe.until(
-        lambda: diagnosis(bench.diagnostics, "wam_sim").get("torques refused") == "1", "a refusal"
-    )
+    arm, doing = driver("geodude", deactivates=True)
+    arm._on_torque(Float64MultiArray(data=[np.nan] * 7))  # dropped without a fault
+    assert (arm.counters["torques refused"], doing()) == (1, "commanded")
+    arm._on_torque(Float64MultiArray(data=[0.0] * 6))
+    assert doing() == "deactivated"
+    arm._barrett._on_gravity_compensate(SetBool.Request(data=True), SetBool.Response())
     assert doing() == "commanded"
-    torques.publish(Float64MultiArray(data=[0.0] * 6))
-    probe.until(lambda: doing() == "deactivated", "the driver deactivated")
-    on = SetBool.Request(data=True)
-    assert probe.call(SetBool, interface.WAM_GRAVITY_COMPENSATE, on).success
-    probe.until(lambda: doing() == "commanded", "the driver at work again")
 
 
 def test_an_arm_that_was_idled_is_active_again_once_the_fault_is_reset(
-    probe: Probe, processes: Processes, tmp_path: Path
+    driver: Callable[..., Driver],
 ) -> None:
-    bench = Rehearsal(probe, processes, tmp_path, "libbarrett")
-    torques = probe.publisher(JointState, "/joint_torque_commands", interface.COMMAND)
-    write = joint_messages.TorqueWriter(bench.setup["wam_sim"]["joint_names"], "joint_state")
-
-    def doing() -> str:
-        return diagnosis(bench.diagnostics, "wam_sim").get("message", "")
-
-    def step(label: str) -> None:
-        stamp_ns = sensor_stamp(bench.states[-1])
-        torques.publish(write(stamp_ns, label, np.zeros(7)))
-        probe.until(lambda: sensor_stamp(bench.states[-1]) > stamp_ns, "a step")
-
+    arm, doing = driver("libbarrett")
+    step = lambda label: arm.tick(joint_messages.TorqueReading(None, label, np.zeros(7)))  # noqa: E731
     step("fault")
-    assert probe.call(Trigger, interface.WAM_IDLE).success
+    arm._barrett._on_idle(Trigger.Request(), Trigger.Response())
     step("fault")
-    probe.until(lambda: doing() == "idle", "the arm idle")
+    assert doing() == "idle"
     step("hold")
-    probe.until(lambda: doing() == "commanded", "the arm active")
-
-
-
-
+    assert doing() == "commanded"

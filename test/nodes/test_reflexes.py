@@ -18,7 +18,6 @@ from conftest import ROOT, Probe, Processes, diagnosis, lift
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
 from nav_msgs.msg import Odometry
 from rcl_interfaces.msg import Log, Parameter, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
@@ -83,7 +82,7 @@ ELSEWHERE = {
     "ros2 lifecycle set": "nodes/test_torque_controller_node.py::"
     "test_the_life_cycle_decides_whether_torques_are_sent_and_repeated_states_are_recent",
     "ros2 action send_goal --feedback": "hardware_sim/test_lockstep.py::"
-    "test_waypoints_of_a_follow_joint_trajectory_are_passed_and_a_cancel_stops_the_arm",
+    "test_waypoints_of_a_follow_joint_trajectory_are_passed_and_a_wrong_goal_is_invalid",
     "ros2 service call of stop": "nodes/test_torque_controller_node_faults.py::"
     "test_no_service_says_done_in_a_fault_but_a_stop_that_names_it",
     "ros2 service call of the recorder": "nodes/test_demonstration_recorder_node.py::"
@@ -117,11 +116,6 @@ class Session:
         assert result.successful == (self.parameter(node, name) == value)
         return "" if result.successful else result.reason or "refused"
 
-    def change(self, transition: int) -> bool:
-        """`ros2 lifecycle set`."""
-        request = ChangeState.Request(transition=Transition(id=transition))
-        return self.probe.call(ChangeState, f"{CONTROLLER}/change_state", request).success
-
     def holds(self) -> None:
         """Wait until the controller holds the arm."""
         status = lambda: diagnosis(self.diagnostics, f"{CONTROLLER}: loop")  # noqa: E731
@@ -134,9 +128,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
     folder = tmp_path_factory.mktemp("reflexes")
     with private_domain() as domain:
         probe, processes = Probe(domain), Processes(domain, folder)
-        diagnostics = probe.listen(
-            DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
-        )
+        diagnostics = probe.diagnostics()
         log = probe.listen(Log, interface.LOG, interface.LOG_QOS)
         start = lambda module, *words: processes.start(  # noqa: E731
             [sys.executable, "-m", module, "--ros-args"]
@@ -315,9 +307,9 @@ def test_param_set_of_the_torque_share_goes_down_and_only_while_not_active(
     session: Session,
 ) -> None:
     assert "not active" in session.set(CONTROLLER, "torque_share", 0.9)
-    assert session.change(Transition.TRANSITION_DEACTIVATE)
+    assert session.probe.change(Transition.TRANSITION_DEACTIVATE)
     assert session.set(CONTROLLER, "torque_share", 0.9) == ""
     assert "only lowered" in session.set(CONTROLLER, "torque_share", 0.95)
     activate = Transition.TRANSITION_ACTIVATE  # refused until the next state has come
-    session.probe.until(lambda: session.change(activate), "activation")
+    session.probe.until(lambda: session.probe.change(activate), "activation")
     session.holds()

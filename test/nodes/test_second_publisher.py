@@ -10,7 +10,6 @@ import pytest
 import rclpy
 from conftest import Probe, Processes, diagnosis
 from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
 from played_arm import GRAVITY, HOME, NAMES, PlayedArm
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
@@ -29,13 +28,7 @@ class Lab:
 
     def __init__(self, probe: Probe, processes: Processes, **given: object) -> None:
         self.probe, self.arm = probe, PlayedArm(probe, processes, autostart=False, **given)
-        self.change(Transition.TRANSITION_CONFIGURE)
-
-    def change(self, transition: int) -> bool:
-        """Whether a transition of the controller succeeds."""
-        request = ChangeState.Request(transition=Transition(id=transition))
-        name = "/torque_controller/change_state"
-        return bool(self.probe.call(ChangeState, name, request).success)
+        self.probe.change(Transition.TRANSITION_CONFIGURE)
 
     def activated(self, beside: Callable[[], None] = lambda: None) -> bool:
         """Whether an attempt to activate the controller succeeds after some states."""
@@ -43,7 +36,7 @@ class Lab:
             self.arm.send()
             beside()
             self.probe.spin(0.002)
-        return self.change(Transition.TRANSITION_ACTIVATE)
+        return self.probe.change(Transition.TRANSITION_ACTIVATE)
 
     def activate(self) -> None:
         """Activate the controller, and hold."""
@@ -82,7 +75,7 @@ def configured(shared_nodes: tuple[Probe, Processes]) -> Lab:
 def lab(configured: Lab) -> Lab:
     """The shared controller, which is not active."""
     if configured.arm.read() and configured.arm.read()[-1].label != "inactive":
-        assert configured.change(Transition.TRANSITION_DEACTIVATE)
+        assert configured.probe.change(Transition.TRANSITION_DEACTIVATE)
     configured.arm.diagnostics.clear()
     return configured
 
@@ -131,7 +124,7 @@ def test_publishers_of_other_joints_and_a_driver_that_was_restarted_are_legal(la
         lab.say(hand, ["finger"], ZEROS[:1])
         lab.arm.send()
         assert lab.arm.answer().label == "hold"
-    lab.change(Transition.TRANSITION_DEACTIVATE)
+    lab.probe.change(Transition.TRANSITION_DEACTIVATE)
     lab.arm._publisher = lab.other("restarted")  # the old one stays announced
     lab.activate()
 
@@ -166,7 +159,7 @@ def test_states_that_arrive_but_are_refused_are_not_said_to_be_missing(lab: Lab)
 
         def refused() -> bool:
             lab.arm.send(names, q)  # noqa: B023
-            assert not lab.change(Transition.TRANSITION_ACTIVATE)
+            assert not lab.probe.change(Transition.TRANSITION_ACTIVATE)
             said = diagnosis(lab.arm.diagnostics, "torque_controller").get("message", "")
             return reason in said  # noqa: B023
 

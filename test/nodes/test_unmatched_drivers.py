@@ -9,17 +9,14 @@ from collections.abc import Callable, Iterator
 import pytest
 import rclpy
 from conftest import ROOT, Probe, Processes, diagnosis
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PointStamped, PoseStamped
+from geometry_msgs.msg import PointStamped
 from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
 from played_arm import NAMES
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 
 from wam_power_ros.ros import interface, joint_messages
-from wam_power_ros.ros.stamps import time_message
 
 CONTROLLER = "wam_power_ros.nodes.torque_controller"
 TRACKER = "wam_power_ros.nodes.body_tracker"
@@ -49,7 +46,7 @@ def driver(domain_id: int) -> Iterator[Callable[[str], Node]]:
 def test_a_mocap_driver_of_another_type_is_named_by_tracker_recorder_and_check(
     probe: Probe, processes: Processes, driver: Callable[[str], Node]
 ) -> None:
-    reports = probe.listen(DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS)
+    reports = probe.diagnostics()
     driver("mocap_driver").create_publisher(PointStamped, "/pancake/pose", 10)
     words = ["run", "check_driver", "--seconds", "0.5", "--config", "natnet_ros2"]
     check = processes.start([sys.executable, "-m", "wam_power_ros.cli", *words])
@@ -75,7 +72,7 @@ def test_a_mocap_driver_of_another_type_is_named_by_tracker_recorder_and_check(
 def test_the_controller_names_states_description_and_commands_that_do_not_match(
     probe: Probe, processes: Processes, driver: Callable[[str], Node]
 ) -> None:
-    reports = probe.listen(DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS)
+    reports = probe.diagnostics()
     arm = driver("arm_driver")
     arm.create_publisher(Float64MultiArray, "/joint_states", 10)
     arm.create_publisher(String, "/robot_description", 1)
@@ -83,14 +80,10 @@ def test_the_controller_names_states_description_and_commands_that_do_not_match(
     given = {"realtime_priority": 0, "autostart": False, "simulation": False, "urdf": "''"}
     processes.node(CONTROLLER, "torque_controller.yaml", "simulation.yaml", **given)
 
-    def change(transition: int) -> bool:
-        request = ChangeState.Request(transition=Transition(id=transition))
-        return bool(probe.call(ChangeState, "/torque_controller/change_state", request).success)
-
     def refused(transition: int, *parts: str, before: Callable[[], None] = lambda: None) -> None:
         def said() -> bool:  # the driver may not have been discovered at the first attempt
             before()
-            assert not change(transition)
+            assert not probe.change(transition)
             newest = diagnosis(reports, "torque_controller").get("last refusal", "")
             return all(part in newest for part in parts)
 
@@ -102,7 +95,7 @@ def test_the_controller_names_states_description_and_commands_that_do_not_match(
     urdf = String(data=(ROOT / "urdf/wam7.urdf").read_text())
     probe.publisher(String, interface.ROBOT_DESCRIPTION, interface.LATCHED).publish(urdf)
 
-    probe.until(lambda: change(configure), "the configuration")
+    probe.until(lambda: probe.change(configure), "the configuration")
     parts = "publishes std_msgs/msg/Float64MultiArray", "not sensor_msgs/msg/JointState (at least"
     refused(activate, *parts)
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 
 import re
 import signal
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import ROOT, Probe, Processes, diagnosis
-from played_arm import HOME, NAMES, PlayedArm, scripted
+from conftest import ROOT, Probe, Processes
+from played_arm import HOME, NAMES, ControllerHere, PlayedArm, scripted
 from rigid_arm import MODEL, Plant, check, make_policy, tool
 from std_srvs.srv import Trigger
 
@@ -62,21 +63,12 @@ LAST = ["wam_link6", "wam_link7", "wam_tool_plate", "pan"]
 
 @pytest.mark.requirement("S-111")
 def test_the_controller_of_an_arm_without_masses_names_the_links_and_sends_nothing(
-    probe: Probe, processes: Processes, tmp_path: Path
+    controller_here: Callable[..., ControllerHere], tmp_path: Path
 ) -> None:
-    arm = PlayedArm(probe, processes, urdf=str(massless(tmp_path, "wam_link[67]|pan")))
-
-    def refused() -> bool:
-        arm.send()
-        probe.spin(0.02)
-        report = diagnosis(arm.diagnostics, "torque_controller")
-        return "move without mass" in report.get("last refusal", "")
-
-    probe.until(refused, "the refusal is reported")
-    report = diagnosis(arm.diagnostics, "torque_controller")
-    assert f"links {LAST} move without mass" in report["last refusal"]
-    assert not arm.read()
-    assert arm.process.poll() is None
+    arm = controller_here(urdf=massless(tmp_path, "wam_link[67]|pan"))
+    assert not arm.configure()
+    assert f"links {LAST} move without mass" in arm.refused[-1]
+    assert arm.send() == ""
 
 
 @pytest.mark.requirement("S-112")

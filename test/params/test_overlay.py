@@ -249,13 +249,6 @@ def test_plain_files_say_to_a_node_what_the_set_ups_say(names: tuple[str, ...]) 
         assert plain[node] == setup[node]
 
 
-def test_without_a_file_a_node_has_its_own_which_fit_together() -> None:
-    setup = overlay.of_files([])
-    for node in overlay.NODES:
-        assert setup[node] == parameter_file.of_nodes(ROOT / f"config/{node}.yaml")[node]
-    assert setup["wam_sim"]["pace"] == "real_time"  # the other nodes have the time of the wall
-
-
 def test_a_section_of_all_nodes_reaches_each_that_has_the_parameter(tmp_path: Path) -> None:
     common = "/**: {ros__parameters: {rate: 100.0, command_topic: torques, urdf: my.urdf}}"
     (tmp_path / "my.urdf").write_text("<robot/>")

@@ -8,7 +8,7 @@ import random
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -26,6 +26,8 @@ def joint_state(names: list[str], q: list[float], qd: list[float]) -> JointState
     return message
 
 
+@pytest.mark.requirement("S-12")
+@settings(max_examples=30)
 @given(SEVEN, SEVEN, st.randoms(), st.integers(0, 3))
 def test_joints_are_matched_by_name_in_any_order_beside_others(
     q: list[float], qd: list[float], shuffle: random.Random, others: int
@@ -49,6 +51,7 @@ def test_a_new_order_of_names_is_noticed() -> None:
         )
 
 
+@pytest.mark.requirement("S-14")
 @pytest.mark.parametrize("qd", [[], [0.0] * 6 + [math.nan]])
 def test_velocity_that_is_left_out_or_nan_reads_as_none(qd: list[float]) -> None:
     assert joint_messages.JointStateReader(NAMES)(joint_state(NAMES, [0.0] * 7, qd)).qd is None

@@ -18,7 +18,6 @@ from conftest import Probe, Process, Processes
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Int64
 
-from wam_power_ros.params.overlay import STAND_INS
 from wam_power_ros.params.resources import share
 from wam_power_ros.ros import network
 from wam_power_ros.ros.network import RANGE, confine, wider_reach
@@ -129,21 +128,6 @@ def test_another_middleware_is_named_whatever_the_environment_says(
     confine(environment)
     assert PROFILE not in environment
     assert "rmw_zenoh_cpp" in (wider_reach(environment) or "")
-
-
-@pytest.mark.requirement("S-56")
-def test_a_simulation_refuses_a_middleware_that_cannot_be_confined(processes: Processes) -> None:
-    code = """
-from wam_power_ros.ros import network
-network.middleware = lambda: "rmw_zenoh_cpp"
-from hardware_sim.main import main
-raise SystemExit(main())
-"""
-    files = [word for name in STAND_INS for word in ("--params-file", share(f"config/{name}.yaml"))]
-    process = processes.start([sys.executable, "-c", code, "--ros-args", *map(str, files)])
-    assert process.wait(60.0) == 2
-    said = processes.output(process)
-    assert "rmw_zenoh_cpp" in said and "RMW_IMPLEMENTATION=rmw_fastrtps_cpp" in said
 
 
 @pytest.mark.requirement("S-56")
