@@ -51,19 +51,34 @@ class ControllerHere:
         node._guard.publish = keep
         node._report.refuse = lambda what, why: self.refused.append(f"{what} refused: {why}")
         node._stamp_clock = SimpleNamespace(check=lambda *_: None)
-        self._number = 0
+        self._number = self._stamp_ns = 0
 
-    def send(self, names: list[str] = NAMES, qd: tuple[float, ...] = (0.0,) * 7) -> str:
-        """Hand over a state at rest, a tick after the last whatever time has passed since.
+    def send(
+        self,
+        names: list[str] = NAMES,
+        q: np.ndarray = HOME,
+        qd: tuple[float, ...] = (),
+        number: int = 0,
+        again: bool = False,
+    ) -> str:
+        """Hand over a state, a tick after the last, or again, whatever time has passed since.
 
         Returns:
             The label of the newest torque, empty before any.
         """
         self._number += 1
-        state = JointState(name=names, position=list(HOME), velocity=qd)
-        state.header.stamp = time_message(TICK * self._number)
-        self.node._watchdog.arrived_ns = self.node._sent_ns = time.monotonic_ns() - TICK
-        self.node._on_state(serialize_message(state), numbered(self._number))
+        self._stamp_ns += 0 if again else TICK
+        state = JointState(name=names, position=list(q), velocity=qd)
+        state.header.stamp = time_message(self._stamp_ns)
+        if self.node._watchdog.enabled:
+            self.node._watchdog.arrived_ns = self.node._sent_ns = time.monotonic_ns() - TICK
+        self.node._on_state(serialize_message(state), numbered(number or self._number))
+        return self.label
+
+    @property
+    def label(self) -> str:
+        """Label of the newest torque, empty before any."""
+        names = self.node._params.joint_names
         return joint_messages.torque(self.sent[-1], names).label if self.sent else ""
 
     def configure(self) -> bool:

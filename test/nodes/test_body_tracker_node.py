@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from conftest import Probe, Processes
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PointStamped, PoseStamped
 from nav_msgs.msg import Odometry, Path
 from rosgraph_msgs.msg import Clock
 
@@ -266,6 +266,18 @@ def test_in_lockstep_a_tracker_that_stood_still_loses_no_frame(
     ends.publish(pan_path("held", 9.9, SECOND))
     message = probe.until(lambda: paths and paths[0], "a path")
     assert len(pose_messages.path(message).t) == 298  # within 9.9 s
+
+
+def test_a_driver_of_another_type_is_an_error_that_names_both(probe: Probe, make: Make) -> None:
+    probe.node.create_publisher(PointStamped, "/pancake/pose", 10)
+    tracked = make()
+    theirs = "node 'probe' publishes geometry_msgs/msg/PointStamped (reliable, volatile) on "
+    text = f"{theirs}/pancake/pose, not geometry_msgs/msg/PoseStamped"
+    probe.until(lambda: text in tracked.report()[1], "its name")
+    assert tracked.report()[0] == "error"
+    tracked.frame(time.time_ns(), PAN)
+    tracked.frame(time.time_ns(), PAN + 1e-3)  # of a driver that is received
+    assert tracked.report()[0] == "warn"
 
 
 def test_a_tracker_without_a_source_stops_with_the_names_of_both(processes: Processes) -> None:

@@ -19,7 +19,7 @@ import pytest
 import yaml
 from conftest import Probe, Processes, lift
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PointStamped, PoseStamped
 from nav_msgs.msg import Path as NavPath
 from rclpy.duration import Duration
 from rclpy.publisher import Publisher
@@ -253,6 +253,15 @@ def test_what_is_missing_is_said_in_the_bag_and_the_diagnostics(make: Make) -> N
     assert json.loads(custom["missing"])["/joint_states"] == 4
     note = "4 messages missing on /joint_states, longest gap 0.010 s"
     assert fed.report() == ("warn", note)
+
+
+def test_a_driver_of_another_type_is_a_warning_that_names_both(probe: Probe, make: Make) -> None:
+    probe.node.create_publisher(PointStamped, "/pancake/pose", 10)
+    fed = make()
+    text = "not recorded: node 'probe' publishes geometry_msgs/msg/PointStamped"
+    discover = fed.node._topics.discover
+    probe.until(lambda: discover() or fed.report()[1].startswith(text), "its name")
+    assert fed.report()[0] == "warn"
 
 
 class Bench:

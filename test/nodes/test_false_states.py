@@ -108,7 +108,7 @@ def test_a_velocity_topic_that_falls_silent_is_a_fault(
     def label(number: int, late_ns: int = 0) -> str:
         arm.node._on_velocity(speeds, numbered(number))
         arm.node._qd_ns -= late_ns
-        return arm.send(qd=())
+        return arm.send()
 
     label(1)
     assert arm.activate()

@@ -6,14 +6,15 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
 from conftest import ROOT, Probe, Processes, lift
-from lifecycle_msgs.msg import Transition
 from played_arm import HOME, NAMES, TICK, ControllerHere, PlayedArm
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -62,38 +63,56 @@ def test_a_repeated_stamp_gets_the_same_torque_and_an_older_one_none(arm: Played
 
 
 def test_the_life_cycle_decides_whether_torques_are_sent_and_repeated_states_are_recent(
-    probe: Probe, processes: Processes
+    controller_here: Callable[..., ControllerHere],
 ) -> None:
-    arm = PlayedArm(probe, processes, autostart=False)
-
-    def change(transition: int) -> bool:
-        arm.send()
-        return probe.change(transition)
-
-    execute = probe.ask("execute", lift("trial-0001"))
-    assert probe.answer(execute).code is Code.NOT_ACTIVE and execute.status == ABORTED
-    assert change(Transition.TRANSITION_CONFIGURE)
-    probe.spin(1.2)
-    assert not arm.read()
-    assert not probe.change(Transition.TRANSITION_ACTIVATE)  # the last state is too old
-    assert change(Transition.TRANSITION_ACTIVATE)
+    arm = controller_here()
+    node, answers = arm.node, []
+    node._requests._replies = SimpleNamespace(
+        ended=lambda id, answer, end=None: answers.append(answer)
+    )
+    node._requests.begin("a", "move_to_start", lift("a"), time.time_ns(), "")
+    assert answers[-1].code is Code.NOT_ACTIVE
+    assert arm.configure()
+    assert arm.send() == ""
+    node._watchdog.arrived_ns -= 1_100_000_000
+    assert not arm.activate()  # the last state is too old
     arm.send()
-    assert arm.answer().label == "hold"
-    assert change(Transition.TRANSITION_DEACTIVATE)
-    probe.until(lambda: arm.read()[-1].label == "inactive", "a last torque")
-    count = len(arm.torques)
-    for _ in range(20):
-        arm.send()
-    probe.spin(0.2)
-    assert len(arm.read()) == count
-    assert change(Transition.TRANSITION_CLEANUP)
-    assert change(Transition.TRANSITION_CONFIGURE)
+    assert arm.activate()
+    assert arm.send() == "hold"
+    node.trigger_deactivate()
+    count = len(arm.sent)
+    assert arm.send() == arm.label == "inactive" and len(arm.sent) == count
+    node.trigger_cleanup()
+    assert arm.configure()
     arm.send()
-    end = time.monotonic() + 1.5
-    while time.monotonic() < end:  # a stand-in in lockstep waits for a torque before it steps
-        arm.again(NAMES, HOME, np.zeros(7))
-        probe.spin(0.05)
-    assert probe.change(Transition.TRANSITION_ACTIVATE)
+    node._watchdog.arrived_ns -= 1_100_000_000
+    arm.send(again=True)  # a stand-in in lockstep waits for a torque before it steps
+    assert arm.activate()
+
+
+def test_states_description_and_commands_that_do_not_match_are_named(
+    probe: Probe, controller_here: Callable[..., ControllerHere]
+) -> None:
+    probe.node.create_publisher(Float64MultiArray, "/joint_states", 10)
+    probe.node.create_publisher(String, "/robot_description", 1)
+    commands = "/effort_controller/commands"
+    probe.node.create_subscription(JointState, commands, lambda _: None, 1)
+    arm = controller_here(urdf='""', simulation=False, state_timeout=0.006)
+
+    def refused(attempt: Callable[[], bool], *parts: str) -> None:
+        def said() -> bool:  # the driver may not have been discovered at the first attempt
+            assert not attempt()
+            return all(part in arm.refused[-1] for part in parts)
+
+        probe.until(said, str(parts))
+
+    refused(arm.configure, "node 'probe' publishes std_msgs/msg/String (reliable, volatile)")
+    arm.node._on_description(String(data=(ROOT / "urdf/wam7.urdf").read_text()))
+    assert arm.configure()
+    kinds = "publishes std_msgs/msg/Float64MultiArray", "not sensor_msgs/msg/JointState (at least"
+    refused(arm.activate, *kinds)
+    text = f"'probe' subscribes to {commands} as sensor_msgs/msg/JointState"
+    refused(lambda: arm.send() == "" and arm.activate(), text)
 
 
 @pytest.mark.requirement("S-41")
