@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TypeVar
 
@@ -25,8 +25,10 @@ def node_here(domain_id: int) -> Iterator[Callable[..., Node]]:
     """Makes a node in this process, whose callbacks the test calls."""
     made: list[Node] = []
 
-    def make(kind: Callable[[], T], *files: str | Path, **parameters: object) -> T:
-        arguments = ["--ros-args"]
+    def make(
+        kind: Callable[[], T], *files: str | Path, remap: Sequence[str] = (), **parameters: object
+    ) -> T:
+        arguments = ["--ros-args", *(w for rule in remap for w in ("-r", rule))]
         arguments += [w for file in files for w in ("--params-file", str(ROOT / "config" / file))]
         arguments += [w for item in parameters.items() for w in ("-p", "{}:={}".format(*item))]
         rclpy.init(args=arguments, domain_id=domain_id)

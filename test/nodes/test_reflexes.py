@@ -1,47 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reflexes of a ROS engineer: what he types without reading, and what then happens.
 
-The tests of this file share one session of real nodes, in lockstep; `ELSEWHERE` points to those
-that exist beside their modules. `ros2` is not among the wheels: what it asks a graph is asked here.
+The nodes are in the test's own process; `ELSEWHERE` points to tests beside other modules.
 """
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
-from dataclasses import dataclass
-from importlib import import_module
+from collections.abc import Callable
 
 import numpy as np
 import pytest
-from conftest import ROOT, Probe, Processes, diagnosis, lift
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped
-from lifecycle_msgs.msg import Transition
-from nav_msgs.msg import Odometry
-from rcl_interfaces.msg import Log, Parameter, ParameterValue
-from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
-from rclpy.parameter import Parameter as Value
-from rclpy.parameter import parameter_value_to_python
-from rclpy.qos import QoSProfile
+from conftest import ROOT
+from played_arm import HOME, ControllerHere
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rigid_arm import make_policy
 from std_srvs.srv import Trigger
 
-from wam_power_ros.control.modes import Mode
-from wam_power_ros.params import overlay
-from wam_power_ros.ros import interface
-from wam_power_ros.ros.domain import private_domain
+from hardware_sim.arm_node import ArmSim
+from hardware_sim.main import OWN_NAME
+from hardware_sim.optitrack_node import OptitrackSim
+from wam_power_ros.nodes.body_tracker import BodyTracker
 
-TRACKER = "wam_power_ros.nodes.body_tracker"
-FILES = [str(ROOT / f"config/{name}.yaml") for name in ("simulation", "lockstep")]
-CONTROLLER, PLATE = "torque_controller", "plate_tracker"
-OWN = {  # nodes of the session, and their kinds
-    CONTROLLER: "torque_controller",
-    "demonstration_recorder": "demonstration_recorder",
-    "pancake_tracker": "pancake_tracker",
-    PLATE: "pancake_tracker",
-    "wam_sim": "wam_sim",
-    "optitrack_sim": "optitrack_sim",
-}
 ELSEWHERE = {
     "ros2 run NODE, without any parameter": "system/test_started_by_ros.py::"
     "test_a_node_takes_from_its_defaults_what_no_file_and_no_argument_says",
@@ -92,224 +72,105 @@ ELSEWHERE = {
 }
 
 
-@dataclass
-class Session:
-    """Stand-ins, controller, recorder and two trackers, with what they say."""
-
-    probe: Probe
-    processes: Processes
-    diagnostics: list[DiagnosticArray]
-    log: list[Log]
-
-    def parameter(self, node: str, name: str) -> object:
-        """`ros2 param get`."""
-        request = GetParameters.Request(names=[name])
-        (value,) = self.probe.call(GetParameters, f"{node}/get_parameters", request).values
-        plain = parameter_value_to_python(value)
-        return plain if isinstance(plain, (str, int, float)) else list(plain)
-
-    def set(self, node: str, name: str, value: object) -> str:
-        """`ros2 param set`; returns the reason of a refusal, empty if it was set."""
-        given: ParameterValue = Value(name, value=value).get_parameter_value()
-        request = SetParameters.Request(parameters=[Parameter(name=name, value=given)])
-        (result,) = self.probe.call(SetParameters, f"{node}/set_parameters", request).results
-        assert result.successful == (self.parameter(node, name) == value)
-        return "" if result.successful else result.reason or "refused"
-
-    def holds(self) -> None:
-        """Wait until the controller holds the arm."""
-        status = lambda: diagnosis(self.diagnostics, f"{CONTROLLER}: loop")  # noqa: E731
-        self.diagnostics.clear()
-        self.probe.until(lambda: status().get("mode") == Mode.HOLD.value, "hold")
-
-
-@pytest.fixture(scope="module")
-def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
-    folder = tmp_path_factory.mktemp("reflexes")
-    with private_domain() as domain:
-        probe, processes = Probe(domain), Processes(domain, folder)
-        diagnostics = probe.diagnostics()
-        log = probe.listen(Log, interface.LOG, interface.LOG_QOS)
-        start = lambda module, *words: processes.start(  # noqa: E731
-            [sys.executable, "-m", module, "--ros-args"]
-            + [word for file in FILES for word in ("--params-file", file)]
-            + [*words]
-        )
-        # -p for a process with two nodes: one is of the arm, one of the cameras, one of both
-        start(
-            "hardware_sim.main", "-p", "seed:=3", "-p", "rate:=100.0", "-p", "urdf:=urdf/wam7.urdf"
-        )
-        start("wam_power_ros.nodes.torque_controller")
-        start("wam_power_ros.nodes.demonstration_recorder", "-p", f"directory:={folder}")
-        start(TRACKER)
-        plate = ("-p", "body:=plate", "-r", "plate/pose:=cameras/plate")
-        start(TRACKER, "-r", f"__node:={PLATE}", *plate, "-p", "use_sim_time:=false")
-        made = Session(probe, processes, diagnostics, log)
-        try:
-            probe.until(lambda: {*OWN} <= {*probe.node.get_node_names()}, "all nodes")
-            made.holds()
-            yield made
-            ends = [processes.end(process) for process, _ in reversed(processes.started)]
-            assert ends == [0] * len(ends)
-        finally:
-            probe.close()
-            processes.close()
-
-
-def names_and_types(session: Session) -> dict[str, list[str]]:
-    """`ros2 topic list -t`, which hides those of actions."""
-    found = session.probe.node.get_topic_names_and_types()
-    return {name: kinds for name, kinds in found if "/_" not in name}
-
-
 def test_every_pointer_leads_to_a_test() -> None:
     for place in ELSEWHERE.values():
         file, name = place.split("::")
         assert f"def {name}(" in (ROOT / "test" / file).read_text(), place
 
 
-# Nodes
+def param_set(node: Node, name: str, value: object) -> str:
+    """The reason of a refusal, empty if the parameter was set."""
+    (result,) = node.set_parameters([Parameter(name, value=value)])
+    found = np.array(node.get_parameter(name).value)
+    assert result.successful == np.array_equal(found, np.array(value))
+    return "" if result.successful else result.reason or "refused"
 
 
-def test_node_list_has_every_node_once_by_the_name_that_it_was_given(session: Session) -> None:
-    names = session.probe.node.get_node_names()
-    assert [names.count(name) for name in OWN] == [1] * len(OWN)
+@pytest.fixture
+def plate(node_here: Callable[..., Node]) -> Node:
+    """A second tracker, of another body, with a name and a topic of its own."""
+    names = "__node:=plate_tracker", "plate/pose:=cameras/plate"
+    return node_here(BodyTracker, "pancake_tracker.yaml", remap=names, body="plate")
 
 
-def test_a_name_is_the_same_in_log_diagnostics_and_graph(session: Session) -> None:
-    reported = lambda: {s.name.partition(":")[0] for m in session.diagnostics for s in m.status}  # noqa: E731
-    known = {*OWN} - {"optitrack_sim"}
-    session.probe.until(lambda: known <= reported(), f"diagnostics of {known}")
-    assert reported() <= {*OWN}
-    logged = lambda: {entry.name for entry in session.log}  # noqa: E731
-    session.probe.until(lambda: CONTROLLER in logged(), "the log of the controller")
-    assert logged() <= {*OWN, "probe"}
-
-
-# Topics
-
-
-def test_topic_list_has_no_text_but_the_robot_description(session: Session) -> None:
-    strings = [
-        name for name, kinds in names_and_types(session).items() if "std_msgs/msg/String" in kinds
-    ]
-    assert strings == ["/robot_description"]
-
-
-def test_topic_pub_of_a_frame_reaches_the_tracker_by_its_remapped_name(session: Session) -> None:
-    heard = session.probe.listen(Odometry, "plate/state", interface.STATE_RECORD)
-    frames = session.probe.publisher(PoseStamped, "cameras/plate", QoSProfile(depth=10))
-    message = PoseStamped()
-    message.pose.orientation.w = 1.0
-    place = iter(range(10_000))
-
-    def published() -> bool:
-        message.header.stamp = session.probe.node.get_clock().now().to_msg()
-        message.pose.position.x = 0.8 + 1e-6 * next(place)  # cameras see no pose twice
-        message.pose.position.z = 0.6
-        frames.publish(message)
-        session.probe.spin(0.01)
-        return bool(heard)
-
-    session.probe.until(published, "a state of the plate")
-    assert heard[0].header.frame_id == "wam_base"
-    assert heard[0].child_frame_id == "plate"
-
-
-def test_two_trackers_track_two_bodies_side_by_side(session: Session) -> None:
-    topics = names_and_types(session)
-    assert {"/pancake/state", "/plate/state", "/cameras/plate"} <= topics.keys()
-    assert "/plate/pose" not in topics
-    pancake = session.probe.listen(Odometry, "pancake/state", interface.STATE_RECORD)
-    session.probe.until(lambda: pancake, "a state of the pancake")
-    assert pancake[0].child_frame_id == "pancake"
-
-
-def test_bag_record_of_all_topics_finds_every_type_and_each_topic_has_one(
-    session: Session,
+def test_a_second_tracker_has_the_names_that_it_was_given_in_graph_topics_and_diagnostics(
+    plate: Node,
 ) -> None:
-    for name, kinds in names_and_types(session).items():
-        (kind,) = kinds
-        package, _, message = kind.split("/")
-        assert hasattr(import_module(f"{package}.msg"), message), name
-
-
-# Parameters
-
-
-@pytest.mark.parametrize("node", OWN)
-def test_param_list_is_what_is_in_the_file_of_its_kind(session: Session, node: str) -> None:
-    request = ListParameters.Request()
-    found = session.probe.call(ListParameters, f"{node}/list_parameters", request).result.names
-    own = overlay.of_files([])[OWN[node]]
-    ours = {name for name in found if "." not in name and name != "use_sim_time"}
-    assert ours - {"start_type_description_service"} == {*own}
+    assert plate.get_name() == "plate_tracker"
+    published = {publisher.topic_name for publisher in plate.publishers}
+    assert {"/plate/state", "/rollout/plate"} <= published
+    assert "/cameras/plate" in {each.topic_name for each in plate.subscriptions}
+    assert plate._diagnostics._of[0].startswith("plate_tracker: ")
 
 
 def test_param_given_to_a_process_of_two_nodes_reaches_the_one_that_has_it(
-    session: Session,
+    node_here: Callable[..., Node],
 ) -> None:
-    assert session.parameter("wam_sim", "seed") == 3
-    assert session.parameter("optitrack_sim", "rate") == 100.0
-    request = GetParameters.Request(names=["rate"])
-    assert not session.probe.call(GetParameters, "wam_sim/get_parameters", request).values
+    files = "wam_sim.yaml", "optitrack_sim.yaml"
+    arm = node_here(ArmSim, *files, seed=3, rate=100.0, urdf="urdf/wam7.urdf")
+    cameras = OptitrackSim(cli_args=OWN_NAME)
+    assert (arm.params.seed, cameras.params.rate) == (3, 100.0)
+    cameras.destroy_node()
 
 
-def test_param_describe_says_what_may_be_set_at_rest(session: Session) -> None:
-    request = DescribeParameters.Request(names=["speed_max", "rate"])
-    asked = session.probe.call(DescribeParameters, "pancake_tracker/describe_parameters", request)
-    speed, rate = asked.descriptors
+def test_param_describe_says_what_may_be_set_at_rest(plate: Node) -> None:
+    speed, rate = (plate.describe_parameter(name) for name in ("speed_max", "rate"))
     assert (speed.read_only, rate.read_only) == (False, True)
     assert "at rest" in speed.additional_constraints
     assert "restart the node" in rate.additional_constraints
 
 
-def test_param_set_of_gates_and_latency_of_a_tracker_at_rest(session: Session) -> None:
-    for name, value in (("latency_offset", 0.004), ("speed_max", 9.0), ("noise", 0.002)):
-        assert session.set(PLATE, name, value) == ""
-    assert session.set(PLATE, "workspace_low", [-2.0, -2.0, -0.5]) == ""
-
-
-def test_param_set_of_a_gate_beyond_its_range_or_against_another_is_refused(
-    session: Session,
+def test_param_set_of_gates_and_latency_of_a_tracker_is_taken_unless_it_cannot_be(
+    plate: Node,
 ) -> None:
-    assert session.set(PLATE, "speed_max", 900.0)
-    reason = session.set(PLATE, "workspace_low", [-2.0, -2.0, 40.0])
-    assert "must be below workspace_high" in reason
+    for name, value in (("latency_offset", 0.004), ("speed_max", 9.0), ("noise", 0.002)):
+        assert param_set(plate, name, value) == ""
+    assert param_set(plate, "workspace_low", [-2.0, -2.0, -0.5]) == ""
+    assert plate._params.speed_max == plate._tracker._settings.speed_max == 9.0
+    assert param_set(plate, "speed_max", 900.0)
+    against = param_set(plate, "workspace_low", [-2.0, -2.0, 40.0])
+    assert "must be below workspace_high" in against
+    assert param_set(plate, "rate", 50.0)
 
 
-def test_param_set_of_what_is_read_at_start_is_refused(session: Session) -> None:
-    for node, name, value in (
-        (PLATE, "rate", 50.0),
-        (CONTROLLER, "elbow_speed_max", 1.9),
-        (CONTROLLER, "use_sim_time", False),
-    ):
-        assert session.set(node, name, value)
+@pytest.fixture
+def held(controller_here: Callable[..., ControllerHere]) -> ControllerHere:
+    """A controller that holds an arm."""
+    arm = controller_here()
+    assert arm.configure()
+    arm.send()
+    assert arm.activate()
+    assert {arm.send() for _ in range(200)} == {"hold"}
+    return arm
 
 
-def test_param_set_of_the_speed_of_moves_at_rest_and_not_in_a_movement(session: Session) -> None:
-    session.holds()
-    assert session.set(CONTROLLER, "move_speed", 0.05) == ""
-    assert session.set(CONTROLLER, "move_speed", -1.0)
-    policy = lift("slow")
-    away = policy.q_start + 0.3 * np.eye(7)[3]
-    move = session.probe.ask("move_to_start", policy.__class__(**{**vars(policy), "q_start": away}))
-    session.probe.until(lambda: move.begun, "the movement")
-    assert move.result is None
-    assert "mode" in session.set(CONTROLLER, "move_speed", 1.0)
-    assert session.probe.call(Trigger, interface.STOP).success
-    session.probe.answer(move)
-    session.holds()
-    assert session.set(CONTROLLER, "move_speed", 1.0) == ""
+def test_param_set_of_the_speed_of_moves_at_rest_and_not_in_a_movement(
+    held: ControllerHere,
+) -> None:
+    node = held.node
+    assert param_set(node, "elbow_speed_max", 1.9)  # read at the start
+    assert param_set(node, "move_speed", 0.05) == ""
+    assert node._controller.settings.move_speed == 0.05
+    assert param_set(node, "move_speed", -1.0)
+    node._controller.load(make_policy(q_start=HOME + 0.3 * np.eye(7)[3]))
+    node._controller.move_to_start()
+    assert held.send() == "move_to_start"
+    assert "mode" in param_set(node, "move_speed", 1.0)
+    node._on_stop(Trigger.Request(), Trigger.Response())
+    for _ in range(200):
+        held.send()
+    assert param_set(node, "move_speed", 1.0) == ""
 
 
 def test_param_set_of_the_torque_share_goes_down_and_only_while_not_active(
-    session: Session,
+    held: ControllerHere,
 ) -> None:
-    assert "not active" in session.set(CONTROLLER, "torque_share", 0.9)
-    assert session.probe.change(Transition.TRANSITION_DEACTIVATE)
-    assert session.set(CONTROLLER, "torque_share", 0.9) == ""
-    assert "only lowered" in session.set(CONTROLLER, "torque_share", 0.95)
-    activate = Transition.TRANSITION_ACTIVATE  # refused until the next state has come
-    session.probe.until(lambda: session.probe.change(activate), "activation")
-    session.holds()
+    node = held.node
+    assert "not active" in param_set(node, "torque_share", 0.9)
+    node.trigger_deactivate()
+    before = node._controller.limits.torque
+    assert param_set(node, "torque_share", 0.9) == ""
+    np.testing.assert_allclose(node._controller.limits.torque, 0.9 * before)
+    assert "only lowered" in param_set(node, "torque_share", 0.95)
+    held.send()
+    assert held.activate()
