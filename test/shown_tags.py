@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import time
-
 import cv2
 import numpy as np
 
@@ -19,7 +17,6 @@ LARGER, CELL, NOISE = 2, 32, 3.0  # ideal image over the real one, pixels of a m
 ONE = "36h11", (3,), 0.06, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 TWO = "36h11", (3, 7), 0.05, (-0.04, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0,
                               0.035, 0.01, -0.005, 0.0, 0.35, 0.0, 0.93674970)  # fmt: skip
-CAMERA = np.array([0.8, 0.2, 1.4]), rotations.exp([0.3, 0.2, 0.5]) @ np.diag([1.0, -1.0, -1.0])
 
 
 def truth(t: float) -> tuple[np.ndarray, np.ndarray]:
@@ -88,34 +85,3 @@ def measure(tags: tuple, count: int = 60) -> dict[str, object]:
         angle = np.linalg.norm(rotations.log(found[1] @ rotation.T))
         errors.append([1e3 * np.linalg.norm(found[0] - place), np.rad2deg(angle)])
     return {"errors": errors, "lost": lost}
-
-
-def publish(tags: tuple) -> None:
-    """Publish images until the process is ended."""
-    import rclpy
-    from rclpy.qos import qos_profile_sensor_data
-    from sensor_msgs.msg import CameraInfo, Image
-
-    from wam_power_ros.ros.stamps import time_message
-
-    film = Film(tags)
-    rclpy.init()
-    node = rclpy.create_node("camera_driver")
-    images = node.create_publisher(Image, "camera/image_raw", qos_profile_sensor_data)
-    infos = node.create_publisher(CameraInfo, "camera/camera_info", qos_profile_sensor_data)
-    while rclpy.ok():
-        stamp_ns = time.time_ns()
-        grey = film.image(*truth(stamp_ns * 1e-9 % 1000.0))
-        height, width = grey.shape
-        message = Image(height=height, width=width, step=width, encoding="mono8")
-        message.data = grey.tobytes()
-        info = CameraInfo(height=height, width=width, distortion_model="plumb_bob")
-        info.k, info.d = K.ravel().tolist(), D.tolist()
-        for each, to in ((info, infos), (message, images)):
-            each.header.stamp, each.header.frame_id = time_message(stamp_ns), "camera_optical"
-            to.publish(each)
-        time.sleep(max(0.0, 0.05 - 1e-9 * (time.time_ns() - stamp_ns)))
-
-
-if __name__ == "__main__":
-    publish(TWO)

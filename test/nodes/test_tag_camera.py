@@ -1,27 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tag camera: poses from images, alone and over real DDS up to the tracker's states."""
+"""The tag camera: poses from images."""
 
 from __future__ import annotations
 
-import sys
-import time
-from pathlib import Path
+from collections.abc import Callable
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 import shown_tags
-from conftest import Probe, Processes
-from geometry_msgs.msg import PoseStamped
-from nav_msgs.msg import Odometry
 from sensor_msgs.msg import CameraInfo, Image
 
-from hardware_sim import body_messages
 from wam_power_ros import rotations
-from wam_power_ros.nodes.tag_camera import grey_image
+from wam_power_ros.nodes.tag_camera import TagCamera, grey_image
 from wam_power_ros.nodes.tag_detector import TagDetector
-from wam_power_ros.params import overlay
-from wam_power_ros.ros import body_sources, interface, pose_messages
+from wam_power_ros.ros import pose_messages
 from wam_power_ros.ros.stamps import time_message
 
 K = np.array([[600.0, 0.0, 320.0], [0.0, 600.0, 240.0], [0.0, 0.0, 1.0]])
@@ -117,79 +111,48 @@ def test_images_of_every_encoding_are_read_and_others_named() -> None:
 
 def test_tags_are_measured_to_a_millimetre_through_a_distorting_lens() -> None:
     for tags in (shown_tags.ONE, shown_tags.TWO):
-        found = shown_tags.measure(tags)
+        found = shown_tags.measure(tags, 20)
         errors = np.array(found["errors"])
-        assert len(errors) >= 57, found["lost"]
+        assert len(errors) >= 19, found["lost"]
         assert (np.median(errors, axis=0) < [0.5, 0.15]).all()
         assert (np.percentile(errors, 95, axis=0) < [2.0, 1.0]).all()
 
 
-def test_images_become_states_of_the_tracker(
-    probe: Probe, processes: Processes, tmp_path: Path
+def test_images_become_poses_in_the_frame_of_the_camera_and_what_is_missing_is_said(
+    node_here: Callable[..., TagCamera],
 ) -> None:
-    file = tmp_path / "lab.yaml"
-    tags, size, poses = (shown_tags.TWO[number] for number in (1, 2, 3))
-    file.write_text(
-        "pancake_tracker: {ros__parameters: {rate: 15.0}}\n"
-        f"tag_camera: {{ros__parameters: {{tags: {[*tags]}, tag_size: {size}, "
-        f"tag_poses: {[*poses]}}}}}\n"
-    )
-    setup = overlay.setup([str(file)], simulated=True)
-    parameters = tmp_path / "parameters.yaml"
-    parameters.write_text(overlay.text(setup))
-    position, rotation = shown_tags.CAMERA
-    kind = body_sources.message_class(body_sources.TF_TYPE)
-    fixed = probe.publisher(kind, "/tf_static", interface.LATCHED, readers=0)
-    place = position, rotations.quat_xyzw(rotation)
-    fixed.publish(body_messages.message(body_sources.TF_TYPE, 1, "world", "camera_optical", *place))
-    reports = probe.diagnostics()
-    states = probe.listen(Odometry, "pancake/state", interface.DEEP)
-    poses = probe.listen(PoseStamped, "pancake/pose", interface.DEEP)
-    processes.node("wam_power_ros.nodes.tag_camera", parameters)
-    processes.node("wam_power_ros.nodes.body_tracker", parameters)
-    processes.start([sys.executable, shown_tags.__file__])
-    probe.until(lambda: len(states) > 40, "states")
-    off = []
-    for reading in map(pose_messages.pose, poses):
-        place, turned = shown_tags.truth(reading.stamp_ns * 1e-9 % 1000.0)
+    tags, size, poses = shown_tags.TWO[1:]
+    given = {"tags": [*tags], "tag_size": size, "tag_poses": [*poses]}
+    camera, sent, said = node_here(TagCamera, "tag_camera.yaml", **given), [], []
+    camera._poses = SimpleNamespace(publish=sent.append)
+    camera._diagnostics = SimpleNamespace(publish=lambda *of: said.append(of))
+    film = shown_tags.Film(shown_tags.TWO)
+
+    def report() -> tuple[str, str]:
+        camera._report()
+        return said[-1][:2]
+
+    def show(t: float, grey: np.ndarray) -> None:
+        message = Image(height=480, width=640, step=640, encoding="mono8", data=grey.tobytes())
+        message.header.stamp = time_message(round(t * 1e9))
+        message.header.frame_id = "camera_optical"
+        camera._on_image(message)
+
+    assert report() == ("stale", "no image yet")
+    show(1.0, film.image(*shown_tags.truth(1.0)))
+    assert report() == ("warn", "no usable calibration on camera/camera_info")
+    camera._on_info(CameraInfo(distortion_model="equidistant", k=shown_tags.K.ravel()))
+    assert "calibration 'equidistant'" in report()[1]
+    model = {"k": shown_tags.K.ravel(), "d": shown_tags.D.tolist()}
+    camera._on_info(CameraInfo(distortion_model="plumb_bob", **model))
+    show(1.0, np.zeros((480, 640), np.uint8))
+    assert "no tag of the body in view" in report()[1]
+    for number in range(10):
+        show(2.0 + 0.3 * number, film.image(*shown_tags.truth(2.0 + 0.3 * number)))
+    assert report() == ("ok", f"{len(sent)} of 10 images") and len(sent) >= 9
+    for reading in map(pose_messages.pose, sent):
+        place, turned = shown_tags.truth(reading.stamp_ns * 1e-9)
         assert reading.frame == "camera_optical"
+        assert np.linalg.norm(reading.position - place) < 3e-3
         turn = rotations.log(rotations.matrix(reading.quat_xyzw) @ turned.T)
-        off.append((np.linalg.norm(reading.position - place), np.linalg.norm(turn)))
-    # The clock chooses the views, and of one tag in a hundred the pose is off by millimetres.
-    assert (np.quantile(off, 0.8, axis=0) < (3e-3, np.deg2rad(1.0))).all()
-    measured = {pose.header.stamp.sec * 10**9 + pose.header.stamp.nanosec for pose in poses}
-    for state in map(pose_messages.odometry, states):
-        if state.stamp_ns in measured:
-            place, _ = shown_tags.truth(state.stamp_ns * 1e-9 % 1000.0)
-            assert np.linalg.norm(state.position - position - rotation @ place) < 2e-2
-
-    def said() -> str:
-        status = [each for report in reports for each in report.status if "tags" in each.name]
-        return next(
-            (each.value for it in status for each in it.values if "latency" in each.key), ""
-        )
-
-    assert 0.0 < float(probe.until(said, "the latency")) < 5.0
-
-
-def test_what_is_missing_is_in_the_diagnostics(probe: Probe, processes: Processes) -> None:
-    processes.node("wam_power_ros.nodes.tag_camera", "tag_camera.yaml")
-    reports = probe.diagnostics()
-    images = probe.publisher(Image, "camera/image_raw", interface.STATE_OUT)
-    infos = probe.publisher(CameraInfo, "camera/camera_info", interface.STATE_OUT)
-    message = Image(height=480, width=640, step=640, encoding="mono8")
-    message.data = bytes(640 * 480)
-
-    def said(words: str) -> bool:
-        message.header.stamp = time_message(time.time_ns())
-        images.publish(message)
-        probe.spin(0.1)
-        return any(words in str(report.status) for report in reports)
-
-    probe.until(lambda: said("no usable calibration on camera/camera_info"), "the calibration")
-    fisheye = CameraInfo(distortion_model="equidistant", k=[600.0, 0.0, 320.0] * 3)
-    infos.publish(fisheye)
-    probe.until(lambda: said("calibration 'equidistant'") or infos.publish(fisheye), "the model")
-    usable = CameraInfo(distortion_model="plumb_bob", k=K.ravel().tolist(), d=[0.0] * 5)
-    infos.publish(usable)
-    probe.until(lambda: said("no tag of the body in view") or infos.publish(usable), "the tag")
+        assert np.linalg.norm(turn) < np.deg2rad(1.0)
