@@ -9,7 +9,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from conftest import ROOT, Probe, Process, Processes, diagnosis
+from conftest import ROOT, Probe, Processes, diagnosis
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
@@ -28,15 +28,6 @@ NAMES = [f"wam_j{i}" for i in range(1, 8)]
 HOME = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
 TICK = 2_000_000  # [ns]
 GRAVITY = Arm((ROOT / "urdf/wam7.urdf").read_text(), NAMES).gravity(HOME)  # [N m]
-
-
-def scripted(processes: Processes, code: str) -> Process:
-    """A controller that a script has changed, in simulation and in lockstep."""
-    config = ["--ros-args"]
-    for file in SIMULATED:
-        config += ["--params-file", str(ROOT / "config" / file)]
-    quick = ["-p", "realtime_priority:=0", "-p", "state_timeout:=0.0"]
-    return processes.script(code, *config, *quick)
 
 
 class ControllerHere:
@@ -102,12 +93,11 @@ class PlayedArm:
         self,
         probe: Probe,
         processes: Processes,
-        process: Process | None = None,
         **parameters: object,
     ) -> None:
         self.probe = probe
         quick = {"realtime_priority": 0, "state_timeout": 0.0}
-        self.process = process or processes.node(MODULE, *SIMULATED, **(quick | parameters))
+        self.process = processes.node(MODULE, *SIMULATED, **(quick | parameters))
         self.torques: list[joint_messages.TorqueReading] = []
         self.messages = probe.listen(
             Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from conftest import Probe, Processes, diagnosis, lift
 from lifecycle_msgs.msg import Transition
-from played_arm import GRAVITY, HOME, NAMES, TICK, ControllerHere, PlayedArm, scripted
+from played_arm import GRAVITY, HOME, NAMES, TICK, ControllerHere, PlayedArm
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
@@ -22,8 +22,9 @@ from std_srvs.srv import SetBool, Trigger
 from wam_power_interfaces.msg import Policy as PolicyMessage
 from wam_power_ros.faults import FaultKind
 from wam_power_ros.learning.policy import to_json
+from wam_power_ros.nodes import torque_controller
 from wam_power_ros.nodes.torque_controller import ENABLE_TIMEOUT_NS
-from wam_power_ros.ros import interface, pose_messages
+from wam_power_ros.ros import interface, joint_messages, node_runner, pose_messages
 from wam_power_ros.ros.outcomes import Code, Ended
 from wam_power_ros.ros.scheduling import Granted
 
@@ -275,23 +276,6 @@ def test_a_controller_that_was_stopped_faults_and_does_not_have_the_driver_idled
     assert not idled or max(pauses) > 0.05  # a busy machine has delayed the test
 
 
-BROKEN = """
-import sys
-from wam_power_ros.nodes import torque_controller
-
-class Broken(torque_controller.TorqueController):
-    def __init__(self):
-        super().__init__()
-        self._requests.begin = lambda *request: {}["a mistake in the code"]
-
-    def _on_stop(self, request, response):
-        self._read = None  # every state from now on
-
-torque_controller.TorqueController = Broken
-sys.exit(torque_controller.main())
-"""
-
-
 @pytest.mark.requirement("S-49")
 def test_without_real_time_rights_an_arm_is_not_activated_unless_allowed(
     controller_here: Callable[..., ControllerHere],
@@ -349,26 +333,49 @@ def test_a_clock_that_jumps_is_a_fault_in_which_torques_go_on(arm: PlayedArm) ->
 
 @pytest.mark.requirement("S-02")
 def test_a_callback_that_fails_is_a_fault_and_not_the_end_of_the_node(
-    probe: Probe, processes: Processes
+    controller_here: Callable[..., ControllerHere], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    arm = PlayedArm(probe, processes, scripted(processes, BROKEN))
-    arm.activate()
+    spun: list[Callable[..., None]] = []  # as the process of the node spins it
+    monkeypatch.setattr(node_runner, "run", lambda _, spin: spun.append(spin))
+    torque_controller.main()
+    arm = controller_here()
+    node = arm.node
+    assert arm.configure()
+    arm.send()
+    assert arm.activate()
 
-    def failure() -> dict[str, str]:
+    def mistake(*_: object) -> None:
+        raise KeyError("a mistake in the code")
+
+    def spin() -> None:
+        end = time.monotonic() + 60.0
+        spun[0](node, lambda: arm.label == "fault" or time.monotonic() > end)
+
+    def fail_in_a_callback() -> None:
+        timer = node.create_timer(0.01, mistake)
+        spin()
+        node.destroy_timer(timer)
+
+    def fail_between_callbacks() -> None:
+        poll, node._preparation.poll = node._preparation.poll, mistake
+        spin()
+        node._preparation.poll = poll
+
+    def fail_in_a_state() -> None:
+        read, node._read = node._read, mistake
         arm.send()
-        probe.spin(0.01)
-        report = diagnosis(arm.diagnostics, "torque_controller")
-        return report if report.get("mode") == "fault" else {}
+        node._read = read
 
-    for act in (
-        lambda: probe.ask("execute", lift("good")),
-        lambda: arm.reset() or arm.diagnostics.clear() or probe.begin(Trigger, interface.STOP),
-    ):
-        act()
-        assert "a callback failed" in probe.until(failure, "the fault is reported")["message"]
-        probe.until(lambda: arm.read()[-1].label == "fault", "the arm is carried")
-        np.testing.assert_allclose(arm.read()[-1].tau, GRAVITY, atol=1e-9)
-        assert arm.process.poll() is None
+    for fail in (fail_in_a_callback, fail_between_callbacks, fail_in_a_state):
+        for _ in range(400):
+            assert arm.send() == "hold"
+        fail()
+        assert arm.label == "fault"
+        np.testing.assert_allclose(joint_messages.torque(arm.sent[-1], NAMES).tau, GRAVITY)
+        assert "a callback failed: KeyError" in node._controller.latched.text
+        for _ in range(400):
+            arm.send()
+        node._reset(node._controller, Trigger.Request())
 
 
 @pytest.mark.requirement("S-101")
