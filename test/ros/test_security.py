@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import time
 from collections.abc import Callable
@@ -158,9 +159,21 @@ def test_an_arm_that_anybody_can_command_is_told(environment: dict[str, str], op
     assert (security.exposed(environment) is not None) == open_
 
 
-def test_a_controller_that_anybody_can_command_says_so(processes: Processes) -> None:
+def test_the_controller_says_so_and_with_security_enforced_never_starts_in_the_open(
+    processes: Processes, tmp_path: Path
+) -> None:
     command = [sys.executable, "-m", "wam_power_ros.nodes.torque_controller", "--ros-args"]
     command += ["--params-file", str(ROOT / "config/torque_controller.yaml")]
+    (tmp_path / "enclaves/torque_controller").mkdir(parents=True)  # an enclave without keys
+    refused = processes.start(
+        [*command, "--enclave", "/torque_controller"],
+        ROS_SECURITY_ENABLE="true",
+        ROS_SECURITY_STRATEGY="Enforce",
+        ROS_SECURITY_KEYSTORE=str(tmp_path),
+    )
+    assert refused.wait(120) == 2
+    assert re.search("security", processes.output(refused), re.IGNORECASE)
+    assert "Traceback" not in processes.output(refused)
     telling = processes.start(command, ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET")
     end = time.monotonic() + 60.0
     while "anybody on the network" not in processes.output(telling) and time.monotonic() < end:
