@@ -20,7 +20,10 @@ import pytest
 import rclpy
 from action_msgs.msg import GoalStatus
 from control_msgs.action import FollowJointTrajectory
+from diagnostic_msgs.msg import DiagnosticArray
 from hypothesis import settings
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -173,6 +176,10 @@ class Probe:
         self.node.create_subscription(message_type, topic, received.append, qos)
         return received
 
+    def diagnostics(self) -> list[DiagnosticArray]:
+        """Listen to the diagnostics of all nodes."""
+        return self.listen(DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS)
+
     def publisher(
         self, message_type: type, topic: str, qos: QoSProfile, readers: int = 1, node: str = ""
     ) -> Publisher:
@@ -217,6 +224,11 @@ class Probe:
         future = self.begin(service_type, name, request)
         self.until(future.done, f"answer of {name}", deadline)
         return future.result()
+
+    def change(self, transition: int, node: str = "torque_controller") -> bool:
+        """Whether a transition of the life cycle of a node succeeds."""
+        request = ChangeState.Request(transition=Transition(id=transition))
+        return bool(self.call(ChangeState, f"{node}/change_state", request).success)
 
     def ask(
         self, do: str, policy: Policy | str | None = None, id: str = "", **goal: object

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import pytest
 from conftest import ROOT, Probe, Processes, diagnosis
-from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Path
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
@@ -49,9 +48,7 @@ class Hardware:
     ) -> None:
         self.probe, self.processes, self.pace = probe, processes, pace
         self.messages = probe.listen(JointState, interface.JOINT_STATES, interface.STATE_RECORD)
-        self.diagnostics = probe.listen(
-            DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
-        )
+        self.diagnostics = probe.diagnostics()
         self.paths = probe.listen(Path, interface.ROLLOUT_END_EFFECTOR, interface.LATCHED)
         self.truths = probe.listen(
             GroundTruth, interface.body_topic(body, "truth"), interface.LATCHED
@@ -65,8 +62,8 @@ class Hardware:
         """One of the received states."""
         return self._read(self.messages[index])
 
-    def control(self) -> None:
-        """Start the controller and wait until it holds."""
+    def control(self, **parameters: object) -> None:
+        """Start the controller, with parameters, and wait until it holds."""
         lockstep = self.pace == "lockstep"
         self.controller = self.processes.node(
             "wam_power_ros.nodes.torque_controller",
@@ -76,6 +73,7 @@ class Hardware:
             idle_service='""',  # an idled arm hangs until somebody lifts it
             move_speed=1.0,
             realtime_priority=0 if lockstep else 60,
+            **parameters,
         )
         self.holds()
 

@@ -8,39 +8,36 @@ import time
 from pathlib import Path
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 from conftest import ROOT, Probe, Processes
 from sensor_msgs.msg import JointState
-from stand_ins import CONFIGS, NAMES
-from std_msgs.msg import Float64MultiArray, String
+from stand_ins import CONFIGS
+from std_msgs.msg import String
 
 from hardware_sim import driver_watch
-from wam_power_ros.ros import interface, joint_messages
+from wam_power_ros.ros import interface, network
 
 SIM = "hardware_sim.main"
 DRIVER = """
-import sys, time
 import rclpy
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
-from wam_power_ros.ros import interface
+from wam_power_ros.ros import interface, network
 rclpy.init()
 node = Node("effort_controller")
 node.create_subscription(
     Float64MultiArray, interface.EFFORT_COMMANDS, lambda _: None, interface.COMMAND
 )
-if "states" in sys.argv:
-    states = node.create_publisher(JointState, interface.JOINT_STATES, interface.STATE_OUT)
+states = node.create_publisher(JointState, interface.JOINT_STATES, interface.STATE_OUT)
 print("driver", flush=True)
 rclpy.spin(node)
 """
 
 
-def driver(processes: Processes, *kinds: str) -> None:
-    """Start a process like that of ros2_control; without states it only subscribes."""
-    process = processes.script(DRIVER, *kinds)
+def driver(processes: Processes) -> None:
+    """Start a process like that of ros2_control."""
+    process = processes.script(DRIVER)
     while "driver" not in processes.output(process):
         time.sleep(0.02)
 
@@ -53,17 +50,12 @@ def named(node: str, output: str) -> bool:
 
 
 @pytest.mark.requirement("S-55")
-@pytest.mark.parametrize(
-    "kinds",
-    [("states",), (), ("states", "--ros-args", "-r", "__ns:=/right")],
-    ids=["states", "only commands", "in another namespace"],
-)
 def test_beside_a_driver_a_simulation_refuses_to_run_and_publishes_nothing(
-    kinds: tuple[str, ...], probe: Probe, processes: Processes
+    probe: Probe, processes: Processes
 ) -> None:
     states = probe.listen(JointState, interface.JOINT_STATES, interface.STATE_RECORD)
     models = probe.listen(String, interface.ROBOT_DESCRIPTION, interface.LATCHED)
-    driver(processes, *kinds)
+    driver(processes)
     refused = processes.node(SIM, *CONFIGS)
     probe.until(lambda: refused.poll() is not None, "a refusal")
     assert refused.returncode == 2
@@ -78,7 +70,7 @@ def test_a_simulation_ends_when_a_driver_appears(probe: Probe, processes: Proces
     states = probe.listen(JointState, interface.JOINT_STATES, interface.STATE_RECORD)
     simulation = processes.node(SIM, *CONFIGS)
     probe.until(lambda: states, "a state")
-    driver(processes, "states")
+    driver(processes)
     probe.until(lambda: simulation.poll() is not None, "its end", 20.0)
     assert simulation.returncode == 2
     assert named("effort_controller", processes.output(simulation))
@@ -117,54 +109,91 @@ def test_a_domain_that_another_session_holds_is_refused_at_once(
     assert held in processes.output(refused)
 
 
-@pytest.mark.requirement("S-55")
-def test_a_plot_may_listen_when_it_is_named(probe: Probe, processes: Processes) -> None:
-    torques = probe.listen(Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND)
-    states = probe.listen(JointState, interface.JOINT_STATES, interface.STATE_RECORD)
-    processes.node(SIM, *CONFIGS, **{"wam_sim:listeners": "[pro]"})
-    probe.until(lambda: len(states) > 2, "states")
-    publisher = probe.publisher(Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND)
-    write = joint_messages.TorqueWriter(NAMES, "multiarray")
-    publisher.publish(write(0, "hold", np.zeros(7)))
-    probe.until(lambda: torques, "a torque at the plot")
+def graph(
+    publisher: tuple[str, str, str] = ("/none", "", ""),
+    subscriber: tuple[str, str, str] = ("/none", "", ""),
+) -> SimpleNamespace:
+    """A stand-in's node that sees one endpoint: its topic, namespace and node."""
+    parameters = {
+        "pace": "real_time",
+        "state_topic": "arm/states",
+        "command_topic": "commands",
+        "listeners": ["plo"],
+    }
 
+    kind = driver_watch.STATE_TYPE if publisher[1] else "std_msgs/msg/String"
 
-PARAMETERS = {
-    "pace": "real_time",
-    "state_topic": "arm/states",
-    "command_topic": "commands",
-    "listeners": [],
-}
+    def seen(asked: str, endpoint: tuple[str, str, str]) -> list[SimpleNamespace]:
+        topic, namespace, node = endpoint
+        return [SimpleNamespace(node_name=node, node_namespace=namespace)] * (asked == topic)
 
-
-def graph(topic: str) -> SimpleNamespace:
-    """A node that sees one publisher of joint states without a node name."""
-    unnamed = driver_watch.UNNAMED
-    seen = SimpleNamespace(node_name=unnamed, node_namespace=unnamed)
     return SimpleNamespace(
         publishers=[],
         get_namespace=lambda: "/left",
         get_name=lambda: "wam_sim",
-        get_parameter=lambda name: SimpleNamespace(value=PARAMETERS[name]),
-        resolve_topic_name=lambda name: f"/left/{name}",
-        get_topic_names_and_types=lambda: [(topic, [driver_watch.STATE_TYPE])],
-        get_subscriptions_info_by_topic=lambda _: [],
-        get_publishers_info_by_topic=lambda asked: [seen] if asked == topic else [],
+        get_parameter=lambda name: SimpleNamespace(value=parameters[name]),
+        resolve_topic_name=lambda name: name if name.startswith("/") else f"/left/{name}",
+        get_topic_names_and_types=lambda: [(publisher[0], [kind])],
+        get_publishers_info_by_topic=lambda asked: seen(asked, publisher),
+        get_subscriptions_info_by_topic=lambda asked: seen(asked, subscriber),
     )
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
+    """The steady clock of the watch, set by the test."""
+    clock = SimpleNamespace(now=0.0)
+    monkeypatch.setattr(driver_watch.time, "monotonic", lambda: clock.now)
+    return clock
+
+
+@pytest.mark.requirement("S-56")
+def test_a_simulation_refuses_a_middleware_that_cannot_be_confined(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(network, "middleware", lambda: "rmw_zenoh_cpp")
+    remedy = "rmw_zenoh_cpp.*RMW_IMPLEMENTATION=rmw_fastrtps_cpp"
+    with pytest.raises(ValueError, match=remedy):
+        driver_watch.DriverWatch(graph()).check()
+
+
+@pytest.mark.requirement("S-55")
+@pytest.mark.parametrize(
+    ("kind", "endpoint", "robot"),
+    [
+        ("publisher", ("/right/joint_states", "/right", "driver"), "'driver' publishes /right/"),
+        ("publisher", ("/left/arm/states", "/left", "wam_sim"), "'wam_sim' publishes /left/arm"),
+        ("publisher", ("/right/arm/states", "/right", "wam_sim"), ""),
+        ("subscriber", ("/left/commands", "/left", "driver"), "'driver' receives /left/commands"),
+        ("subscriber", ("/effort_controller/commands", "/", "driver"), "'driver' receives /effort"),
+        ("subscriber", ("/left/commands", "/left", "wam_sim"), ""),
+        ("subscriber", ("/left/commands", "/left", "demonstration_recorder"), ""),
+        ("subscriber", ("/left/commands", "/left", "plotter"), ""),
+        ("subscriber", ("/left/commands", "/left", "rosbag2_recorder"), ""),
+    ],
+)
+def test_who_publishes_states_or_receives_torques_is_a_robot_but_for_ours_and_named_listeners(
+    kind: str, endpoint: tuple[str, str, str], robot: str, clock: SimpleNamespace
+) -> None:
+    watch = driver_watch.DriverWatch(graph(**{kind: endpoint}))
+    clock.now = 1.0
+    found = watch.look()
+    assert robot in found and bool(found) == bool(robot)
 
 
 @pytest.mark.requirement("S-55")
 def test_a_publisher_of_another_namespace_is_given_time_to_be_named_and_one_of_ours_none(
-    monkeypatch: pytest.MonkeyPatch,
+    clock: SimpleNamespace,
 ) -> None:
-    now = 0.0
-    monkeypatch.setattr(driver_watch.time, "monotonic", lambda: now)
-    elsewhere = driver_watch.DriverWatch(graph("/right/joint_states"))
-    ours = driver_watch.DriverWatch(graph("/left/arm/states"))
-    now = 1.0
+    unnamed = driver_watch.UNNAMED
+    elsewhere, ours = (
+        driver_watch.DriverWatch(graph(publisher=(topic, unnamed, unnamed)))
+        for topic in ("/right/joint_states", "/left/arm/states")
+    )
+    clock.now = 1.0
     assert elsewhere.look() == ""
     assert ours.look() == "a participant without a node name publishes /left/arm/states"
-    now = 0.9 + driver_watch.DISCOVERY_TIME
+    clock.now = 0.9 + driver_watch.DISCOVERY_TIME
     assert elsewhere.look() == ""
-    now = 1.5 + driver_watch.DISCOVERY_TIME
+    clock.now = 1.5 + driver_watch.DISCOVERY_TIME
     assert elsewhere.look() == "a participant without a node name publishes /right/joint_states"

@@ -13,7 +13,7 @@ import pytest
 from conftest import Probe, Processes, lift
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
-from stand_ins import CONFIGS, NAMES, TICK, Hardware, arm_model
+from stand_ins import NAMES, TICK, Hardware, arm_model
 from std_msgs.msg import Float64MultiArray, String
 
 from hardware_sim.arm_node import IDLE_TIME, ArmSim
@@ -106,12 +106,6 @@ def test_a_killed_controller_lets_the_arm_come_to_rest_under_its_own_gravity(
     speeds = [arm.speeds(r.q, r.qd).tool_speed for r in after]
     assert arm.tool_pose(killed.q)[0][2] - min(height) < 0.05
     assert max(speeds[len(speeds) // 2 :]) < 0.05
-
-
-def test_cameras_of_another_body_are_refused_at_start(processes: Processes) -> None:
-    process = processes.node("hardware_sim.main", *CONFIGS, **{"optitrack_sim:body": "ball"})
-    assert process.wait(60.0) == 2
-    assert "is set to body 'ball'" in processes.output(process)
 
 
 def test_a_torque_waits_only_while_nothing_moves_and_nothing_is_requested() -> None:

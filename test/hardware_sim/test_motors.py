@@ -18,6 +18,7 @@ RATIO = np.abs(MOTOR_OF_JOINT).max(axis=0)  # (joint,) of a joint that moves alo
 TAU_MAX = CABLE_LIMIT @ np.abs(MOTOR_OF_JOINT)  # [N m] of a joint alone
 
 
+@settings(max_examples=20)
 @given(arrays(float, 7, elements=st.floats(-20.0, 20.0)))
 def test_joint_motion_is_the_inverse_of_motor_motion(q: np.ndarray) -> None:
     np.testing.assert_allclose(motor_motion(q.tolist()), MOTOR_OF_JOINT @ q, atol=1e-9)
@@ -25,12 +26,10 @@ def test_joint_motion_is_the_inverse_of_motor_motion(q: np.ndarray) -> None:
 
 
 torques = arrays(float, 7, elements=st.floats(-200.0, 200.0))
-
-
 speeds = arrays(float, 7, elements=st.floats(-30.0, 30.0))
 
 
-@settings(max_examples=300)
+@settings(max_examples=80)
 @given(torques, speeds, st.sampled_from([36.0, 48.0, 80.0]))
 def test_motor_torques_are_cut_at_the_envelope_and_unchanged_within(
     tau: np.ndarray, qd: np.ndarray, voltage: float
@@ -52,7 +51,7 @@ def test_motor_torques_are_cut_at_the_envelope_and_unchanged_within(
     np.testing.assert_allclose(again, given_tau, atol=1e-9)
 
 
-@pytest.mark.parametrize("joint", range(7))
+@pytest.mark.parametrize("joint", [0, 3, 6])
 def test_torque_is_full_up_to_a_speed_and_zero_at_no_load(joint: int) -> None:
     motors = Motors(48.0)
     one = np.eye(7)[joint]
@@ -89,6 +88,7 @@ def test_a_bus_voltage_out_of_range_is_refused() -> None:
 speeds_of_direct = arrays(float, 7, elements=st.floats(-5.0, 5.0))
 
 
+@settings(max_examples=50)
 @given(torques, speeds_of_direct)
 def test_a_direct_drive_gives_the_urdfs_torque_up_to_the_urdfs_speed_and_only_brakes_beyond(
     tau: np.ndarray, qd: np.ndarray

@@ -34,7 +34,7 @@ def test_mujoco_and_pinocchio_agree_on_the_arm_of_the_urdf(arm: Arm) -> None:
     data = mujoco.MjData(model)
     mass = np.zeros((7, 7))
     rng = np.random.default_rng(0)
-    for _ in range(100):
+    for _ in range(20):
         data.qpos[:] = rng.uniform(arm.q_min, arm.q_max)
         data.qvel[:] = rng.normal(scale=2.0, size=7)
         data.qacc[:] = qdd = rng.normal(scale=8.0, size=7)

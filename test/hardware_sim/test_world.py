@@ -11,9 +11,11 @@ from simulated import CALM, LEVEL, URDF, begin, having, holding_torque, run
 
 from hardware_sim.scenes.flip import Flip
 from hardware_sim.scenes.reach import Reach
+from hardware_sim.settings import ArmSimParams, OptitrackSimParams
 from hardware_sim.wam import JOINTS, PERIOD_NS
 from hardware_sim.world import QUIET, World
 from wam_power_ros.control.arm import Arm
+from wam_power_ros.params import overlay
 
 
 @pytest.fixture(scope="module")
@@ -170,6 +172,12 @@ def test_a_start_outside_the_limits_is_refused(calm: World) -> None:
     for q in (LEVEL + 4.0, np.full(7, math.nan), LEVEL[:6]):
         with pytest.raises(ValueError, match="within their limits"):
             calm.reset("trial-0001", q)
+
+
+def test_cameras_of_another_body_are_refused() -> None:
+    setup = overlay.setup(simulated=True).changed({"optitrack_sim": {"body": "ball"}})
+    with pytest.raises(ValueError, match="is set to body 'ball'"):
+        World.of(ArmSimParams.of_setup(setup), OptitrackSimParams.of_setup(setup))
 
 
 # Repeatability

@@ -23,7 +23,7 @@ from hardware_sim.sensors import Mocap, MocapFrame
 from wam_power_ros import rotations
 from wam_power_ros.params import body_tracker_params, overlay
 from wam_power_ros.params.body_tracker_params import MESSAGE_TYPES, BodyTrackerParams
-from wam_power_ros.ros import body_sources, interface, pose_messages
+from wam_power_ros.ros import body_sources, interface
 from wam_power_ros.ros.body_sources import BodySource
 from wam_power_ros.tracking.frame_tree import compose
 from wam_power_ros.tracking.tracker import TrackedState, Tracker
@@ -204,21 +204,6 @@ def test_a_body_that_is_not_there_is_named_with_those_that_are(
     assert bench.source.read(bench.one(body_in_message="a:7")) is None
     assert bench.source.missing == "/tf has no frame 'a:0'; it has ['a:7']"
     assert bench.source.read(bench.one()) is not None and bench.source.missing == ""
-
-
-def test_a_driver_with_y_up_sends_height_as_its_second_number(
-    context: rclpy.Context, tmp_path: Path
-) -> None:
-    bench = Bench(context, tmp_path, lines=f"{{up_axis: 'y', {PLACED}}}")
-    camera, sent = bench.messages()
-    # one metre ahead of the motion capture's origin, which is turned by 73.7 degrees, half above
-    ahead, level = np.array([0.5 + 0.28, -0.3 + 0.96, 0.2 + 0.5]), np.array([0.0, 0.0, 0.0, 1.0])
-    camera.publish(MocapFrame(5, ahead, level, np.empty((0, 3))), BEGIN_NS, 5)
-    camera.destroy_node()
-    reading = pose_messages.pose(sent[0])
-    np.testing.assert_allclose(reading.position, [1.0, 0.5, 0.0], atol=1e-9)
-    up = rotations.matrix(reading.quat_xyzw)[:, 2]
-    np.testing.assert_allclose(up, [0.0, 1.0, 0.0], atol=1e-9)
 
 
 def test_a_package_that_is_missing_is_named_with_what_installs_it(

@@ -18,9 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import ROOT, Probe, Processes, diagnosis
-from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
 from rclpy.exceptions import InvalidHandle
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from sensor_msgs.msg import JointState
@@ -82,9 +80,7 @@ class Bench:
         self.file.write_text(overlay.text(setup))
         self.names = setup.joint_names
         self.probe, self.processes, self.server = probe, processes, Server(self.log)
-        self.diagnostics = probe.listen(
-            DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
-        )
+        self.diagnostics = probe.diagnostics()
         self.states = probe.listen(JointState, "franka/joint_states", interface.STATE_RECORD)
         self.sent = probe.listen(Float64MultiArray, interface.EFFORT_COMMANDS, interface.DEEP_IN)
         probe.until(self.server.ask, "the robot")
@@ -92,7 +88,7 @@ class Bench:
         self.controller = processes.node(CONTROLLER, self.file)
         probe.until(lambda: len(self.states) > 200, "states")
         for transition in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
-            probe.until(lambda: self.change(transition), "the controller active")  # noqa: B023
+            probe.until(lambda: probe.change(transition), "the controller active")  # noqa: B023
         self.taken()
 
     def say(self, node: str, key: str) -> str:
@@ -104,11 +100,6 @@ class Bench:
         self.diagnostics.clear()
         self.probe.until(lambda: accept(self.say(node, key)), f"{key} of {node}")
         return self.say(node, key)
-
-    def change(self, transition: int) -> bool:
-        """`ros2 lifecycle set`; refused while the machine is busy."""
-        request = ChangeState.Request(transition=Transition(id=transition))
-        return self.probe.call(ChangeState, "torque_controller/change_state", request).success
 
     def taken(self) -> None:
         """Wait until the robot takes torques of a controller that holds."""

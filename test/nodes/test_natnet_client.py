@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import Probe, Processes
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 
@@ -148,7 +147,7 @@ def test_frames_become_poses_and_states_stamped_at_the_exposure(
     given = parameters(tmp_path, motive.port)
     poses = probe.listen(PoseStamped, "pancake/pose", interface.DEEP)
     states = probe.listen(Odometry, "pancake/state", interface.DEEP)
-    reports = probe.listen(DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS)
+    reports = probe.diagnostics()
     processes.node("wam_power_ros.nodes.natnet_client", given)
     processes.node("wam_power_ros.nodes.body_tracker", given)
     probe.until(lambda: len(states) > 200, "states")
@@ -177,7 +176,7 @@ def test_what_is_not_seen_or_not_known_is_not_published_but_said(
 ) -> None:
     motive = Motive((4, 0))
     poses = probe.listen(PoseStamped, "pancake/pose", interface.DEEP)
-    reports = probe.listen(DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS)
+    reports = probe.diagnostics()
     processes.node("wam_power_ros.nodes.natnet_client", parameters(tmp_path, motive.port))
 
     def said(words: str) -> bool:

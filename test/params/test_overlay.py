@@ -9,35 +9,18 @@ from typing import Any
 import pinocchio as pin
 import pytest
 import yaml
+from all_params import READS
 from conftest import ROOT
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hardware_sim.settings import ArmSimParams, OptitrackSimParams
+from hardware_sim.settings import ArmSimParams
 from wam_power_ros import installed
 from wam_power_ros.cli import main
-from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorderParams
-from wam_power_ros.nodes.learner import LearnerParams
 from wam_power_ros.params import overlay, parameter_file
-from wam_power_ros.params.body_tracker_params import BodyTrackerParams
-from wam_power_ros.params.franka_driver_params import FrankaDriverParams
-from wam_power_ros.params.natnet_client_params import NatNetClientParams
 from wam_power_ros.params.node_params import Params
 from wam_power_ros.params.resources import robot_description
-from wam_power_ros.params.tag_camera_params import TagCameraParams
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
-
-READS: dict[str, type[Params]] = {
-    "torque_controller": TorqueControllerParams,
-    "demonstration_recorder": DemonstrationRecorderParams,
-    "pancake_tracker": BodyTrackerParams,
-    "tag_camera": TagCameraParams,
-    "franka_driver": FrankaDriverParams,
-    "natnet_client": NatNetClientParams,
-    "learner": LearnerParams,
-    "wam_sim": ArmSimParams,
-    "optitrack_sim": OptitrackSimParams,
-}
 
 
 def read(setup: overlay.Setup, node: str, folder: Path) -> Params:
@@ -123,24 +106,23 @@ def test_what_a_node_shows_is_in_the_frame_of_the_arm_of_the_set_up(name: str) -
 @pytest.mark.parametrize(
     ("driver", "poses"),
     [
-        (None, "ball/pose"),
         ("natnet_ros2", "ball/pose"),
         ("vrpn_mocap", "vrpn_mocap/ball/pose"),
         ("motion_capture_tracking", ""),
     ],
 )
 def test_the_name_of_the_body_is_given_once_and_inserted_into_the_drivers_topic(
-    driver: str | None, poses: str, tmp_path: Path
+    driver: str, poses: str, tmp_path: Path
 ) -> None:
     ball = write(tmp_path, "ball", "pancake_tracker: {ros__parameters: {body: ball}}")
-    setup = overlay.setup([*filter(None, [driver]), ball], simulated=True)
+    setup = overlay.setup([driver, ball], simulated=True)
     assert setup["pancake_tracker"]["pose_topic"] == setup["optitrack_sim"]["pose_topic"] == poses
     seen = poses or setup["pancake_tracker"]["markers_topic"]
     assert setup["demonstration_recorder"]["mocap_topics"] == [seen]
     for node in ("demonstration_recorder", "optitrack_sim"):
         assert setup[node]["body"] == "ball"
     none = write(tmp_path, "none", 'pancake_tracker: {ros__parameters: {body: ""}}')
-    recorder = overlay.setup([*filter(None, [driver]), none])["demonstration_recorder"]
+    recorder = overlay.setup([driver, none])["demonstration_recorder"]
     assert (recorder["body"], recorder["mocap_topics"]) == ("", [""])  # how ROS has no topic
 
 
@@ -217,14 +199,10 @@ def test_the_last_file_wins_and_may_override_derived_parameters(tmp_path: Path) 
     [
         ("torque_controler: {ros__parameters: {}}", "torque_controler"),
         ("torque_controller: {ros__parameters: {joint_name: [a]}}", "is it joint_names"),
-        ("torque_controller: {torque_share: 0.3}", "torque_controller has no ros__parameters"),
         ("torque_controller: 5", "torque_controller is 5; allowed are names with values"),
-        ("torque_controller: {ros__parameters: [a]}", r"of torque_controller is \['a'\]; allowed"),
         ("a/one: {ros__parameters: {}}\nb/one: {ros__parameters: {}}", "one twice"),
         ("- a\n- b", r"the file is \['a', 'b'\]; allowed are names with values"),
         ("torque_controller: !!python/object:os.system {}", "not plain YAML"),
-        ("torque_controller: {ros__parameters: {urdf: 3}}", "urdf .* is 3; allowed is one like 'u"),
-        ("torque_controller: {ros__parameters: {guarded_region: 1.0}}", r"one like \["),
         ("torque_controller: {ros__parameters: {joint_names: [a, 2]}}", r"one like \['wam"),
         ("torque_controller: {ros__parameters: {period: true}}", "is True; allowed is one like 0"),
         ("learner: {ros__parameters: {trials: 2.5}}", "2.5; allowed is one like 0"),
@@ -236,11 +214,6 @@ def test_a_bad_file_is_refused_by_name(text: str, says: str, tmp_path: Path) -> 
     with pytest.raises(ValueError, match=says) as refused:
         overlay.setup([path])
     assert path in str(refused.value)
-
-
-def test_an_unknown_set_up_is_refused_with_the_known_ones() -> None:
-    with pytest.raises(ValueError, match=r"'geodud'.*geodude.*libbarrett"):
-        overlay.setup(["geodud"])
 
 
 def test_a_urdf_path_may_be_relative_to_the_set_up_file(tmp_path: Path) -> None:
@@ -257,6 +230,7 @@ VALUES = st.one_of(
 )
 
 
+@settings(max_examples=30)
 @given(st.dictionaries(st.text("abc_", min_size=1), VALUES | st.lists(PLAIN, min_size=1)))
 def test_a_written_set_up_reads_back_unchanged(values: dict[str, Any]) -> None:
     text = overlay.text({"node": values})
@@ -273,13 +247,6 @@ def test_plain_files_say_to_a_node_what_the_set_ups_say(names: tuple[str, ...]) 
     plain, setup = overlay.of_files(files), overlay.setup(names)
     for node in {*overlay.NODES} - {*overlay.STAND_INS}:
         assert plain[node] == setup[node]
-
-
-def test_without_a_file_a_node_has_its_own_which_fit_together() -> None:
-    setup = overlay.of_files([])
-    for node in overlay.NODES:
-        assert setup[node] == parameter_file.of_nodes(ROOT / f"config/{node}.yaml")[node]
-    assert setup["wam_sim"]["pace"] == "real_time"  # the other nodes have the time of the wall
 
 
 def test_a_section_of_all_nodes_reaches_each_that_has_the_parameter(tmp_path: Path) -> None:
@@ -329,7 +296,7 @@ def test_no_set_up_makes_a_simulation_of_an_arm_or_lets_its_controller_start_its
     with pytest.raises(ValueError, match=r"simulation: true in the set-ups .* --simulate"):
         overlay.setup(["geodude", simulation])
     assert overlay.setup(["geodude", simulation], simulated=True)["learner"]["reset_faults"]
-    with pytest.raises(ValueError, match="no set-up 'simulation'"):
+    with pytest.raises(ValueError, match=r"no set-up 'simulation'.*geodude.*libbarrett"):
         overlay.setup(["geodude", "simulation"])
     itself = overlay.setup(["geodude", write(tmp_path, "itself", section % "autostart")])
     with pytest.raises(ValueError, match="autostart = True: must be false on a real arm"):

@@ -1,20 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An action whose goals end in another callback, under both executors."""
+"""An action whose goals end in another callback."""
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import pytest
 import rclpy
 from action_msgs.msg import GoalStatus
 from conftest import Probe, lift
-from rclpy.executors import Executor, SingleThreadedExecutor
-from rclpy.experimental.events_executor import EventsExecutor
 
 from wam_power_interfaces.action import ExecutePolicy
 from wam_power_interfaces.msg import RolloutEnd
+from wam_power_ros.client.link import Link
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.action_server import Action
 from wam_power_ros.ros.outcomes import Answer, Code
@@ -26,27 +24,13 @@ ABORTED = GoalStatus.STATUS_ABORTED
 class Moves:
     """A node whose goals end when the test says so: "no" is refused, "now" is done at once."""
 
-    def __init__(self, probe: Probe, kind: type[Executor], cancels: bool) -> None:
-        node = rclpy.create_node("mover", context=probe.context)
+    def __init__(self, link: Link, cancels: bool = True) -> None:
+        self._link = link
         self.begun: list[str] = []
         self.cancelled: list[str] = []
-        self.action = Action(
-            node,
-            ExecutePolicy,
-            interface.EXECUTE_POLICY,
-            self._begin,
-            self._cancel if cancels else None,
-        )
-        self._executor = kind(context=probe.context)
-        self._executor.add_node(node)
-        self._ended = False
-        self._thread = threading.Thread(target=self._spin)
-        self._thread.start()
-
-    def _spin(self) -> None:
-        while not self._ended:
-            self._executor.spin_once(timeout_sec=0.05)
-        self._executor.shutdown()
+        cancel = self.cancelled.append if cancels else None
+        of = ExecutePolicy, interface.EXECUTE_POLICY, self._begin, cancel
+        self.action = Action(link.node, *of)
 
     def _begin(self, id: str, goal: ExecutePolicy.Goal) -> Answer | None:
         if goal.policy.text == "no":
@@ -56,34 +40,24 @@ class Moves:
         self.begun.append(id)
         return None
 
-    def _cancel(self, id: str) -> None:
-        self.cancelled.append(id)
-
-    def _do(self, work: Callable[[], object]) -> None:
-        """Let work be done in the thread of the node, as in another of its callbacks."""
-        done = threading.Event()
-        self._executor.create_task(lambda: (work(), done.set()))
-        assert done.wait(10.0)
-
     def report(self, id: str, stage: str) -> None:
-        """Report a stage."""
-        self._do(lambda: self.action.report(id, stage))
+        """Report a stage, as in another callback of the node."""
+        self._link.until(self._link.schedule(lambda: self.action.report(id, stage)).done)
 
     def finish(self, id: str, answer: Answer, **more: object) -> None:
-        """End a goal."""
-        self._do(lambda: self.action.finish(id, answer, **more))
-
-    def close(self) -> None:
-        """End the node."""
-        self._ended = True
-        self._thread.join()
+        """End a goal, as in another callback of the node."""
+        self._link.until(self._link.schedule(lambda: self.action.finish(id, answer, **more)).done)
 
 
-@pytest.fixture(params=[SingleThreadedExecutor, EventsExecutor])
-def moves(probe: Probe, request: pytest.FixtureRequest) -> Iterator[Moves]:
-    moves = Moves(probe, request.param, cancels=True)
-    yield moves
-    moves.close()
+@pytest.fixture
+def link(probe: Probe) -> Iterator[Link]:
+    with Link(rclpy.create_node("mover", context=probe.context)) as link:
+        yield link
+
+
+@pytest.fixture
+def moves(link: Link) -> Moves:
+    return Moves(link)
 
 
 def test_a_goal_reports_its_stage_and_ends_with_its_outcome_and_result_when_it_is_finished(
@@ -102,19 +76,6 @@ def test_a_goal_reports_its_stage_and_ends_with_its_outcome_and_result_when_it_i
     assert (answer.code, answer.text, sent.status) == (Code.DONE, "done", SUCCEEDED)
     assert sent.result.end == end
     assert not moves.action.under_way
-
-
-def test_each_of_several_goals_has_its_own_end(probe: Probe, moves: Moves) -> None:
-    sent = [probe.ask("execute", lift(id)) for id in "abc"]
-    probe.until(lambda: len(moves.begun) == 3, "three of them")
-    for id, code in zip(reversed(moves.begun), (Code.FAULT, Code.DONE, Code.BUSY), strict=True):
-        moves.finish(id, Answer(code, id))
-    answers = {probe.answer(each).text: (each.answer.code, each.status) for each in sent}
-    assert answers == {
-        moves.begun[2]: (Code.FAULT, ABORTED),
-        moves.begun[1]: (Code.DONE, SUCCEEDED),
-        moves.begun[0]: (Code.BUSY, ABORTED),
-    }
 
 
 def test_a_goal_that_is_refused_or_done_at_once_ends_at_once(probe: Probe, moves: Moves) -> None:
@@ -145,11 +106,10 @@ def test_a_goal_that_is_cancelled_ends_once_when_what_it_asked_for_has_ended(
         assert (answer.code, answer.stop, sent.status) == (code, "17", status)
 
 
-def test_an_action_without_a_cancel_goes_on(probe: Probe) -> None:
-    moves = Moves(probe, SingleThreadedExecutor, cancels=False)
+def test_an_action_without_a_cancel_goes_on(probe: Probe, link: Link) -> None:
+    moves = Moves(link, cancels=False)
     sent = probe.ask("execute", lift("a"))
     probe.until(lambda: moves.begun, "the begin")
     assert not probe.cancel(sent)
     moves.finish(moves.begun[0], Answer(Code.DONE))
     assert probe.answer(sent).success and sent.status == SUCCEEDED
-    moves.close()

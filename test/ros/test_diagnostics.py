@@ -14,9 +14,7 @@ from wam_power_ros.ros.diagnostics import FAULT_KIND, diagnostics_message, of_co
     [
         ("torque_controller: loop", "/", True),
         ("left/torque_controller: loop", "/left", True),
-        ("left/arm/torque_controller: loop", "/left/arm", True),
         ("left/torque_controller: loop", "/", False),
-        ("torque_controller: loop", "/left", False),
         ("left/torque_controller: loop", "/right", False),
         ("my_controller: loop", "/", True),  # under any node name
     ],

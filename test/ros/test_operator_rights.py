@@ -49,14 +49,11 @@ def needed(command: str) -> Iterator[tuple[str, str, str]]:
         yield from (("service", "request", f"{name}/{each}") for each in SERVICES[verb])
 
 
-def test_the_documents_name_commands_of_every_sort() -> None:
+def test_a_documented_command_is_within_the_rights_of_the_operator() -> None:
     assert {command.split()[1] for command in COMMANDS} >= {"topic", "service", "lifecycle"}
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_a_documented_command_is_within_the_rights_of_the_operator(command: str) -> None:
-    for kind, right, name in needed(command):
-        assert refused({name}, kind, right) == set()
+    for command in COMMANDS:
+        for kind, right, name in needed(command):
+            assert refused({name}, kind, right) == set(), command
 
 
 def test_torques_and_policies_are_not() -> None:

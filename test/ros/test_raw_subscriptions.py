@@ -68,12 +68,6 @@ def recorder(domain_id: int) -> Iterator[Recorder]:
         rclpy.shutdown()
 
 
-def test_without_a_publisher_there_is_no_subscription(recorder: Recorder) -> None:
-    recorder.topics.discover()
-    assert recorder.topics.names == ["/notes"]
-    assert recorder.node.count_subscribers("/notes") == 0
-
-
 def test_what_has_arrived_is_passed_on_before_it_is_dispatched(recorder: Recorder) -> None:
     publisher = recorder.publish("first", RELIABLE, VOLATILE)
     publisher.publish(String(data="last"))

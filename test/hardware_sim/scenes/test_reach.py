@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hardware_sim.demonstrator import PAUSE, Demonstrator
@@ -20,6 +20,7 @@ from wam_power_ros.control.arm import Arm
 POSITION, ROTATION = np.array([0.8, 0.0, 0.6]), rotations.exp(np.array([0.0, 0.4, 0.0]))
 
 
+@settings(max_examples=20)
 @given(st.integers(0, 10_000))
 def test_every_reach_goes_from_rest_to_rest_in_an_arc_with_constant_orientation(
     seed: int,
@@ -83,7 +84,7 @@ def test_the_obstacle_is_touched_exactly_within_a_millimetre_of_the_tools_centre
     _, path = guide(world_with())
     centre = path[len(path) // 2] + [0.05, 0.0, -0.02]
     nearest = float(np.linalg.norm(path - centre, axis=1).min())
-    for margin in (-0.00101, -0.00099):
+    for margin in (-0.00101, -0.00099):  # a millimetre is tolerated
         world = world_with(*centre.tolist(), nearest + margin)
         _, again = guide(world)
         np.testing.assert_array_equal(again, path)  # no contact
