@@ -11,7 +11,7 @@ import numpy as np
 
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.learner import generator_state
-from wam_power_ros.learning.policy import Basis, Policy, from_json
+from wam_power_ros.learning.policy import Basis, Policy, from_json, to_json
 from wam_power_ros.learning.power import Power
 from wam_power_ros.practice import session
 from wam_power_ros.practice.practice import Practice
@@ -42,6 +42,9 @@ def demonstrated_policy(id: str = "flick-1", count: int = 8, seed: int = 0) -> P
         rotation_damping=36.0,
         q_start=np.radians([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0]),
     )
+
+
+CANDIDATES = [demonstrated_policy("flick-1", seed=1), demonstrated_policy("flick-2", seed=2)]
 
 
 def learner_state(learner: Power) -> list[Any]:
@@ -88,6 +91,24 @@ def practice_in(folder: Path) -> Practice:
         for name in header.candidates
     ]
     return practice_of(policies, header.settings, header.seed, found.log)
+
+
+def next_trial(practice: Practice) -> str:
+    """What is executed next, as text for comparison; why nothing is at the end."""
+    trial = practice.next_trial()
+    if trial is None:
+        return practice.stopped
+    return f"{trial.kind} {trial.attempt} {trial.z.tolist()} {to_json(trial.policy)}"
+
+
+def record_of(number: int = 1, **changes: Any) -> Record:  # noqa: ANN401
+    """Record of a successful run of a mean, but for what is changed."""
+    values: dict[str, Any] = {"kind": "mean", "demonstration": "one", "ret": 0.5, "success": True}
+    values |= {"attempt": 1, "terms": {}, "why": "", "note": "", "observation": None, "fault": ""}
+    values |= {"bag": "", "truth": None, "clock": {}, "generator": {}, "z": [0.0, 1.0]} | changes
+    learnt = values["ret"] is not None and values["kind"] != "retest"
+    values |= {"learnt": learnt, "learnt_as": values["z"] if learnt else None}
+    return Record(number=number, id=f"trial-{number:04d}", theta=values["z"], **values)
 
 
 def toss(trial: Trial, task: FlipSettings, noise: float = 0.1) -> Assessment:
