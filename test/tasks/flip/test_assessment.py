@@ -83,10 +83,7 @@ def test_a_rollout_that_cannot_be_judged_says_why() -> None:
     assert why(seen=frames[frames < 1.0]) == (
         "the pancake was lost from view at 0.98 s and had not fallen until then"
     )
-    assert (
-        why(fault=Fault(FaultKind.STATES_LOST, "no joint state for 12 ms"))
-        == "no joint state for 12 ms"
-    )
+    assert why(fault=Fault(FaultKind.STATES_LOST, "no state for 12 ms")) == "no state for 12 ms"
 
 
 @pytest.mark.parametrize(("depth", "judged"), [(0.04, False), (0.06, True)])
@@ -100,24 +97,22 @@ def test_a_pancake_last_seen_under_the_pan_was_dropped_and_not_lost(
     assert (assess(POLICY, Rollout(pan, dropped), SETTINGS).ret is not None) == judged
 
 
-@pytest.mark.parametrize("name", ["paper", "hindsight"])
-def test_a_stall_of_the_cameras_makes_a_rollout_unusable_rather_than_wrong(name: str) -> None:
-    settings = preset("flip", name).task_settings
+def test_a_stall_of_the_cameras_makes_a_rollout_unusable_rather_than_wrong() -> None:
     pan, thrown = toss(half_turns=1.0)
     t = thrown.t
 
     def judged(seen: np.ndarray) -> Assessment:
         pancake = BodyPath(POLICY.id, t[seen], thrown.position[seen], thrown.quat_xyzw[seen])
-        return assess(POLICY, Rollout(pan, pancake), settings)
+        return assess(POLICY, Rollout(pan, pancake), SETTINGS)
 
     whole = judged(t > 0.0).ret
     rng = np.random.default_rng(2)
     outcomes = []
-    for _ in range(24):
+    for _ in range(16):
         begin, length = rng.uniform(0.0, 1.8), rng.uniform(0.02, 0.5)
         outcomes.append(judged((t < begin) | (t > begin + length)).ret)
     usable = [ret for ret in outcomes if ret is not None]
-    assert 4 < len(usable) < 20
+    assert 3 < len(usable) < 13
     np.testing.assert_allclose(usable, whole, atol=0.05)
 
 
@@ -128,16 +123,3 @@ def test_the_flight_comes_back_out_of_an_observation() -> None:
     assert flight is not None and not flight.tossed
     np.testing.assert_array_equal(flight.position, observation["position"])
     assert flight_of({"angle": 1.0}) is None
-
-
-def test_a_rollout_whose_rest_is_not_seen_is_not_judged_unless_it_was_before_the_start() -> None:
-    pan, thrown = toss(half_turns=1.0)
-    flight = thrown.part(thrown.t > 0.62)
-    assessment = assess(POLICY, Rollout(pan, flight), SETTINGS)
-    assert assessment.ret is None and assessment.why
-    whole = assess(POLICY, Rollout(pan, thrown), SETTINGS)
-    early = np.flatnonzero(thrown.t < 0.1)
-    t = np.concatenate([thrown.t[early] - 0.15, thrown.t[thrown.t > 0.15]])
-    kept = np.concatenate([early, np.flatnonzero(thrown.t > 0.15)])
-    seen = BodyPath(POLICY.id, t, thrown.position[kept], thrown.quat_xyzw[kept])
-    assert assess(POLICY, Rollout(pan, seen), SETTINGS).ret == pytest.approx(whole.ret, abs=1e-3)

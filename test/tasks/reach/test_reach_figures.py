@@ -19,9 +19,4 @@ def test_a_reach_is_drawn_along_the_movement_with_the_obstacle_half_way() -> Non
         drawn = next(line for line in axes.lines if line.get_label() == "executed")
         np.testing.assert_allclose(drawn.get_xdata(), np.linspace(0.0, 0.5, 21))
         np.testing.assert_allclose(drawn.get_ydata(), aside)
-
-
-def test_a_reach_without_an_obstacle_shows_the_paths_and_the_goal() -> None:
-    side, _ = executed(PATH, PATH, None).axes
-    assert not side.patches
-    assert [line.get_label() for line in side.lines] == ["demonstrated", "executed", "goal"]
+    assert not executed(PATH, PATH, None).axes[0].patches

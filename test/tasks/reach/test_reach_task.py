@@ -98,11 +98,6 @@ def test_a_path_into_the_obstacle_is_worth_what_it_is_when_it_stays_there() -> N
     assert free.success and free.ret > through.ret
 
 
-def test_a_rollout_that_somebody_stopped_says_nothing() -> None:
-    early = task().assess(POLICY, Rollout(cut(straight(), 0.1 * POLICY.basis.duration)))
-    assert early.ret is None and early.why.startswith("cut short")
-
-
 def test_a_rollout_that_the_controller_stopped_in_its_region_has_touched_the_obstacle() -> None:
     share = (0.25 - RADIUS - 0.006) / 0.5  # of the way, on which the obstacle is in the middle
     path = cut(straight(), share * POLICY.basis.duration)
@@ -112,22 +107,12 @@ def test_a_rollout_that_the_controller_stopped_in_its_region_has_touched_the_obs
     assert assessment.why == "stopped at the obstacle"
 
 
-@pytest.mark.parametrize(
-    ("kind", "ret"), [(FaultKind.TOOL_SPEED, 0.0), (FaultKind.STATES_LOST, None)]
-)
-def test_a_fault_counts_by_its_kind(kind: FaultKind, ret: float | None) -> None:
-    assert task().assess(POLICY, Rollout(around(), None, Fault(kind, "why"))).ret == ret
+def test_a_fault_counts_by_its_kind() -> None:
+    for kind, ret in ((FaultKind.TOOL_SPEED, 0.0), (FaultKind.STATES_LOST, None)):
+        assert task().assess(POLICY, Rollout(around(), None, Fault(kind, "why"))).ret == ret
 
 
 def test_a_table_names_the_distance_and_the_contact() -> None:
     seen = {"touched": True, "goal_distance": 0.234, "clearance": -0.01}
     row = SimpleNamespace(kind="retest", fault="", why="", observation=seen)
     assert task().outcome(row) == "touched the obstacle, 23 cm from the goal"
-    row.observation = {**seen, "touched": False, "goal_distance": 0.012}
-    assert task().outcome(row) == "12 mm from the goal"
-    unseen = SimpleNamespace(kind="retest", fault="", why="", observation=None)
-    assert task().outcome(unseen) == "not seen"
-    unseen.why = "cut short"
-    assert task().outcome(unseen) == "cut short"
-    unseen.fault = "stopped"
-    assert task().outcome(unseen) == "fault: stopped"
