@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from toss_task import demonstrated_policy, practice_of, toss
 
-from reproduction.rivals.learners import RIVALS
 from wam_power_ros.learning.learner import Prediction
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.settings import preset
@@ -84,14 +83,3 @@ def test_once_a_person_has_rated_a_rollout_returns_count_and_not_the_measured_er
     assert rated.learner.falls_back, "for the rest of the session"
     again = practice_of(CANDIDATES, SETTINGS, 0, rated.log)
     assert again.next_trial().z.tolist() == rated.next_trial().z.tolist()
-
-
-@pytest.mark.parametrize("name", ["model_based", RIVALS["bayesian_optimization"]])
-def test_a_task_without_a_vector_error_is_refused_by_name_before_anything_moves(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.undo()  # the task's own model: only of planar parameters
-    settings = preset("flip", "paper", learner={"name": name})
-    refusal = f"learner '{name}' needs a model of the vector error, which task 'flip' with"
-    with pytest.raises(ValueError, match=refusal):
-        practice_of(CANDIDATES, settings, 0)

@@ -217,6 +217,14 @@ def test_a_failure_that_no_margin_explains_asks_for_two_more_successes_until_it_
     assert ROW_MIN + 4 < needed([[4.0, 3.0]] * 20) <= RECENT
 
 
+def test_margins_that_are_not_known_of_every_success_do_not_count() -> None:
+    stopping = rule(confirm=6)
+    for k in range(6):
+        assert not stopping.complete
+        stopping.add(rollout(True, margins=None if k == 1 else [5.0 + 0.1 * k]))
+    assert stopping.complete.startswith("6 of 6 succeeded: ")
+
+
 def test_a_row_that_would_be_much_longer_than_that_of_a_better_mean_ends() -> None:
     said = "1 success in a row, but margins that need many more: learning goes on"
     assert rule(29, scatter=[1.0]).add(rollout(True, margins=[4.0])) == "1 success in a row"

@@ -40,12 +40,6 @@ def fitted(truth: Toss, path: BodyPath) -> Spin:
     return fit_spin(frames, arc, truth.pan)
 
 
-def test_a_spin_without_decay_turns_the_normal_at_a_constant_rate_about_a_fixed_axis() -> None:
-    for t in (0.2, 0.5, 0.9):
-        expected = rotations.exp((t - 0.5) * OMEGA) @ UP
-        assert spin().normal(t)[0] == pytest.approx(expected)
-
-
 def test_a_spin_is_not_extrapolated_to_infinity_where_the_decay_has_its_pole() -> None:
     steep = spin(np.array([0.0, 6.0, 0.0]), 4.0)  # 1 + d s = 0 at 0.25 s
     assert np.isfinite(steep.normal(np.linspace(0.0, 0.5, 20))).all()

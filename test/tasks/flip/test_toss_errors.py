@@ -14,8 +14,7 @@ from toss_task import demonstrated_policy
 from wam_power_ros.learning.rollout import Foreseen
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.errors import told
-from wam_power_ros.tasks.flip import task as flip_task
-from wam_power_ros.tasks.flip.pan_toss import PANCAKE, Pancake, predict_toss
+from wam_power_ros.tasks.flip.pan_toss import predict_toss
 from wam_power_ros.tasks.flip.task import Flip
 from wam_power_ros.tasks.flip.toss_errors import ERRORS, SLOWED
 
@@ -71,23 +70,6 @@ def test_the_model_of_the_task_predicts_the_toss_of_the_foreseen_path_and_its_ex
     assert none.predict(np.zeros(parametrization.size)) is None
 
 
-def test_the_decay_of_the_spin_tells_nothing_where_it_decides_whether_there_is_a_toss(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    toss = predict_toss(thrown(2.5))
-
-    def toss_unless_slowed(pan: object, pancake: Pancake) -> object:
-        return toss if pancake == PANCAKE else None
-
-    monkeypatch.setattr(flip_task, "predict_toss", toss_unless_slowed)
-    task = Flip(SETTINGS, {})
-    parametrization = task.parametrization(demonstrated_policy())
-    foreseen = Foreseen(thrown(2.5), np.array([-0.3]))
-    model = task.error_model(parametrization, lambda policy: foreseen)
-    prediction = model.predict(np.zeros(parametrization.size))
-    assert np.isfinite(prediction.error).all() and not prediction.uncertain.any()
-
-
 def test_a_pan_that_does_not_toss_lacks_the_turn_and_its_landing_is_unknown() -> None:
     task = Flip(SETTINGS, {})
     parametrization = task.parametrization(demonstrated_policy())
@@ -109,9 +91,3 @@ def test_the_directions_are_those_of_the_corrections() -> None:
     assert (model.slopes[0, :3] > 0.0).all() and model.slopes[1, 3] < 0.0
     assert model.slopes[2, 4] < 0.0 == model.slopes[2, 3] == model.slopes[1, 4]
     assert model.slopes[3, 5] < 0.0 and np.count_nonzero(model.slopes) == 6
-
-
-def test_other_parameters_than_the_planar_ones_have_no_error_model() -> None:
-    task = Flip(preset("flip", "paper").task_settings, {})
-    plain = task.parametrization(demonstrated_policy())
-    assert task.error_model(plain, lambda policy: None) is None
