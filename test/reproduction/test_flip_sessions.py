@@ -101,19 +101,15 @@ def claim(chapter: Chapter, words: str) -> Claim:
 
 
 def test_a_claim_of_the_chapter_is_met_only_if_the_sessions_meet_it() -> None:
-    good = [held(seed) for seed in range(9)]
-    landed, true = "hindsight: landed in at least 90%", "hindsight: true flips"
-    chapter = STUDY.chapter(results([*good, held(9, angle=147.0)]))
-    assert claim(chapter, landed).met
-    assert claim(chapter, true).met
-    assert claim(chapter, true).ours == "9 of 10 sessions"
+    short = [held(seed, angle=147.0) for seed in range(4)]  # caught, and turned too little
+    chapter = STUDY.chapter(results([*(held(seed) for seed in range(4, 10)), *short]))
+    assert claim(chapter, "hindsight: landed in at least 90%").met
+    assert claim(chapter, "hindsight: true flips").met is False
+    assert claim(chapter, "hindsight: true flips").ours == "6 of 10 sessions"
     assert claim(chapter, "gain of the mean return").ours == "0.45"
     assert "fig5-learning-curve" in chapter.figures
     assert "was a true flip in 0 of 10 sessions" in " ".join(chapter.html.split())
-    bad = STUDY.chapter(results([*good[:5], *[held(9, landed=False)] * 5]))
-    assert Sessions(good[:1]).count == "1 session"
-    assert claim(bad, landed).met is False
-    assert claim(bad, true).met is False
+    assert Sessions(short[:1]).count == "1 session"
 
 
 @pytest.mark.parametrize(("angles", "count"), [((95.0, 170.0), 1), ((170.0, 95.0), 0)])

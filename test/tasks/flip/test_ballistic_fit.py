@@ -31,6 +31,21 @@ def crossing_of(truth: Toss, path: BodyPath) -> Crossing:
     return crossing
 
 
+def test_an_arc_falls_with_gravity_and_drag() -> None:
+    velocity = np.array([0.4, -0.1, 2.4])
+    theta = np.concatenate([[0.6, 0.0, 1.0], velocity, np.zeros(6)])
+    arc = Arc(np.zeros(2), np.arange(2), 0.3, theta, np.eye(12), velocity)
+    position, v, step = theta[:3].copy(), velocity.copy(), 1e-4
+    for _ in range(4000):
+        a = -0.3 * np.linalg.norm(v) * v - [0.0, 0.0, GRAVITY]
+        position, v = position + step * v + 0.5 * step**2 * a, v + step * a
+    # w is integrated along the drag-free parabola: the difference is of second order in the drag.
+    vacuum = theta[:3] + 0.4 * velocity - [0.0, 0.0, 0.5 * GRAVITY * 0.4**2]
+    assert arc.position(np.array([0.7]))[0] == pytest.approx(position, abs=0.005)
+    assert np.linalg.norm(position - vacuum) > 0.03
+    assert arc.position(np.array([0.3]))[0] == pytest.approx(theta[:3])
+
+
 def test_there_is_no_arc_through_fewer_than_two_frames_or_one_never_at_rest() -> None:
     rng = np.random.default_rng(15)
     truth = toss(rng, vz=2.4, half_turns=1.0)
@@ -64,6 +79,17 @@ def test_an_arc_that_has_not_come_down_at_the_end_of_the_path_has_no_crossing() 
     early = pan.t < truth.t_f - 0.05
     cut = EndEffectorPath("t", pan.t[early], pan.position[early], pan.quat_xyzw[early])
     assert find_crossing(arc, cut, DELTA_H) is None
+
+
+def test_the_covariance_grows_with_the_scatter_of_the_frames() -> None:
+    rng = np.random.default_rng(17)
+    truth = toss(rng, vz=2.4, half_turns=1.0)
+    calm = arc_through(truth, capture(truth, np.random.default_rng(1)))
+    noisy = arc_through(truth, capture(truth, np.random.default_rng(1), noise=20.0))
+    assert noisy.covariance[0, 0] > 10.0 * calm.covariance[0, 0]
+    exact = arc_through(truth, capture(truth, np.random.default_rng(1), noise=0.0))
+    # The noise of the cameras is expected and does not scale the covariance.
+    assert calm.covariance[0, 0] == pytest.approx(exact.covariance[0, 0], rel=0.3)
 
 
 def test_the_release_is_found_between_two_frames() -> None:
