@@ -13,6 +13,7 @@ from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.learner import generator_state
 from wam_power_ros.learning.policy import Basis, Policy, from_json, to_json
 from wam_power_ros.learning.power import Power
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
 from wam_power_ros.practice import session
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session_log import Line, Record, Trial
@@ -109,6 +110,14 @@ def record_of(number: int = 1, **changes: Any) -> Record:  # noqa: ANN401
     learnt = values["ret"] is not None and values["kind"] != "retest"
     values |= {"learnt": learnt, "learnt_as": values["z"] if learnt else None}
     return Record(number=number, id=f"trial-{number:04d}", theta=values["z"], **values)
+
+
+def at_rest(id: str, end: float, seen: np.ndarray) -> tuple[EndEffectorPath, BodyPath]:
+    """A pan that rests until a time and a pancake that rests in it, seen at some times."""
+    t, level = np.arange(0.0, end, 0.01), [0.0, 0.0, 0.0, 1.0]
+    pan = EndEffectorPath(id, t, np.tile([0.6, 0.0, 0.5], (len(t), 1)), [level] * len(t))
+    position = np.tile([0.6, 0.0, 0.503], (len(seen), 1))
+    return pan, BodyPath(id, seen, position, np.tile(level, (len(seen), 1)))
 
 
 def toss(trial: Trial, task: FlipSettings, noise: float = 0.1) -> Assessment:

@@ -11,6 +11,7 @@ import pytest
 from toss_task import (
     CANDIDATES,
     AnyArm,
+    at_rest,
     demonstrated_policy,
     learner_state,
     next_trial,
@@ -20,7 +21,7 @@ from toss_task import (
 
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.policy import Policy, to_json
-from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
+from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.practice.best_policy import choose_demonstration
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session_log import Record, Trial, parse_line
@@ -279,15 +280,6 @@ def test_the_demonstration_is_chosen_by_how_it_reproduces() -> None:
     assert chosen is None and "(blind: seen or not)" in why
 
 
-def paths(trial: Trial, end: float, seen: np.ndarray) -> tuple[EndEffectorPath, BodyPath]:
-    """A pan that rests and a pancake that rests in it, seen at some times."""
-    t = np.arange(0.0, end, 0.01)
-    level = [0.0, 0.0, 0.0, 1.0]
-    pan = EndEffectorPath(trial.id, t, np.tile([0.6, 0.0, 0.5], (len(t), 1)), [level] * len(t))
-    position = np.tile([0.6, 0.0, 0.503], (len(seen), 1))
-    return pan, BodyPath(trial.id, seen, position, np.tile(level, (len(seen), 1)))
-
-
 def test_a_torque_that_stays_unexplained_when_a_policy_is_run_again_is_the_policys_doing() -> None:
     practice = started("hindsight")
     run(practice, rollouts=3)
@@ -295,7 +287,7 @@ def test_a_torque_that_stays_unexplained_when_a_policy_is_run_again_is_the_polic
 
     def learn(kind: FaultKind) -> Record:
         trial = practice.next_trial()
-        pan, pancake = paths(trial, 0.5, np.arange(0.01, 0.5, 1 / 30))
+        pan, pancake = at_rest(trial.id, 0.5, np.arange(0.01, 0.5, 1 / 30))
         return practice.learn(trial, Rollout(pan, pancake, Fault(kind, "38 N m at joint 2")))
 
     lost, first = learn(FaultKind.STATES_LOST), learn(FaultKind.STATES_LOST)
@@ -317,14 +309,14 @@ def test_what_a_task_assesses_must_be_an_assessment(
     trial = practice.next_trial()
     monkeypatch.setattr(practice.task, "assess", lambda policy, rollout: told)
     with pytest.raises(TypeError, match=f"assess of task 'flip' told {told}: no Assessment"):
-        practice.learn(trial, Rollout(*paths(trial, 1.86, np.arange(0.01, 1.85, 1 / 30))))
+        practice.learn(trial, Rollout(*at_rest(trial.id, 1.86, np.arange(0.01, 1.85, 1 / 30))))
     assert not practice.records and practice.next_trial() is trial
 
 
 def test_paths_and_trials_that_are_not_due_are_refused_without_a_trace() -> None:
     practice = started("hindsight")
     trial = practice.next_trial()
-    pan, pancake = paths(trial, 1.86, np.arange(0.0, 1.85, 1 / 30))
+    pan, pancake = at_rest(trial.id, 1.86, np.arange(0.0, 1.85, 1 / 30))
     with pytest.raises(ValueError, match="body path of rollout 'other'"):
         practice.learn(trial, Rollout(pan, replace(pancake, id="other")))
     with pytest.raises(ValueError, match="paths are of rollout 'other'"):
