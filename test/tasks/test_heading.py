@@ -136,6 +136,11 @@ def test_a_tool_that_turns_about_an_axis_far_from_level_is_refused() -> None:
         heading([about(demonstrated(Flip), (math.radians(40.0), 0.0, 0.0))], forward_of_turn)
 
 
+def test_a_tool_that_does_not_turn_has_the_heading_of_the_base() -> None:
+    still = from_positions(demonstrated(Flip).position, demonstrated(Flip).period)
+    assert Flip.context_of([still], None) == {"heading": 0.0}
+
+
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_swing_is_towards_where_its_last_stroke_comes_from_however_far_it_drew_back(
     sign: float,
