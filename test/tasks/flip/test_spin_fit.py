@@ -69,6 +69,15 @@ def test_the_jacobian_is_the_derivative_of_the_residuals() -> None:
     assert problem.jacobian(theta) == pytest.approx(np.array(columns).T, abs=1e-3)
 
 
+def test_the_residuals_of_the_true_spin_are_those_of_the_priors_alone() -> None:
+    s = np.linspace(-0.2, 0.2, 6)
+    targets = rotations.exp(np.outer(s, OMEGA)) @ UP
+    problem = _SpinProblem(s, targets, np.full((6, 1), 0.01), UP)
+    residuals = problem.residuals(np.array([0.0, 0.0, *OMEGA, 0.0]))
+    assert residuals[:-5] == pytest.approx(0.0, abs=1e-9)
+    assert residuals[-5:] == pytest.approx([*(OMEGA / 12.0), -1.0, OMEGA[2] / 3.0])
+
+
 def test_frequent_frames_show_one_spin_and_rare_ones_may_hide_a_turn_more_or_less() -> None:
     for gap, whole_turns in ((0.05, [0.0]), (0.1, [0.0, -1.0, 1.0])):
         t = np.arange(6) * gap
