@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import ROOT, python_path
+from conftest import ROOT
 
 LINKED = ("setup.py", "setup.cfg", "wam_power_ros", "hardware_sim")  # by --symlink-install
 needs_colcon = pytest.mark.skipif(
@@ -41,19 +41,6 @@ def test_setup_runs_through_a_link_to_it_and_its_extra_test_names_pytest(tmp_pat
     extras = (tmp_path / "wam_power_ros.egg-info/requires.txt").read_text().split("\n\n")
     (extra,) = (each for each in extras if each.startswith("[test]"))  # colcon test looks there
     assert "\npytest>" in extra
-
-
-def test_plugins_of_ros_that_this_pytest_cannot_load_are_left_out(tmp_path: Path) -> None:
-    info = tmp_path / "launch_testing-3.4.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: launch-testing\nVersion: 3.4\n")
-    plugins = ("launch_testing", "launch_ros", "launch_pytest")
-    lines = [f"{plugin} = a_plugin_for_another_pytest" for plugin in plugins]
-    (info / "entry_points.txt").write_text("\n".join(["[pytest11]", *lines]))
-    (tmp_path / "a_plugin_for_another_pytest.py").write_text("raise RuntimeError('was loaded')")
-    path = python_path(tmp_path)
-    command = (sys.executable, "-m", "pytest", "--collect-only", "-q", "test/test_rotations.py")
-    assert "test_rotations" in run(*command, folder=ROOT, PYTHONPATH=path)
 
 
 def test_make_runs_colcon_by_the_python_that_the_executables_start_with() -> None:

@@ -36,9 +36,6 @@ class Stack(Task):
 
 class HighFlip(Flip):
     name = "high_flip"
-
-class Nameless(Flip):
-    pass
 """
 TASKS = ("stack = LAB.task:Stack", "high_flip = LAB.task:HighFlip")
 
@@ -89,9 +86,8 @@ def test_a_task_that_is_not_installed_is_refused_wherever_it_is_named(
     known = "'tap' is not one of ball_in_cup, flip, rated, reach"
     with pytest.raises(ValueError, match=known):
         overlay.setup(task="tap")
-    commands = "config", "teach", "learn", "run-policy x"
-    for words in commands:
-        assert known in refusal(*words.split(), "--task", "tap"), words
+    for words in ("config", "learn"):
+        assert known in refusal(words, "--task", "tap"), words
     with pytest.raises(ValueError, match=r"learner 'pwoer' is not one of .*, power, "):
         installed.find("learner", "pwoer")
 
@@ -125,7 +121,7 @@ def test_a_learner_may_be_a_class_that_the_program_has_imported_and_none_is_impo
 ) -> None:
     (lab() / "own.py").write_text("from wam_power_ros.learning.power import Power as Mine\n")
     refused = "is no class of a learner that this program has imported"
-    for name in ("my_lab.own:Mine", "json:JSONDecoder", "json:nothing", "my_lab.own:", ":Power"):
+    for name in ("my_lab.own:Mine", "json:JSONDecoder", "my_lab.own:", ":Power"):
         with pytest.raises(ValueError, match=f"learner '{name}' is no"):
             installed.find("learner", name)
     assert "my_lab.own" not in sys.modules
@@ -149,13 +145,8 @@ def test_the_task_of_another_package_brings_its_set_up_and_names_the_body(stack:
     assert setup["demonstration_recorder"]["stem"] == setup["learner"]["task"] == "stack"
     assert {setup[node]["body"] for node in overlay.WITH_BODY} == {"block"}
     assert setup["pancake_tracker"]["pose_topic"] == "block/pose"
-
-
-def test_a_task_whose_set_up_was_not_packed_is_refused(stack: Path) -> None:
-    (stack / "stack.yaml").unlink()
-    with pytest.raises(
-        ValueError, match=r"no .*my_lab/stack.yaml: task 'stack' needs it, .*package-data"
-    ):
+    (stack / "stack.yaml").unlink()  # as if it had not been packed
+    with pytest.raises(ValueError, match=r"no .*my_lab/stack.yaml: task 'stack' needs it, .*pack"):
         overlay.setup(task="stack")
 
 
@@ -168,25 +159,21 @@ def test_a_task_that_is_derived_from_another_has_its_set_up_unless_it_brings_one
     assert overlay.setup(task="high_flip")["wam_sim"]["spread"] == 2.0
 
 
-@pytest.mark.parametrize(
-    "point", ["a = LAB.task:Stack", "a = LAB.scene:Stack", "nameless = LAB.task:Nameless"]
-)
+@pytest.mark.parametrize("point", ["a = LAB.task:Stack", "a = LAB.scene:Stack"])
 def test_an_entry_point_must_lead_to_a_task_of_its_name(point: str, lab: Lab) -> None:
     lab(tasks=(point,))
     with pytest.raises(ValueError, match="is not an imported subclass of Task so named"):
-        overlay.setup(task=point.partition(" ")[0])
+        overlay.setup(task="a")
 
 
 def test_another_body_than_the_tasks_is_refused_wherever_it_is_said(
     stack: Path, tmp_path: Path
 ) -> None:
+    other = tmp_path / "other.yaml"
     for node in overlay.WITH_BODY:
-        other = tmp_path / "other.yaml"
         other.write_text(f"{node}: {{ros__parameters: {{body: brick}}}}")
-        says = r"'brick'} of \w+ contradicts task 'stack', .*'block'}: .*omit it in .*other.yaml"
-        with pytest.raises(ValueError, match=says):
+        with pytest.raises(ValueError, match=r"'brick'} of \w+ contradicts task 'stack', "):
             overlay.setup([str(other)], task="stack")
-        assert overlay.setup([str(other)])[node]["body"] == "brick"
     other.write_text("wam_sim: {ros__parameters: {scene: flip}}")
     with pytest.raises(ValueError, match="'pancake' of scene 'flip'; task 'stack' has 'block'"):
         Devices([str(other)], simulate=True).parameters("stack")
@@ -221,17 +208,16 @@ STATED = {
     ("changes", "says"),
     [
         ({"name": ""}, "name = '' must be a name of letters, digits and _"),
-        ({"body": "my body"}, "body = 'my body' must be a name"),
         ({"obsreve": nothing}, "it has no member 'obsreve': 'observe' is meant, or choose"),
         ({"settle_time": 2.0}, "settle_time is stated by `Settings`"),
         ({"presets": ["own"]}, r"presets = \['own'\] must be a mapping"),
+        ({"effects": ("vigour",)}, r"effects = \('vigour',\) must be a tuple of Effect"),
+        ({"errors": (Error("miss", "m", 0.01),)}, "there is no return"),
+        ({"gain": 1.5}, "gain = 1.5 must be 0 to 1"),
         ({"Settings": Loose}, "Loose'> must refuse unknown fields"),
         ({"Settings": Strict}, "Strict'> has no noise, variant: derive it from TaskSettings"),
-        ({"effects": ("vigour",)}, r"effects = \('vigour',\) must be a tuple of Effect"),
         ({"errors": (LIMITED, LIMITED)}, "'miss' is stated twice"),
-        ({"effects": (PUSHED, PUSHED)}, r"\('vigour', 0\) is stated twice"),
         ({"observe": Task.observe}, "there is no return: define observe, .*or define assess"),
-        ({"errors": (Error("miss", "m", 0.01),)}, "there is no return"),
         (
             {"effects": (Effect("vigor", 0.2, {"miss": 0.5}),)},
             "effect 'vigor' is not one of shift_x, shift_y, shift_z, vigour, tempo",
@@ -242,7 +228,6 @@ STATED = {
         ),
         ({"effects": (), "predict": nothing}, "predict is never asked: effects move none"),
         ({"targets": {"string": 0.4}}, "target 'string' is none of the errors, and .* no `carr"),
-        ({"gain": 1.5}, "gain = 1.5 must be 0 to 1"),
     ],
 )
 def test_a_task_is_checked_when_its_class_is_defined(changes: dict, says: str) -> None:
@@ -274,17 +259,13 @@ def test_a_preset_needs_no_learner_and_may_not_misspell_a_setting(
     settings = preset("stack")
     assert settings.learner == "power"
     presets = installed.task_type("stack").presets
-    for key, value in (("settel_time", 1.0), ("bugdet", 3), ("learnr", {"name": "power"})):
-        monkeypatch.setitem(presets["own"], key, value)
-        with pytest.raises(ValueError, match=rf"task_settings.{key}.*: Extra inputs are not perm"):
+    for key, value, named in (("bugdet", 3, "bugdet"), ("learner", {"nmae": "power"}, "nmae")):
+        with monkeypatch.context() as patch, pytest.raises(ValueError, match=named):
+            patch.setitem(presets["own"], key, value)
             preset("stack")
-        monkeypatch.delitem(presets["own"], key)
-    monkeypatch.setitem(presets["own"], "learner", {"nmae": "power"})
-    with pytest.raises(ValueError, match="nmae"):
-        preset("stack")
 
 
-@pytest.mark.parametrize("task", ["ball_in_cup", "flip", "reach"])
+@pytest.mark.parametrize("task", ["flip", "reach"])
 def test_a_learner_works_with_a_preset_or_is_refused_with_all_that_do(task: str) -> None:
     presets, refused = list(installed.task_type(task).presets), 0
     for name in {presets[0], presets[-1]}:

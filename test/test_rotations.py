@@ -20,7 +20,7 @@ def vector(direction: tuple[float, float, float], angle: float) -> np.ndarray:
     return angle * np.array(direction) / math.hypot(*direction)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=60)
 @given(directions, angles)
 def test_log_undoes_exp_from_zero_to_half_a_turn(
     direction: tuple[float, float, float], angle: float
@@ -34,7 +34,7 @@ def test_log_undoes_exp_from_zero_to_half_a_turn(
         assert rotations.log(matrix) == pytest.approx(r, abs=1e-9)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=60)
 @given(directions, angles)
 def test_quaternion_and_matrix_are_the_same_rotation(
     direction: tuple[float, float, float], angle: float

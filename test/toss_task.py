@@ -11,8 +11,9 @@ import numpy as np
 
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.learner import generator_state
-from wam_power_ros.learning.policy import Basis, Policy, from_json
+from wam_power_ros.learning.policy import Basis, Policy, from_json, to_json
 from wam_power_ros.learning.power import Power
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
 from wam_power_ros.practice import session
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session_log import Line, Record, Trial
@@ -42,6 +43,9 @@ def demonstrated_policy(id: str = "flick-1", count: int = 8, seed: int = 0) -> P
         rotation_damping=36.0,
         q_start=np.radians([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0]),
     )
+
+
+CANDIDATES = [demonstrated_policy("flick-1", seed=1), demonstrated_policy("flick-2", seed=2)]
 
 
 def learner_state(learner: Power) -> list[Any]:
@@ -88,6 +92,32 @@ def practice_in(folder: Path) -> Practice:
         for name in header.candidates
     ]
     return practice_of(policies, header.settings, header.seed, found.log)
+
+
+def next_trial(practice: Practice) -> str:
+    """What is executed next, as text for comparison; why nothing is at the end."""
+    trial = practice.next_trial()
+    if trial is None:
+        return practice.stopped
+    return f"{trial.kind} {trial.attempt} {trial.z.tolist()} {to_json(trial.policy)}"
+
+
+def record_of(number: int = 1, **changes: Any) -> Record:  # noqa: ANN401
+    """Record of a successful run of a mean, but for what is changed."""
+    values: dict[str, Any] = {"kind": "mean", "demonstration": "one", "ret": 0.5, "success": True}
+    values |= {"attempt": 1, "terms": {}, "why": "", "note": "", "observation": None, "fault": ""}
+    values |= {"bag": "", "truth": None, "clock": {}, "generator": {}, "z": [0.0, 1.0]} | changes
+    learnt = values["ret"] is not None and values["kind"] != "retest"
+    values |= {"learnt": learnt, "learnt_as": values["z"] if learnt else None}
+    return Record(number=number, id=f"trial-{number:04d}", theta=values["z"], **values)
+
+
+def at_rest(id: str, end: float, seen: np.ndarray) -> tuple[EndEffectorPath, BodyPath]:
+    """A pan that rests until a time and a pancake that rests in it, seen at some times."""
+    t, level = np.arange(0.0, end, 0.01), [0.0, 0.0, 0.0, 1.0]
+    pan = EndEffectorPath(id, t, np.tile([0.6, 0.0, 0.5], (len(t), 1)), [level] * len(t))
+    position = np.tile([0.6, 0.0, 0.503], (len(seen), 1))
+    return pan, BodyPath(id, seen, position, np.tile(level, (len(seen), 1)))
 
 
 def toss(trial: Trial, task: FlipSettings, noise: float = 0.1) -> Assessment:

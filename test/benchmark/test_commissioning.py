@@ -33,9 +33,7 @@ def ordinary(laboratory: Laboratory) -> Judged:
 
 
 @pytest.mark.requirement("S-129")
-def test_an_ordinary_laboratory_is_not_refused(
-    ordinary: Judged,
-) -> None:
+def test_an_ordinary_laboratory_is_not_refused(ordinary: Judged) -> None:
     figures, refused, noted = ordinary
     assert refused == []
     assert figures["check mm"] < 2.0
@@ -45,9 +43,7 @@ def test_an_ordinary_laboratory_is_not_refused(
 @pytest.mark.requirement("S-129")
 @pytest.mark.parametrize("spoil", [*SPOILT][::3])
 def test_a_spoilt_laboratory_is_refused_or_noted(
-    spoil: str,
-    laboratory: Laboratory,
-    ordinary: Judged,
+    spoil: str, laboratory: Laboratory, ordinary: Judged
 ) -> None:
     usual = {note.quantity for note in ordinary[2]}
     _, refused, noted = judged(ARM, SPOILT[spoil](laboratory, np.random.default_rng(0)))

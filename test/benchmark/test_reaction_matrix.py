@@ -19,11 +19,9 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("kind", "joint", "mode"),
     [
-        ("runaway step", 1, "untouched"),
         ("runaway step", 1, "guided"),
         ("gradual swap", 1, "hold"),
         ("smooth bump", 1, "rollout late"),
-        ("relay", -1, "guided"),
     ],
 )
 def test_no_false_state_drives_the_arm_faster_than_it_was(kind: str, joint: int, mode: str) -> None:
@@ -42,13 +40,8 @@ def test_a_joint_that_runs_away_smoothly_moves_a_held_arm_slowly_and_little() ->
 
 
 @pytest.mark.requirement("S-131")
-@pytest.mark.parametrize(
-    ("kind", "arm"), [("smooth runaway", "drawn 3"), ("smooth bump", "friction halved")]
-)
-def test_an_arm_that_is_held_after_a_move_is_braked_by_the_torques_it_was_sent(
-    kind: str, arm: str
-) -> None:
-    outcome = run(Cell(kind, 1, "hold after move", arm))
+def test_an_arm_that_is_held_after_a_move_is_braked_by_the_torques_it_was_sent() -> None:
+    outcome = run(Cell("smooth runaway", 1, "hold after move", "drawn 3"))
     assert outcome.fault
     assert outcome.peak < 0.4
     assert outcome.way < 0.08
@@ -97,41 +90,24 @@ def test_a_weight_that_is_put_on_the_tool_is_caught() -> None:
 
 
 @pytest.mark.requirement("S-22")
-@pytest.mark.parametrize("kind", ["-0.55 kg", "motor 2 to 70 %"])
-def test_an_arm_that_leaves_while_nobody_touches_it_is_stopped(kind: str) -> None:
-    outcome = run(Cell(kind, -1, "untouched", "model"))
+def test_an_arm_that_leaves_while_nobody_touches_it_is_stopped() -> None:
+    outcome = run(Cell("motor 2 to 70 %", -1, "untouched", "model"))
     assert outcome.fault == "tool_speed"
     assert outcome.peak < 0.5
     assert outcome.way < 0.08
 
 
 @pytest.mark.requirement("S-122")
-@pytest.mark.parametrize(
-    ("mode", "arm"),
-    [
-        ("hold", "+0.5 kg"),
-        ("rollout late", "drawn 1"),
-    ],
-)
-def test_a_fault_of_true_states_stops_an_arm_that_is_not_its_model(mode: str, arm: str) -> None:
-    outcome = run(Cell("fault", -1, mode, arm))
+def test_a_fault_of_true_states_stops_an_arm_that_is_not_its_model() -> None:
+    outcome = run(Cell("fault", -1, "rollout late", "drawn 1"))
     assert outcome.peak < outcome.nominal + 0.12
     assert outcome.way < 0.02
     assert outcome.reset
 
 
 @pytest.mark.requirement("S-131")
-@pytest.mark.parametrize(
-    ("kind", "joint"),
-    [
-        ("drift +0.3", 1),
-        ("soft drift -0.3", 3),
-    ],
-)
-def test_a_drifting_zero_does_not_lead_a_held_arm_away_after_its_fault(
-    kind: str, joint: int
-) -> None:
-    outcome = run(Cell(kind, joint, "hold", "model"))
+def test_a_drifting_zero_does_not_lead_a_held_arm_away_after_its_fault() -> None:
+    outcome = run(Cell("soft drift -0.3", 3, "hold", "model"))
     assert outcome.fault
     assert outcome.peak < 0.3
     assert outcome.way < 0.1
@@ -142,7 +118,6 @@ def test_a_drifting_zero_does_not_lead_a_held_arm_away_after_its_fault(
     "cell",
     [
         Cell("smooth bump", 5, "rollout early", "drawn 5"),  # states not believed: 13.6 before
-        Cell("soft drift +0.3", 3, "guided", "drawn 5"),
         Cell("drift +0.3", 3, "replay", "model"),  # believed, and the arm follows the drift: 4.8
         Cell("sign", 1, "sweep", "model"),  # carried by what is usual, without the fault: 2.8
     ],
@@ -163,15 +138,14 @@ def test_a_held_arm_that_is_not_its_model_stays_where_a_joint_jumped() -> None:
 
 
 @pytest.mark.requirement("S-131")
-@pytest.mark.parametrize("at", [62, 400])
 def test_states_that_are_lost_after_a_fault_do_not_make_a_drift_a_fall(
-    at: int, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     drift, count = reaction_matrix.OF_JOINT["drift +0.3"](3), itertools.count()
     monkeypatch.setitem(
         reaction_matrix.OF_JOINT,
         "drift, lost states",
-        lambda _: lambda state: None if at <= next(count) < at + 6 else drift(state),
+        lambda _: lambda state: None if 62 <= next(count) < 68 else drift(state),
     )
     outcome = run(Cell("drift, lost states", 3, "hold", "model"))
     assert outcome.peak < 0.3

@@ -15,10 +15,7 @@ from wam_power_ros.faults import FaultKind
 
 
 @pytest.mark.requirement("S-121")
-@pytest.mark.parametrize(
-    ("name", "phase"),
-    [("swap", "upwards"), ("swap", "teaching"), ("sign", "late")],
-)
+@pytest.mark.parametrize(("name", "phase"), [("swap", "teaching"), ("sign", "late")])
 def test_states_that_agree_with_each_other_and_are_false_end_in_a_stop(
     name: str, phase: str
 ) -> None:
@@ -45,7 +42,7 @@ def test_a_jump_of_an_arm_that_nobody_holds_moves_nothing(joint: int, size: floa
 @pytest.mark.requirement("S-122")
 @pytest.mark.parametrize(
     ("arm", "phase"),
-    [("payload of 0.5 kg", "hold"), ("motor 2 at 70 %", "upwards"), (9100, "upwards")],
+    [("payload of 0.5 kg", "hold"), (9100, "upwards")],
     ids=str,
 )
 def test_an_arm_that_is_not_its_model_stays_where_a_fault_stopped_it(
@@ -71,13 +68,12 @@ def test_an_arm_that_is_not_its_model_stays_under_gravity_compensation() -> None
 
 
 @pytest.mark.requirement("S-121")
-@pytest.mark.parametrize("seconds", [0.0, 0.3])
-def test_a_zero_that_jumps_back_after_the_reset_of_its_fault_moves_nothing(seconds: float) -> None:
+def test_a_zero_that_jumps_back_after_the_reset_of_its_fault_moves_nothing() -> None:
     loop = held()
     loop.falsify = OF_JOINT["smooth bump"](1)
     assert loop.observe(3.0).fault is not None
     loop.controller.reset()
-    loop.play(seconds)
+    loop.play(0.3)
     loop.falsify = lambda state: state
     outcome = loop.observe(2.0)
     assert outcome.fault is not None

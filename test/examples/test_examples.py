@@ -66,6 +66,7 @@ def test_an_example_prints_what_it_promises(name: str, tmp_path: Path) -> None:
         assert re.search(expression, line), lines
 
 
+@pytest.mark.long
 def test_the_task_of_the_examples_is_learnt_in_a_few_rollouts_and_has_at_most_60_lines(
     tmp_path: Path,
 ) -> None:

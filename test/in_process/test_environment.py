@@ -23,8 +23,6 @@ from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import share
 from wam_power_ros.practice.settings import preset
 
-Falsify = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
-
 
 @pytest.fixture(scope="module")
 def toss() -> Policy:
@@ -50,7 +48,7 @@ def test_a_caught_pancake_needs_nobody_before_the_next_toss_and_a_dropped_one_a_
     environment = Environment(World(scene_type("flip"), seed=seed))
     policy = teach(environment, seed, 1, pitch_rate=7.6)[0]
     task = preset("flip").make_task({})
-    for number in range(3):
+    for number in range(2):
         known = environment.put_back(task, policy)
         if number:
             assert known["by"] == by and known["seconds"] < 10.0
@@ -114,18 +112,16 @@ def calm(tool_mass: float, folder: Path) -> Environment:
 
 @pytest.fixture(scope="module")
 def policies(toss: Policy) -> dict[str, Policy]:
-    """A demonstrated toss, a slower one, and a demonstrated reach."""
-    slow = teach(Environment(World(scene_type("flip"), seed=3)), 3, 1, pitch_rate=4.0)[0]
-    return {"toss": toss, "slow toss": slow, "reach": taught_scenario().policy}
+    """A demonstrated toss and a demonstrated reach."""
+    return {"toss": toss, "reach": taught_scenario().policy}
 
 
 @pytest.mark.requirement("S-114")
 @pytest.mark.parametrize(
     ("task", "tool_mass"),
     [
-        *(("toss", mass) for mass in (0.0, 0.03, 0.3, 1.0)),
-        *(("slow toss", mass) for mass in (0.0, 1.0)),
-        *(("reach", mass) for mass in (0.03, 0.3, 1.0)),
+        *(("toss", mass) for mass in (0.0, 1.0)),
+        *(("reach", mass) for mass in (0.03, 1.0)),
     ],
 )
 def test_simulation_and_stand_in_agree_for_tools_of_any_mass(
@@ -179,8 +175,7 @@ def test_at_1_khz_a_rollout_is_the_same_within_the_discretisation() -> None:
     assert np.abs(one.tool.position - other.tool.position).max() < 0.005
 
 
-@pytest.mark.parametrize("falsify", [lambda q, qd: (q, -qd), lambda q, qd: (q + 0.2, qd)])
-def test_at_1_khz_false_states_are_a_fault_as_soon(falsify: Falsify) -> None:
+def test_at_1_khz_false_states_are_a_fault_as_soon() -> None:
     policy, took = taught_scenario().policy, []
     for period in (0.002, 0.001):
         environment = at(period)
@@ -192,8 +187,7 @@ def test_at_1_khz_false_states_are_a_fault_as_soon(falsify: Falsify) -> None:
             if world.frozen or np.abs(sample.qd).max() < 0.3:
                 return sample
             began[:] = began or [sample.stamp_ns]
-            q, qd = falsify(sample.q, sample.qd)
-            return sample._replace(q=q, qd=qd)
+            return sample._replace(qd=-sample.qd)
 
         world.joint_state = false
         rollout, _ = environment.run(policy)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-from toss_task import demonstrated_policy
+from toss_task import demonstrated_policy, record_of
 
 from wam_power_ros.practice.best_policy import (
     Best,
@@ -35,13 +35,7 @@ DRAWN = st.fixed_dictionaries(
 
 
 def record(number: int, **changes: Any) -> Record:  # noqa: ANN401
-    values: dict[str, Any] = {"kind": "mean", "demonstration": "one", "ret": 0.5, "success": True}
-    values |= {"attempt": 1, "terms": {}, "why": "", "note": "", "observation": None, "fault": ""}
-    values |= {"bag": "", "truth": None, "clock": {}}
-    values |= {"z": PLACES[1], "generator": {}} | changes
-    learnt = values["ret"] is not None and values["kind"] != "retest"
-    values |= {"learnt": learnt, "learnt_as": values["z"] if learnt else None}
-    return Record(number=number, id=f"trial-{number:04d}", theta=values["z"], **values)
+    return record_of(number, **{"z": PLACES[1], **changes})
 
 
 def best(records: list[Record], answer: np.ndarray | None = None) -> Best | None:

@@ -10,20 +10,21 @@ import numpy as np
 import pytest
 from toss_task import (
     ANY_ARM,
+    CANDIDATES,
     AnyArm,
     demonstrated_policy,
     learner_state,
+    next_trial,
     practice_in,
     practice_of,
     toss,
 )
 
-from wam_power_ros.learning.policy import Policy, to_json
+from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.power import Power
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session import Session, read
 from wam_power_ros.practice.session_log import (
-    Event,
     Line,
     NewDemonstration,
     Rating,
@@ -33,18 +34,14 @@ from wam_power_ros.practice.session_log import (
     with_ratings,
 )
 from wam_power_ros.practice.settings import preset
-from wam_power_ros.reporting.session_report import render
-from wam_power_ros.reporting.terminal import line, returned
 from wam_power_ros.tasks.task import Assessment
 
-CANDIDATES = [demonstrated_policy("flick-1", seed=1), demonstrated_policy("flick-2", seed=2)]
 LATER = demonstrated_policy("flick-9", seed=9)
 SETTINGS = preset("flip", "hindsight", budget=40, retests=2, confirm=0, learner={"decay": 0.98})
-presets = pytest.mark.parametrize("name", ["paper", "hindsight"])
 
 
-def started(name: str = "hindsight", **changes: object) -> Practice:
-    return practice_of(CANDIDATES, preset("flip", name, **{"confirm": 0, **changes}), 0)
+def started(**changes: object) -> Practice:
+    return practice_of(CANDIDATES, preset("flip", "hindsight", **{"confirm": 0, **changes}), 0)
 
 
 def run(practice: Practice, rollouts: int, judge: Callable[[Trial], Assessment]) -> None:
@@ -57,13 +54,6 @@ def worth(ret: float | None, success: bool = False) -> Callable[[Trial], Assessm
     flight = {"tossed": True, "seen": False, "angle": 3.0, "landing_error": [0.0, 0.0, 0.0]}
     flight["catch_pitch"] = 0.0
     return lambda trial: Assessment(ret, observation=flight, success=success, why="so it was")
-
-
-def next_trial(practice: Practice) -> str:
-    trial = practice.next_trial()
-    if trial is None:
-        return practice.stopped
-    return f"{trial.kind} {trial.attempt} {trial.z.tolist()} {to_json(trial.policy)}"
 
 
 def with_a_person(
@@ -89,9 +79,8 @@ def with_a_person(
         keep(practice.learn_assessed(trial, toss(trial, practice.task.settings)))
 
 
-@presets
-def test_a_log_with_a_persons_part_goes_on_bit_for_bit_from_every_line(name: str) -> None:
-    practice = started(name, budget=40, learner={"decay": 0.98})
+def test_a_log_with_a_persons_part_goes_on_bit_for_bit_from_every_line() -> None:
+    practice = started(budget=40, learner={"decay": 0.98})
     with_a_person(practice, 17)
     log = [parse_line(line.to_json()) for line in practice.log]
     assert {type(line) for line in log} == {Record, Rating, NewDemonstration}
@@ -142,16 +131,6 @@ def test_ratings_add_up_and_no_return_falls_below_zero() -> None:
         note = practice.rate(-0.3, 4).note
     assert note == "trial-0004 punished: return 0.000 -> 0.000"
     assert practice.records[3].rated_return == 0.0 and practice.records[3].ret == 0.5
-
-
-def test_a_person_has_a_say_in_which_demonstration_is_learnt_from() -> None:
-    for liked, expected in ((1, "flick-1"), (2, "flick-2")):
-        practice = started()
-        run(practice, 1, worth(0.5))
-        if liked == 1:
-            practice.rate(0.3)
-        run(practice, 1, worth(0.6))
-        assert practice.choice.startswith(f"learns from {expected}: ")
 
 
 def test_a_punished_rollout_confirms_nothing_and_is_no_evidence_of_success() -> None:
@@ -263,43 +242,14 @@ def test_demonstrations_that_do_not_fit_are_refused_with_a_reason() -> None:
         practice.add_demonstration(LATER)
 
 
-def session(folder: Path, rollouts: int) -> Path:
+def test_lines_of_a_person_are_kept_with_a_session_and_damaged_ones_named(tmp_path: Path) -> None:
+    folder = tmp_path / "s"
     with Session.begin(folder, SETTINGS, 0, CANDIDATES) as session:
-        with_a_person(session.practice(ANY_ARM), rollouts, session.append)
-    return folder
-
-
-def test_a_session_killed_after_any_line_and_resumed_is_the_same_session(tmp_path: Path) -> None:
-    folder = session(tmp_path / "s", 20)
-    whole = (folder / "rollouts.jsonl").read_bytes()
-    expected = next_trial(practice_in(folder))
-    lines = whole.splitlines(keepends=True)
-    log = read(folder).log
-    assert len(log) == len(lines) > 24
-    cut = next(place for place, line in enumerate(log) if isinstance(line, NewDemonstration)) + 1
-    for kept in (cut - 1, cut, cut + 1):
-        (folder / "rollouts.jsonl").write_bytes(b"".join(lines[:kept]) + lines[kept][:30])
-        (folder / "acknowledged.json").unlink()  # of the lines that are not yet there
-        with Session.open(folder) as resumed:
-            practice = resumed.practice(ANY_ARM)
-            for line in log[kept:]:
-                practice.apply(line)
-                resumed.append(line)
-        assert (folder / "rollouts.jsonl").read_bytes() == whole
-        assert next_trial(practice_in(folder)) == expected
-    found = read(folder)
-    assert [policy.id for policy in found.policies] == [
-        "flick-1",
-        "flick-2",
-        "flick-91",
-        "flick-102",
-    ]
-    assert found.records == with_ratings(log)
-    assert any(record.adjustment for record in found.records)
-
-
-def test_lines_of_a_person_that_are_damaged_are_named(tmp_path: Path) -> None:
-    folder = session(tmp_path / "s", 20)
+        practice = session.practice(ANY_ARM)
+        with_a_person(practice, 20, session.append)
+    found, added = read(folder), ["flick-91", "flick-102"]
+    assert tuple(found.log) == practice.log and found.records == practice.records
+    assert [policy.id for policy in found.policies] == ["flick-1", "flick-2", *added]
     lines = (folder / "rollouts.jsonl").read_bytes().splitlines(keepends=True)
     kinds = [json.loads(text)["schema"].split("/")[1] for text in lines]
     for kind, change, reason in (
@@ -315,16 +265,3 @@ def test_lines_of_a_person_that_are_damaged_are_named(tmp_path: Path) -> None:
         (folder / "rollouts.jsonl").write_bytes(text)
         with pytest.raises(ValueError, match=reason):
             practice_in(folder)
-
-
-def test_table_log_and_report_show_what_a_person_did(tmp_path: Path) -> None:
-    folder = session(tmp_path / "s", 20)
-    found = read(folder)
-    records, task = found.records, found.task
-    rated = next(record for record in records if record.adjustment is not None)
-    assert returned(rated) == f"{rated.ret:.3f} {rated.adjustment:+.3g}"
-    event: Event = next(entry for entry in found.log if isinstance(entry, NewDemonstration))
-    assert line(event, task.outcome).strip() == f"a person: {event.note}"
-    page = render(found.header, task, found.candidates[0], None, records)
-    assert returned(rated) in page and "A person rewarded" in page
-    assert "Demonstrations added while learning: flick-91, flick-102." in page

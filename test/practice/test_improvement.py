@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from toss_task import AnyArm, demonstrated_policy
 
@@ -43,6 +43,7 @@ def learner(seed: int) -> Power:
 
 
 @pytest.mark.requirement("S-31")
+@settings(max_examples=30)
 @given(share=st.floats(0.02, 1.2), far=st.floats(0.5, 2.0))
 def test_what_is_infeasible_is_shrunk_no_further_than_needed(share: float, far: float) -> None:
     z = far * RIGHT
@@ -59,6 +60,7 @@ def test_what_is_infeasible_is_shrunk_no_further_than_needed(share: float, far: 
 
 
 @pytest.mark.requirement("S-31")
+@settings(max_examples=30)
 @given(seed=st.integers(0, 1000), share=st.sampled_from([0.0, 0.5, 0.9, 1.0]))
 def test_a_sample_is_feasible_or_what_ran_and_its_count_restores_it(
     seed: int, share: float

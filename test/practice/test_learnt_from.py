@@ -153,9 +153,3 @@ def test_a_correction_by_a_parameter_that_is_not_learnt_is_refused_for_every_lea
         with pytest.raises(ValueError, match=r"corrects by its effects, .* vigour, sideways"):
             preset("ball_in_cup", "cup", {"name": learner}, variant="attractors").check(1)
     preset("ball_in_cup", "cup", variant="attractors", gain=0.0).check(1)
-
-
-def test_corrections_alone_without_corrections_are_refused() -> None:
-    with pytest.raises(ValueError, match="'corrections_only' learns from errors"):
-        settings = preset("flip", "return_only", learner={"name": "corrections_only"})
-        practice_of([demonstrated_policy()], settings, 0)

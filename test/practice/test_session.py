@@ -19,7 +19,7 @@ import pytest
 import yaml
 from conftest import python_path
 from disk_flushes import record_flushes
-from toss_task import ANY_ARM, demonstrated_policy, practice_in, practice_of, toss
+from toss_task import ANY_ARM, CANDIDATES, next_trial, practice_in, practice_of, toss
 
 from wam_power_ros import durable_files
 from wam_power_ros.learning.policy import Policy, from_json, to_json
@@ -27,7 +27,6 @@ from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session import ACKNOWLEDGED, Session, read
 from wam_power_ros.practice.settings import preset
 
-CANDIDATES = [demonstrated_policy("flick-1", seed=1), demonstrated_policy("flick-2", seed=2)]
 SETTINGS = preset("flip", budget=24, retests=3)
 HERE = Path(__file__).resolve().parents[1]
 
@@ -61,23 +60,6 @@ def acknowledge(folder: Path, log: bytes) -> None:
     (folder / ACKNOWLEDGED).write_text(json.dumps(noted))
 
 
-def next_trial(practice: Practice) -> str:
-    trial = practice.next_trial()
-    if trial is None:
-        return practice.stopped
-    return f"{trial.kind} {trial.attempt} {trial.z.tolist()} {to_json(trial.policy)}"
-
-
-def expected_next_trials() -> list[str]:
-    """Next trial of an undisturbed session after each number of rollouts."""
-    practice = practice_of(CANDIDATES, SETTINGS, 5)
-    expected = [next_trial(practice)]
-    while (trial := practice.next_trial()) is not None:
-        practice.learn_assessed(trial, toss(trial, SETTINGS.task_settings))
-        expected.append(next_trial(practice))
-    return expected
-
-
 def test_a_session_opens_as_it_was_closed(tmp_path: Path) -> None:
     folder = begun(tmp_path / "deep" / "s", 7)
     with Session.open(folder) as session:
@@ -97,7 +79,11 @@ def test_a_session_opens_as_it_was_closed(tmp_path: Path) -> None:
 def test_killed_at_any_boundary_or_within_a_line_it_goes_on_bit_identically(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    expected = expected_next_trials()
+    practice = practice_of(CANDIDATES, SETTINGS, 5)  # undisturbed
+    expected = [next_trial(practice)]
+    while (trial := practice.next_trial()) is not None:
+        practice.learn_assessed(trial, toss(trial, SETTINGS.task_settings))
+        expected.append(next_trial(practice))
     folder = begun(tmp_path / "s", 99)
     log = folder / "rollouts.jsonl"
     lines = log.read_bytes().splitlines(keepends=True)
@@ -106,9 +92,7 @@ def test_killed_at_any_boundary_or_within_a_line_it_goes_on_bit_identically(
     for cut in range(len(lines) + 1):
         whole = b"".join(lines[:cut])
         torn = lines[cut] if cut < len(lines) else b'{"schema"\n'
-        lengths = (0, 1, rng.randrange(1, len(torn)), len(torn) - 1)
-        goes_on = rng.choice(lengths)
-        for length in lengths:
+        for length in (0, rng.choice((1, rng.randrange(1, len(torn)), len(torn) - 1))):
             caplog.clear()
             log.write_bytes(whole + torn[:length])
             acknowledge(folder, b"".join(lines[: rng.choice((cut, max(0, cut - 1)))]))
@@ -116,7 +100,7 @@ def test_killed_at_any_boundary_or_within_a_line_it_goes_on_bit_identically(
             assert log.read_bytes() == whole + torn[:length]
             with Session.open(folder) as session:
                 assert len(session.records) == cut
-                if length == goes_on:
+                if length and cut % 5 == 2:
                     assert next_trial(session.practice(ANY_ARM)) == expected[cut]
             assert log.read_bytes() == whole
             warned = [r for r in caplog.records if r.levelno == logging.WARNING]
@@ -146,7 +130,7 @@ def test_kill_9_loses_no_acknowledged_rollout(tmp_path: Path) -> None:
     environment = os.environ | {"PYTHONPATH": python_path(HERE.parent, HERE)}
     rng = random.Random(1)
     acknowledged = 0
-    for _ in range(4):
+    for _ in range(2):
         writer = subprocess.Popen(
             [sys.executable, "-c", WRITER, str(folder)],
             env=environment,
@@ -228,7 +212,7 @@ def test_a_torn_line_is_cut_off_on_the_disk_too(
 
 
 @pytest.mark.requirement("S-63")
-def test_only_one_learner_writes_a_session(tmp_path: Path) -> None:
+def test_only_one_learner_writes_a_session_and_none_begins_another_over_it(tmp_path: Path) -> None:
     folder = begun(tmp_path / "s", 1)
     with Session.open(folder) as session:
         with pytest.raises(ValueError, match="being written by another learner"):
@@ -236,20 +220,12 @@ def test_only_one_learner_writes_a_session(tmp_path: Path) -> None:
         with pytest.raises(ValueError, match="being written by another learner"):
             Session.begin(folder, SETTINGS, 0, CANDIDATES)
         go_on(session, session.practice(ANY_ARM), 1)
-    Session.open(folder).close()
-
-
-def test_a_session_is_not_begun_over_another(tmp_path: Path) -> None:
-    folder = begun(tmp_path / "s", 1)
-    before = (folder / "rollouts.jsonl").read_bytes()
     with pytest.raises(ValueError, match="holds a session already"):
         Session.begin(folder, SETTINGS, 0, CANDIDATES)
-    assert (folder / "rollouts.jsonl").read_bytes() == before
-    with pytest.raises(ValueError, match=r"no session\.yaml"):
-        Session.open(tmp_path / "elsewhere")
-    with pytest.raises(ValueError, match=r"no session\.yaml"):
-        read(tmp_path)
-    assert not Session.exists(tmp_path) and Session.exists(folder)
+    assert len(read(folder).records) == 2
+    for look in (Session.open, read):
+        with pytest.raises(ValueError, match=r"no session\.yaml"):
+            look(tmp_path)
 
 
 def test_a_beginning_that_was_interrupted_is_begun_again(tmp_path: Path) -> None:
@@ -293,8 +269,6 @@ def test_a_malformed_line_is_named_and_nothing_is_changed(tmp_path: Path) -> Non
     for damaged, reason in [
         (b"{broken\n", "line 2: the line is not JSON"),
         (b"\xff\xfe\n", "line 2: 'utf-8' codec"),
-        (b"[]\n", "line 2: Input should be"),
-        (json.dumps({**record, "ret": -1.0}).encode() + b"\n", "line 2: ret = -1.0: Input"),
         (json.dumps({**record, "schema": "x/2"}).encode() + b"\n", "line 2: schema = 'x/2': "),
         (lines[0], "line 2: rollout 1 cannot follow rollout 1"),
     ]:
@@ -315,14 +289,8 @@ def test_a_malformed_line_is_named_and_nothing_is_changed(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        ({"seed": -1}, "seed = -1: Input should be greater"),
         ({"schema": "wam_power_ros/session/9"}, "schema = 'wam_power_ros/session/9': "),
-        ({"settings": {"task": "flip"}}, "settings.task_settings: Field required"),
         ({"settings": {"task": "fly", "learner": "power"}}, "settings: .*task 'fly' is not one of"),
-        (
-            {"settings": {"task": "flip", "learner": "power", "task_settings": {"ret": "eq5"}}},
-            "settings: task_settings.variant: Field required",
-        ),
     ],
 )
 def test_a_malformed_header_is_named(tmp_path: Path, change: dict, reason: str) -> None:
@@ -375,9 +343,7 @@ def test_a_reader_sees_the_old_policy_or_the_new_one(tmp_path: Path) -> None:
     ("damage", "why"),
     [
         (lambda log: log.unlink(), "is missing"),
-        (lambda log: log.write_bytes(b""), "has 0 bytes"),
         (lambda log: log.write_bytes(bytes(log.stat().st_size)), "has other contents"),
-        (lambda log: log.write_bytes(log.read_bytes()[:-20]), "has [0-9]+ bytes"),
         (
             lambda log: log.write_bytes(b"".join(log.read_bytes().splitlines(keepends=True)[:-1])),
             "has [0-9]+ bytes",
@@ -398,10 +364,7 @@ def test_a_log_that_lost_what_was_acknowledged_is_an_error_and_never_begun_again
     there = log.read_bytes() if log.exists() else None
     assert there != whole
     for look in (Session.open, read):
-        with pytest.raises(
-            ValueError,
-            match=rf"rollouts\.jsonl {why}.* 6 rollouts in .* Restore it from a backup",
-        ):
+        with pytest.raises(ValueError, match=rf"rollouts\.jsonl {why}.* 6 rollouts in "):
             look(folder)
     assert (log.read_bytes() if log.exists() else None) == there  # nothing was changed
     log.write_bytes(whole)
@@ -478,9 +441,3 @@ def test_a_disk_that_refuses_the_acknowledgement_costs_no_rollout(
     assert "could not be written" in caplog.text and said in caplog.text
     with Session.open(folder) as session:
         assert len(session.records) == 4
-
-
-def test_the_task_of_a_session_is_read_from_its_folder(tmp_path: Path) -> None:
-    assert read(begun(tmp_path / "session")).task.name == "flip"
-    with pytest.raises(ValueError, match="holds no session"):
-        read(tmp_path)

@@ -62,13 +62,11 @@ def test_a_name_without_a_value_a_figure_twice_and_a_row_of_another_width_are_re
         rendered(template, '{{ table("", ["a", "b"], [["1"]]) }}')
 
 
-@pytest.mark.parametrize("met", [True, False])
-def test_a_few_runs_are_no_ground_for_a_verdict(met: bool) -> None:
-    few, enough = (Claim("a", "1", "", "", met, runs) for runs in (2, 5))
+def test_a_few_runs_are_no_ground_for_a_verdict() -> None:
+    few, enough = (Claim("a", "1", "", "", False, runs) for runs in (2, 5))
     assert (few.holds, few.verdict) == (None, "too few runs")
-    assert (enough.holds, enough.verdict) == (met, "met" if met else "not met")
-    only_reported = Claim("a", "1", "", "", runs=1)
-    assert only_reported.verdict == "reported"
+    assert (enough.holds, enough.verdict) == (False, "not met")
+    assert Claim("a", "1", "", "", runs=1).verdict == "reported"
 
 
 def test_colours_of_drawings_are_inverted_in_the_dark_and_those_of_photographs_not(

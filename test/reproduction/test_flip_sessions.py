@@ -34,8 +34,12 @@ def test_the_papers_rule_fires_at_the_third_good_return_in_a_row() -> None:
 
 
 @pytest.mark.parametrize("scale", ["quick", "full"])
-def test_each_ablated_session_has_a_full_one_of_the_same_seed_and_settings(scale: str) -> None:
+def test_ablated_sessions_have_full_ones_alike_and_only_the_full_study_held_out_seeds(
+    scale: str,
+) -> None:
     jobs = flip_sessions.jobs(scale)
+    seeds, held_out = {job.arguments["seed"] for job in jobs}, set(flip_sessions.HELD_OUT)
+    assert seeds & held_out == (held_out if scale == "full" else set())
     ablated = [job for job in jobs if job.study.startswith(flip_sessions.ABLATION)]
     papers = {job.key: job.arguments for job in jobs if job.study == flip_sessions.PAPER}
     assert ablated
@@ -44,13 +48,6 @@ def test_each_ablated_session_has_a_full_one_of_the_same_seed_and_settings(scale
         session = {**job.arguments, "changes": changes}
         paper = {key: x for key, x in papers[job.key].items() if key != "keep_paths"}
         assert session == paper
-
-
-def test_the_full_study_runs_on_held_out_seeds_and_the_quick_one_does_not() -> None:
-    full, quick = flip_sessions.jobs("full"), flip_sessions.jobs("quick")
-    assert {job.arguments["seed"] for job in full} == set(flip_sessions.HELD_OUT)
-    assert not {job.arguments["seed"] for job in quick} & set(flip_sessions.HELD_OUT)
-    assert len({job.name for job in full}) == len(full)
 
 
 def rollout(kind: str, ret: float, landed: bool = True, angle: float = 175.0) -> dict[str, Any]:
@@ -104,19 +101,15 @@ def claim(chapter: Chapter, words: str) -> Claim:
 
 
 def test_a_claim_of_the_chapter_is_met_only_if_the_sessions_meet_it() -> None:
-    good = [held(seed) for seed in range(9)]
-    landed, true = "hindsight: landed in at least 90%", "hindsight: true flips"
-    chapter = STUDY.chapter(results([*good, held(9, angle=147.0)]))
-    assert claim(chapter, landed).met
-    assert claim(chapter, true).met
-    assert claim(chapter, true).ours == "9 of 10 sessions"
+    short = [held(seed, angle=147.0) for seed in range(4)]  # caught, and turned too little
+    chapter = STUDY.chapter(results([*(held(seed) for seed in range(4, 10)), *short]))
+    assert claim(chapter, "hindsight: landed in at least 90%").met
+    assert claim(chapter, "hindsight: true flips").met is False
+    assert claim(chapter, "hindsight: true flips").ours == "6 of 10 sessions"
     assert claim(chapter, "gain of the mean return").ours == "0.45"
     assert "fig5-learning-curve" in chapter.figures
     assert "was a true flip in 0 of 10 sessions" in " ".join(chapter.html.split())
-    bad = STUDY.chapter(results([*good[:5], *[held(9, landed=False)] * 5]))
-    assert Sessions(good[:1]).count == "1 session"
-    assert claim(bad, landed).met is False
-    assert claim(bad, true).met is False
+    assert Sessions(short[:1]).count == "1 session"
 
 
 @pytest.mark.parametrize(("angles", "count"), [((95.0, 170.0), 1), ((170.0, 95.0), 0)])

@@ -54,13 +54,6 @@ def test_a_run_that_fails_is_reported_and_ends_the_reproduction_with_an_error(
     assert len(files(tmp_path / "results")) == 2
 
 
-def test_seeds_and_times_are_written_in_short() -> None:
-    assert report.ranges({301, 302, 303, 7}) == "7, 301–303"
-    times = [0.123, 9.7, 45.2, 99.6, 3600.0, 7500.0]
-    written = ["0.12 s", "9.7 s", "45 s", "2 min", "60 min", "2 h 5 min"]
-    assert [report.duration(seconds) for seconds in times] == written
-
-
 def test_without_a_verdict_no_share_of_claims_is_counted(tmp_path: Path) -> None:
     (template := tmp_path / "chapter.html.j2").write_text(
         '{% do claim("ours ahead", ours="1.0", spread="", count="2 runs", met=true, runs=2) %}'

@@ -27,16 +27,13 @@ def rollout(name: str, share: float = 1.0, fault: Fault | None = None) -> Rollou
     return Rollout(EndEffectorPath(name, t, *pose), fault=fault)
 
 
-def test_a_rating_is_the_return_and_the_highest_one_a_success() -> None:
+def test_a_rating_from_0_to_1_is_the_return_and_the_highest_one_a_success() -> None:
     for value in (0.0, 4.0 / 9.0, 1.0):
         found = assessed(value)
         assert (found.ret, found.success) == (value, value == 1.0)
-
-
-@pytest.mark.parametrize("value", [-0.01, 1.01, float("nan"), float("inf")])
-def test_a_number_that_is_no_rating_is_refused(value: float) -> None:
-    with pytest.raises(ValueError, match="must be from 0"):
-        assessed(value)
+    for value in (-0.01, 1.01, float("nan")):
+        with pytest.raises(ValueError, match="must be from 0"):
+            assessed(value)
 
 
 def test_only_a_rollout_that_ran_to_its_end_awaits_a_rating() -> None:
@@ -62,10 +59,3 @@ def test_without_a_rating_there_is_no_return_and_after_a_fault_of_the_policy_one
 def test_a_session_without_a_person_is_refused(refusal: Callable[..., str]) -> None:
     said = refusal("learn", "--in-process", "--task", "rated", "--session", "s")
     assert "a person rates the task rated" in said
-
-
-@pytest.mark.parametrize("words", [["rate"], ["rate", "10"], ["rate", ""], ["reward", "3"]])
-def test_a_feedback_with_too_little_or_too_much_is_refused(
-    words: list[str], refusal: Callable[..., str]
-) -> None:
-    assert f"{words[0]} needs " in refusal("feedback", *words)

@@ -28,13 +28,6 @@ def test_the_normal_of_a_flipped_body_points_down_in_the_figure() -> None:
     assert body.V[-1] == pytest.approx(-NORMAL_LENGTH)
 
 
-def test_a_body_that_does_not_turn_has_no_arrows_and_its_heights_are_drawn_over_time() -> None:
-    side, height = side_view(thrown(0.0), "ball").axes
-    assert not side.collections
-    assert [line.get_label() for line in height.lines] == ["tool", "ball (camera)"]
-    assert max(height.lines[1].get_ydata()) == pytest.approx(0.9, abs=1e-3)
-
-
 def test_a_rollout_without_a_body_or_a_single_frame_is_drawn_all_the_same() -> None:
     unseen = BodyPath("toss", np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4)))
     for body in (None, unseen):

@@ -60,7 +60,7 @@ def left(move: tuple[np.ndarray, np.ndarray], swing: np.ndarray) -> np.ndarray:
     return np.hypot(x, v / SWING_RATE)
 
 
-@settings(max_examples=20)
+@settings(max_examples=8)
 @given(st.floats(0.0, 0.13), st.floats(-3.1, 3.1), st.floats(0.0, 0.05), st.floats(-3.1, 3.1))
 def test_a_movement_stills_most_of_a_swing_whatever_its_phase_and_direction(
     x: float, phase_x: float, y: float, phase_y: float
@@ -70,7 +70,7 @@ def test_a_movement_stills_most_of_a_swing_whatever_its_phase_and_direction(
     assert left(move, swing).max() <= 0.25 * np.abs(swing).max() + 0.003
 
 
-@settings(max_examples=20)
+@settings(max_examples=8)
 @given(st.floats(0.2, 0.3), st.floats(-3.1, 3.1))
 def test_a_large_swing_is_reduced_by_twice_the_largest_step(size: float, phase: float) -> None:
     swing = np.array([size * np.exp(1j * phase), 0.0])

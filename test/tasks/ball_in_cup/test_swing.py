@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
@@ -51,6 +51,7 @@ def a_fall(
     return BodyPath("swing", t, position, np.tile(UPRIGHT, (len(t), 1)))
 
 
+@settings(max_examples=30)
 @given(
     st.floats(-0.3, 0.3),
     st.floats(-0.3, 0.3),
@@ -62,16 +63,10 @@ def test_a_fall_is_measured_between_frames_whatever_the_cup_does_to_the_ball_aft
     x: float, y: float, speed: float, begin: float, velocity: float
 ) -> None:
     cup = a_cup(velocity)
-    swing = observe_swing(cup, a_fall(cup, (x, y), speed, begin))
+    swing = observe_swing(cup, a_fall(cup, (x, y), speed, begin, caught=x > 0.0))
     assert swing is not None and swing.t_c == pytest.approx(T_C, abs=0.002)
+    assert swing.caught == (x > 0.0)
     assert swing.miss == pytest.approx((x, y), abs=0.002)
-
-
-@pytest.mark.parametrize("caught", [True, False])
-def test_the_last_frames_tell_whether_the_ball_is_in_the_cup(caught: bool) -> None:
-    cup = a_cup()
-    swing = observe_swing(cup, a_fall(cup, (0.0, 0.0), caught=caught))
-    assert swing is not None and swing.caught is caught
 
 
 @pytest.mark.parametrize(("edge", "caught"), [(CUP_RADIUS - 1e-6, True), (CUP_RADIUS, False)])
@@ -114,8 +109,7 @@ def passes(*beside: float) -> np.ndarray:
     [
         ((0.02,), 0),
         ((0.07, 0.01), 0),  # from the rim into the cup
-        ((-0.35, 0.03), 1),  # a large swing passes beside the cup first
-        ((-0.35, 0.03, 0.01), 1),
+        ((-0.35, 0.03, 0.01), 1),  # a large swing passes beside the cup first
         ((-0.35, 0.2, -0.3), 1),
     ],
 )

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from toss_task import demonstrated_policy
+from toss_task import at_rest, demonstrated_policy
 
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
@@ -19,19 +19,10 @@ POLICY = demonstrated_policy("trial-0001")
 SETTINGS = preset("flip").task_settings
 
 
-def paths(end: float, seen: np.ndarray) -> tuple[EndEffectorPath, BodyPath]:
-    """Rollout of a pan at rest with the pancake at rest in it, seen at some times."""
-    t = np.arange(0.0, end, 0.01)
-    level = [0.0, 0.0, 0.0, 1.0]
-    pan = EndEffectorPath(POLICY.id, t, np.tile([0.6, 0.0, 0.5], (len(t), 1)), [level] * len(t))
-    position = np.tile([0.6, 0.0, 0.503], (len(seen), 1))
-    return pan, BodyPath(POLICY.id, seen, position, np.tile(level, (len(seen), 1)))
-
-
 def toss(half_turns: float, aside: float = 0.0) -> tuple[EndEffectorPath, BodyPath]:
     """A pancake thrown at 0.5 s that comes down 0.6 s later, flat, `aside` of the pan [m]."""
     t = np.arange(0.005, 1.85, 1 / 120)
-    pan, still = paths(1.86, t)
+    pan, still = at_rest(POLICY.id, 1.86, t)
     free = np.clip(t - 0.5, 0.0, 0.6)
     rise = 2.943 * free - 4.905 * free**2
     half = 0.5 * np.pi * half_turns * free / 0.6
@@ -72,7 +63,7 @@ def test_a_rollout_that_cannot_be_judged_says_why() -> None:
     frames = np.arange(0.01, 1.85, 1 / 30)
 
     def why(end: float = 1.86, seen: np.ndarray = frames, fault: Fault | None = None) -> str:
-        assessment = assess(POLICY, Rollout(*paths(end, seen), fault), SETTINGS)
+        assessment = assess(POLICY, Rollout(*at_rest(POLICY.id, end, seen), fault), SETTINGS)
         assert assessment.ret is None
         return assessment.why
 
@@ -83,61 +74,43 @@ def test_a_rollout_that_cannot_be_judged_says_why() -> None:
     assert why(seen=frames[frames < 1.0]) == (
         "the pancake was lost from view at 0.98 s and had not fallen until then"
     )
-    assert (
-        why(fault=Fault(FaultKind.STATES_LOST, "no joint state for 12 ms"))
-        == "no joint state for 12 ms"
-    )
+    assert why(fault=Fault(FaultKind.STATES_LOST, "no state for 12 ms")) == "no state for 12 ms"
 
 
 @pytest.mark.parametrize(("depth", "judged"), [(0.04, False), (0.06, True)])
 def test_a_pancake_last_seen_under_the_pan_was_dropped_and_not_lost(
     depth: float, judged: bool
 ) -> None:
-    pan, pancake = paths(1.86, np.arange(0.01, 1.3, 1 / 30))
+    pan, pancake = at_rest(POLICY.id, 1.86, np.arange(0.01, 1.3, 1 / 30))
     position = pancake.position.copy()
     position[-1, 2] -= 0.003 + depth
     dropped = BodyPath(POLICY.id, pancake.t, position, pancake.quat_xyzw)
     assert (assess(POLICY, Rollout(pan, dropped), SETTINGS).ret is not None) == judged
 
 
-@pytest.mark.parametrize("name", ["paper", "hindsight"])
-def test_a_stall_of_the_cameras_makes_a_rollout_unusable_rather_than_wrong(name: str) -> None:
-    settings = preset("flip", name).task_settings
+def test_a_stall_of_the_cameras_makes_a_rollout_unusable_rather_than_wrong() -> None:
     pan, thrown = toss(half_turns=1.0)
     t = thrown.t
 
     def judged(seen: np.ndarray) -> Assessment:
         pancake = BodyPath(POLICY.id, t[seen], thrown.position[seen], thrown.quat_xyzw[seen])
-        return assess(POLICY, Rollout(pan, pancake), settings)
+        return assess(POLICY, Rollout(pan, pancake), SETTINGS)
 
     whole = judged(t > 0.0).ret
     rng = np.random.default_rng(2)
     outcomes = []
-    for _ in range(24):
+    for _ in range(16):
         begin, length = rng.uniform(0.0, 1.8), rng.uniform(0.02, 0.5)
         outcomes.append(judged((t < begin) | (t > begin + length)).ret)
     usable = [ret for ret in outcomes if ret is not None]
-    assert 4 < len(usable) < 20
+    assert 3 < len(usable) < 13
     np.testing.assert_allclose(usable, whole, atol=0.05)
 
 
 def test_the_flight_comes_back_out_of_an_observation() -> None:
-    rollout = Rollout(*paths(1.86, np.arange(0.01, 1.85, 1 / 30)))
+    rollout = Rollout(*at_rest(POLICY.id, 1.86, np.arange(0.01, 1.85, 1 / 30)))
     observation = dict(assess(POLICY, rollout, SETTINGS).observation)
     flight = flight_of(observation)
     assert flight is not None and not flight.tossed
     np.testing.assert_array_equal(flight.position, observation["position"])
     assert flight_of({"angle": 1.0}) is None
-
-
-def test_a_rollout_whose_rest_is_not_seen_is_not_judged_unless_it_was_before_the_start() -> None:
-    pan, thrown = toss(half_turns=1.0)
-    flight = thrown.part(thrown.t > 0.62)
-    assessment = assess(POLICY, Rollout(pan, flight), SETTINGS)
-    assert assessment.ret is None and assessment.why
-    whole = assess(POLICY, Rollout(pan, thrown), SETTINGS)
-    early = np.flatnonzero(thrown.t < 0.1)
-    t = np.concatenate([thrown.t[early] - 0.15, thrown.t[thrown.t > 0.15]])
-    kept = np.concatenate([early, np.flatnonzero(thrown.t > 0.15)])
-    seen = BodyPath(POLICY.id, t, thrown.position[kept], thrown.quat_xyzw[kept])
-    assert assess(POLICY, Rollout(pan, seen), SETTINGS).ret == pytest.approx(whole.ret, abs=1e-3)

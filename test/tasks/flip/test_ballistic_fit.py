@@ -16,7 +16,7 @@ from wam_power_ros.tasks.flip.ballistic_fit import (
     release_time,
 )
 from wam_power_ros.tasks.flip.flight import DELTA_H
-from wam_power_ros.tasks.flip.frames import POSITION_NOISE, frames_from_pan
+from wam_power_ros.tasks.flip.frames import frames_from_pan
 
 
 def arc_through(truth: Toss, path: BodyPath) -> Arc:
@@ -46,17 +46,6 @@ def test_an_arc_falls_with_gravity_and_drag() -> None:
     assert arc.position(np.array([0.3]))[0] == pytest.approx(theta[:3])
 
 
-@pytest.mark.parametrize("air", [0.0, 1.0, 2.0])
-def test_the_arc_passes_through_the_true_path_whatever_the_air(air: float) -> None:
-    rng = np.random.default_rng(15)
-    for _ in range(5):
-        truth = toss(rng, vz=2.4, half_turns=1.0, air=air)
-        arc = arc_through(truth, capture(truth, rng))
-        inside = (truth.t > arc.t[0]) & (truth.t < arc.t[-1])
-        distance = np.linalg.norm(arc.position(truth.t[inside]) - truth.position[inside], axis=1)
-        assert distance.max() < 0.0025
-
-
 def test_there_is_no_arc_through_fewer_than_two_frames_or_one_never_at_rest() -> None:
     rng = np.random.default_rng(15)
     truth = toss(rng, vz=2.4, half_turns=1.0)
@@ -83,36 +72,13 @@ def test_the_arc_is_exactly_at_the_height_when_it_crosses_and_falling() -> None:
     assert crossing.apex == pytest.approx(truth.position[:, 2].max(), abs=0.002)
 
 
-def test_an_arc_that_never_reaches_the_height_has_no_crossing() -> None:
-    rng = np.random.default_rng(17)
-    truth = toss(rng, vz=1.6, half_turns=0.2)
-    arc = arc_through(truth, capture(truth, rng))
-    assert find_crossing(arc, truth.pan, DELTA_H) is None
-    assert find_crossing(arc, truth.pan, 0.02) is not None
-
-
 def test_an_arc_that_has_not_come_down_at_the_end_of_the_path_has_no_crossing() -> None:
     rng = np.random.default_rng(17)
     truth = toss(rng, vz=2.4, half_turns=1.0)
-    arc = arc_through(truth, capture(truth, rng))
-    early = truth.pan.t < truth.t_f - 0.05
-    pan = replace(
-        truth.pan,
-        t=truth.pan.t[early],
-        position=truth.pan.position[early],
-        quat_xyzw=truth.pan.quat_xyzw[early],
-    )
-    assert find_crossing(arc, pan, DELTA_H) is None
-
-
-def test_the_position_of_a_crossing_beyond_the_frames_is_less_certain() -> None:
-    rng = np.random.default_rng(17)
-    truth = toss(rng, vz=2.4, half_turns=1.0)
-    path = capture(truth, rng)
-    gap = (path.t > truth.t_f - 0.15) & (path.t < truth.t_f + 0.1)  # not seen near the crossing
-    near, far = crossing_of(truth, path), crossing_of(truth, without(path, gap))
-    assert far.position_std > 2.0 * near.position_std
-    assert near.position_std >= POSITION_NOISE
+    arc, pan = arc_through(truth, capture(truth, rng)), truth.pan
+    early = pan.t < truth.t_f - 0.05
+    cut = EndEffectorPath("t", pan.t[early], pan.position[early], pan.quat_xyzw[early])
+    assert find_crossing(arc, cut, DELTA_H) is None
 
 
 def test_the_covariance_grows_with_the_scatter_of_the_frames() -> None:
@@ -131,7 +97,7 @@ def test_the_release_is_found_between_two_frames() -> None:
     pan_t = np.linspace(0.0, 1.0, 101)
     level = [0.0, 0.0, 0.0, 1.0]
     pan = EndEffectorPath("t", pan_t, np.zeros((101, 3)), np.tile(level, (101, 1)))
-    for release in np.linspace(0.3, 0.34, 9):
+    for release in np.linspace(0.3, 0.34, 4):
         t = np.arange(0.0, 0.65, 1.0 / 30.0)
         s = np.maximum(t - release, 0.0)
         height = 0.0025 + 2.0 * s - 0.5 * GRAVITY * s**2
@@ -146,7 +112,7 @@ def test_the_release_is_found_between_two_frames() -> None:
 
 def test_a_wild_frame_in_the_flight_changes_little() -> None:
     rng = np.random.default_rng(6)
-    for _ in range(5):
+    for _ in range(2):
         truth = toss(rng, vz=2.4, half_turns=1.0)
         path = capture(truth, rng)
         crossing = crossing_of(truth, path)

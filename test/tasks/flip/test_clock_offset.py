@@ -8,13 +8,16 @@ from hypothesis import strategies as some
 from simulated_toss import capture, toss
 
 from wam_power_ros.learning.rollout import EndEffectorPath
-from wam_power_ros.tasks.flip.clock_offset import clock_offset, shifted, stamps_off
+from wam_power_ros.tasks.flip.clock_offset import clock_offset, shifted
 from wam_power_ros.tasks.flip.flight import observe_flight
 
 
-@pytest.mark.parametrize("rate", [30.0, 60.0, 120.0, 240.0])
-@settings(max_examples=15, deadline=None, derandomize=True)
-@given(late=some.floats(-0.05, 0.05), seed=some.integers(0, 1000))
+@settings(max_examples=16, deadline=None, derandomize=True)
+@given(
+    rate=some.sampled_from([30.0, 60.0, 120.0, 240.0]),
+    late=some.floats(-0.05, 0.05),
+    seed=some.integers(0, 1000),
+)
 def test_stamps_up_to_50_ms_early_or_late_are_found_to_3_ms_and_change_no_flight(
     rate: float, late: float, seed: int
 ) -> None:
@@ -46,7 +49,3 @@ def test_a_pan_at_rest_shows_no_offset() -> None:
     position, quat = truth.pan.position[0], truth.pan.quat_xyzw[0]
     still = EndEffectorPath("t", truth.pan.t, np.tile(position, count), np.tile(quat, count))
     assert clock_offset(still, capture(truth, rng), None) == 0.0
-
-
-def test_an_offset_that_is_refused_says_what_to_set() -> None:
-    assert stamps_off(0.08).endswith("synchronise the clocks, or add 0.080 to latency_offset")

@@ -9,7 +9,6 @@ import pytest
 from simulated_toss import GRAVITY, Toss, at, capture, toss, without
 
 from wam_power_ros import rotations
-from wam_power_ros.learning.rollout import BodyPath
 from wam_power_ros.tasks.flip.flight import Flight, observe_flight
 from wam_power_ros.tasks.flip.spin_fit import angle_between
 
@@ -27,29 +26,26 @@ def errors(toss: Toss, flight: Flight) -> tuple[float, float, float, float]:
     return flight.t_f - toss.t_f, distance, normal, flight.angle - true_angle(toss)
 
 
-def many(
-    count: int, seed: int, lose: float = 0.0, air: float = 1.0, rate: float = 30.0
-) -> list[tuple[Toss, BodyPath, Flight]]:
+def many(count: int, seed: int, lose: float, air: float) -> list[tuple[Toss, Flight]]:
     rng = np.random.default_rng(seed)
     result = []
     while len(result) < count:
         truth = toss(rng, air=air, precession=rng.uniform(0.0, 0.2))
-        seen = capture(truth, rng, rate=rate, dropout=lose)
-        flight = observe_flight(truth.pan, seen)[0]
+        flight = observe_flight(truth.pan, capture(truth, rng, dropout=lose))[0]
         if math.isfinite(truth.t_f) and flight.t_f < truth.pan.t[-1]:
-            result.append((truth, seen, flight))
+            result.append((truth, flight))
     return result
 
 
 @pytest.mark.parametrize(
-    ("lose", "air", "rate"),
-    [(0.0, 1.0, 30.0), (0.4, 1.0, 30.0), (0.0, 2.0, 30.0), (0.0, 1.0, 120.0)],
+    ("lose", "air"),
+    [(0.4, 1.0), (0.0, 2.0)],
 )
 def test_nine_fits_of_ten_are_within_a_millisecond_a_millimetre_and_a_degree(
-    lose: float, air: float, rate: float
+    lose: float, air: float
 ) -> None:
-    flights = many(40, seed=5, lose=lose, air=air, rate=rate)
-    seen = [(truth, flight) for truth, _, flight in flights if flight.seen]
+    flights = many(30, seed=5, lose=lose, air=air)
+    seen = [(truth, flight) for truth, flight in flights if flight.seen]
     assert len(seen) >= 0.9 * len(flights)
     found = np.abs([errors(truth, flight) for truth, flight in seen])
     limits = np.array([0.001, 0.001, math.radians(1.0), math.radians(1.0)])
@@ -68,16 +64,6 @@ def test_the_pitch_of_the_pan_at_the_catch_is_positive_with_its_front_edge_up() 
         assert tilted - level == pytest.approx(pitch, abs=0.02)
 
 
-def test_angles_beyond_half_a_turn_are_unfolded() -> None:
-    rng = np.random.default_rng(2)
-    for half_turns in (0.3, 0.9, 1.3, 1.6):
-        truth = toss(rng, vz=2.4, half_turns=half_turns, air=0.0)
-        flight = observe_flight(truth.pan, capture(truth, rng))[0]
-        assert flight.angle == pytest.approx(true_angle(truth), abs=0.03)
-        cosine = flight.normal @ flight.normal_start
-        assert math.cos(flight.angle) == pytest.approx(cosine, abs=1e-3)
-
-
 def test_a_spin_of_twenty_radians_a_second_is_not_mistaken_for_a_slower_one() -> None:
     rng = np.random.default_rng(11)
     for _ in range(5):
@@ -86,30 +72,10 @@ def test_a_spin_of_twenty_radians_a_second_is_not_mistaken_for_a_slower_one() ->
         assert flight.angle == pytest.approx(true_angle(truth), abs=0.5)
 
 
-def test_the_bodys_own_axes_do_not_matter() -> None:
-    rng = np.random.default_rng(4)
-    truth = toss(rng, vz=2.3, half_turns=1.0)
-    path = capture(truth, rng)
-    turned = rotations.multiply(path.quat_xyzw, rotations.quat_of_vector([0.7, -1.1, 2.0]))
-    flight = observe_flight(truth.pan, path)[0]
-    other = observe_flight(truth.pan, replace(path, quat_xyzw=turned))[0]
-    assert other.angle == pytest.approx(flight.angle, abs=1e-6)
-    assert other.normal == pytest.approx(flight.normal, abs=1e-6)
-
-
-def test_a_low_toss_is_no_toss() -> None:
-    rng = np.random.default_rng(1)
-    truth = toss(rng, vz=1.3, half_turns=0.2)
-    assert not math.isfinite(truth.t_f)
-    flight = observe_flight(truth.pan, capture(truth, rng))[0]
-    assert (flight.tossed, flight.seen, flight.angle) == (False, True, 0.0)
-    assert flight.t_f == truth.pan.t[-1]
-    assert flight.apex > 0.0
-    assert np.array_equal(flight.landing_error, np.zeros(3))
-
-
 @pytest.mark.parametrize(("vz", "tossed"), [(1.3, False), (2.4, True)])
-def test_the_apex_is_over_where_the_pan_began(vz: float, tossed: bool) -> None:
+def test_a_low_toss_is_none_and_the_apex_is_over_where_the_pan_began(
+    vz: float, tossed: bool
+) -> None:
     rng = np.random.default_rng(1)
     truth = toss(rng, vz=vz, half_turns=0.2)
     path = capture(truth, rng)
@@ -119,6 +85,7 @@ def test_the_apex_is_over_where_the_pan_began(vz: float, tossed: bool) -> None:
     lower = observe_flight(replace(truth.pan, position=began), path)[0]
     assert flight.tossed == lower.tossed == tossed
     assert lower.apex == pytest.approx(flight.apex + 0.1, abs=1e-3)
+    assert (flight.angle != 0.0) == flight.landing_error.any() == tossed and flight.seen
 
 
 def test_losing_the_view_is_reported_and_never_breaks_the_numbers() -> None:
@@ -126,13 +93,11 @@ def test_losing_the_view_is_reported_and_never_breaks_the_numbers() -> None:
     for vz in (0.8, 2.3):
         truth = toss(rng, vz=vz, half_turns=1.0)
         path = capture(truth, rng)
-        for keep in range(len(path.t) + 1):  # the body is hidden after `keep` frames
-            _assert_finite(
-                observe_flight(truth.pan, without(path, np.arange(len(path.t)) >= keep))[0]
-            )
-            _assert_finite(
-                observe_flight(truth.pan, without(path, np.arange(len(path.t)) < keep))[0]
-            )
+        for keep in range(0, len(path.t) + 1, 3):  # the body is hidden after, before so many
+            hidden = np.arange(len(path.t)) >= keep
+            for lost in (hidden, ~hidden):
+                flight = observe_flight(truth.pan, without(path, lost))[0]
+                assert all(np.all(np.isfinite(value)) for value in vars(flight).values())
         nothing = observe_flight(truth.pan, without(path, path.t > 0.0))[0]
         assert (nothing.tossed, nothing.seen, nothing.resting) == (False, False, False)
         assert np.array_equal(nothing.landing_error, np.zeros(3))
@@ -152,15 +117,10 @@ def test_a_descent_that_frames_of_the_rise_do_not_foretell_counts_as_not_seen() 
         assert np.any(flight.landing_error) == seen
 
 
-def _assert_finite(flight: Flight) -> None:
-    for name, value in vars(flight).items():
-        assert np.all(np.isfinite(value)), name
-
-
 def test_two_frames_count_as_seen_only_where_they_tell_the_position() -> None:
     rng = np.random.default_rng(21)
     distances = []
-    for _ in range(15):
+    for _ in range(10):
         truth = toss(rng, vz=2.4, half_turns=rng.uniform(0.4, 1.2))
         path = capture(truth, rng)
         air = np.flatnonzero((path.t > truth.release + 0.06) & (path.t < truth.t_f))
@@ -170,5 +130,5 @@ def test_two_frames_count_as_seen_only_where_they_tell_the_position() -> None:
         flight = observe_flight(truth.pan, without(path, lost))[0]
         if flight.tossed and flight.seen:
             distances.append(errors(truth, flight)[1])
-    assert len(distances) >= 10
+    assert len(distances) >= 6
     assert max(distances) < 0.1 and np.median(distances) < 0.003

@@ -4,17 +4,17 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from pan_paths import path, thrown
+from toss_task import demonstrated_policy
 
-from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Foreseen
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.errors import told
-from wam_power_ros.tasks.flip import task as flip_task
-from wam_power_ros.tasks.flip.pan_toss import PANCAKE, Pancake, predict_toss
+from wam_power_ros.tasks.flip.pan_toss import predict_toss
 from wam_power_ros.tasks.flip.task import Flip
 from wam_power_ros.tasks.flip.toss_errors import ERRORS, SLOWED
 
@@ -45,19 +45,17 @@ def test_a_flip_is_inside_its_limits_as_far_as_turn_miss_and_climb_are(
 ) -> None:
     flight = {"tossed": True, "seen": True, "angle": math.radians(170.0), "climb": climb}
     flight |= {"landing_error": [0.6 * miss, -0.8 * miss, 0.2], "catch_pitch": 0.3}
-    record = type("Logged", (), {"observation": flight})()
+    record = SimpleNamespace(observation=flight)
     inside = [math.radians(20.0), 0.08 - miss, 0.025 - climb]
     assert Flip(SETTINGS, {}).margins(record) == pytest.approx(inside)
     assert list(Flip(preset("flip", "paper").task_settings, {}).margins(record)) == []
-    del flight["climb"]
-    assert list(Flip(SETTINGS, {}).margins(record)) == []
+    for unknown in (None, {name: it for name, it in flight.items() if name != "climb"}):
+        assert list(Flip(SETTINGS, {}).margins(SimpleNamespace(observation=unknown))) == []
 
 
-def test_the_model_of_the_task_predicts_the_toss_of_the_foreseen_path_and_its_excess(
-    demonstrated: Policy,
-) -> None:
+def test_the_model_of_the_task_predicts_the_toss_of_the_foreseen_path_and_its_excess() -> None:
     task = Flip(SETTINGS, {})
-    parametrization = task.parametrization(demonstrated)
+    parametrization = task.parametrization(demonstrated_policy())
     pan, excess = thrown(2.5, rate=4.0), np.array([-0.3, 0.2])
     model = task.error_model(parametrization, lambda policy: Foreseen(pan, excess))
     prediction = model.predict(np.zeros(parametrization.size))
@@ -72,38 +70,19 @@ def test_the_model_of_the_task_predicts_the_toss_of_the_foreseen_path_and_its_ex
     assert none.predict(np.zeros(parametrization.size)) is None
 
 
-def test_the_decay_of_the_spin_tells_nothing_where_it_decides_whether_there_is_a_toss(
-    demonstrated: Policy, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    toss = predict_toss(thrown(2.5))
-
-    def toss_unless_slowed(pan: object, pancake: Pancake) -> object:
-        return toss if pancake == PANCAKE else None
-
-    monkeypatch.setattr(flip_task, "predict_toss", toss_unless_slowed)
+def test_a_pan_that_does_not_toss_lacks_the_turn_and_its_landing_is_unknown() -> None:
     task = Flip(SETTINGS, {})
-    parametrization = task.parametrization(demonstrated)
-    foreseen = Foreseen(thrown(2.5), np.array([-0.3]))
-    model = task.error_model(parametrization, lambda policy: foreseen)
-    prediction = model.predict(np.zeros(parametrization.size))
-    assert np.isfinite(prediction.error).all() and not prediction.uncertain.any()
-
-
-def test_a_pan_that_does_not_toss_lacks_the_turn_and_its_landing_is_unknown(
-    demonstrated: Policy,
-) -> None:
-    task = Flip(SETTINGS, {})
-    parametrization = task.parametrization(demonstrated)
+    parametrization = task.parametrization(demonstrated_policy())
     still = Foreseen(path(np.zeros(500), np.zeros(500)), np.array([-0.3]))
     model = task.error_model(parametrization, lambda policy: still)
     turn, *landing = model.predict(np.zeros(parametrization.size)).error
     assert turn == pytest.approx(-math.pi / TURN_TOLERANCE) and np.isnan(landing).all()
 
 
-def test_the_directions_are_those_of_the_corrections(demonstrated: Policy) -> None:
+def test_the_directions_are_those_of_the_corrections() -> None:
     """A step along a direction of the model changes only the parameter of a correction."""
     task = Flip(SETTINGS, {})
-    parametrization = task.parametrization(demonstrated)
+    parametrization = task.parametrization(demonstrated_policy())
     model = task.error_model(parametrization, lambda policy: None)
     names = ("vigour", "tempo", "flick", "catch_shift", "side_shift", "catch_pitch")
     moved = [int(np.flatnonzero(row)[0]) for row in model.directions]
@@ -112,16 +91,3 @@ def test_the_directions_are_those_of_the_corrections(demonstrated: Policy) -> No
     assert (model.slopes[0, :3] > 0.0).all() and model.slopes[1, 3] < 0.0
     assert model.slopes[2, 4] < 0.0 == model.slopes[2, 3] == model.slopes[1, 4]
     assert model.slopes[3, 5] < 0.0 and np.count_nonzero(model.slopes) == 6
-
-
-def test_other_parameters_than_the_planar_ones_have_no_error_model(demonstrated: Policy) -> None:
-    task = Flip(preset("flip", "paper").task_settings, {})
-    assert task.error_model(task.parametrization(demonstrated), lambda policy: None) is None
-
-
-@pytest.fixture
-def demonstrated() -> Policy:
-    """A policy of eight spring-dampers."""
-    from toss_task import demonstrated_policy
-
-    return demonstrated_policy()
