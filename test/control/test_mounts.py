@@ -25,12 +25,10 @@ from wam_power_ros.view.skeleton import Skeleton
 
 WAM = share("urdf/wam7.urdf").read_text()
 STANDS = {
-    "table": ((0.3, -0.2, 0.8), (0.0, 0.0)),
-    "wall": ((0.1, 1.2, 1.5), (np.pi / 2, 0.0)),
-    "ceiling": ((0.0, 0.4, 2.4), (np.pi, 0.0)),
-    "slope": ((-0.5, 0.0, 0.2), (0.2, -0.5)),
+    "table": ((0.3, -0.2, 0.8), (0.0, 0.0, 0.8)),
+    "wall": ((0.1, 1.2, 1.5), (np.pi / 2, 0.0, 0.8)),
+    "slope": ((-0.5, 0.0, 0.2), (0.2, -0.5, 0.8)),
 }
-MOUNTS = [(place, (*lean, 0.8)) for place, lean in STANDS.values()]
 Pose = tuple[np.ndarray, np.ndarray]
 
 
@@ -54,8 +52,8 @@ def turn(axis: np.ndarray, angle: float) -> np.ndarray:
 
 
 def numbers(element: ElementTree.Element | None, name: str, default: str = "0 0 0") -> np.ndarray:
-    return np.array([float(it) for it in (element.get(name, default) if element is not None
-                                          else default).split()])  # fmt: skip
+    text = default if element is None else element.get(name, default)
+    return np.array([float(it) for it in text.split()])
 
 
 def poses(urdf: str, q: np.ndarray) -> dict[str, Pose]:
@@ -98,15 +96,13 @@ def potential(urdf: str, q: np.ndarray) -> float:
     return total
 
 
-@pytest.mark.parametrize(("place", "rpy"), MOUNTS, ids=STANDS)
-@pytest.mark.parametrize("base", ["world", "column", "wam_base"])
-def test_positions_directions_and_gravity_are_in_the_base_frame(
-    base: str, place: tuple[float, ...], rpy: tuple[float, ...]
-) -> None:
-    urdf, rng = mounted(place, rpy), np.random.default_rng(7)
+@pytest.mark.parametrize("stand", STANDS)
+@pytest.mark.parametrize("base", ["column", "wam_base"])
+def test_positions_directions_and_gravity_are_in_the_base_frame(base: str, stand: str) -> None:
+    urdf, rng = mounted(*STANDS[stand]), np.random.default_rng(7)
     elbow = GuardedPoint("elbow", "wam_link4", (0.01, 0.02, 0.03))
     arm = Arm(urdf, JOINTS, "pan", (elbow,), base_frame=base)
-    for _ in range(3):
+    for _ in range(2):
         q, qd = rng.uniform(arm.q_min, arm.q_max), rng.normal(size=arm.n)
         links = poses(urdf, q)
         position, rotation = seen_from(links[base], links["pan"])
@@ -124,7 +120,7 @@ def test_positions_directions_and_gravity_are_in_the_base_frame(
 
 
 def test_an_arm_is_drawn_in_its_base_frame() -> None:
-    urdf, q = mounted(*MOUNTS[1]), np.full(7, 0.2)
+    urdf, q = mounted(*STANDS["wall"]), np.full(7, 0.2)
     shapes = {}
     for base in ("world", "wam_base"):
         drawn = Skeleton(urdf, JOINTS, base)
@@ -149,25 +145,18 @@ def test_a_measured_tilt_is_that_of_the_upright_root(base: str) -> None:
 
 
 def test_the_base_is_a_link_that_does_not_move_with_the_arm() -> None:
-    urdf = mounted(*MOUNTS[0])
+    urdf = mounted(*STANDS["table"])
     with pytest.raises(ValueError, match=r"no link 'banana'.*known: \['world'.*'wam_base'"):
         Arm(urdf, JOINTS, "pan", (), base_frame="banana")
     with pytest.raises(ValueError, match=r"base_frame 'wam_link2' moves with joint .*'wam_base'\]"):
         Arm(urdf, JOINTS, "pan", (), base_frame="wam_link2")
 
 
-def test_the_root_as_base_frame_changes_no_bit() -> None:
-    q = np.linspace(-0.5, 0.6, 7)
-    named, nameless = (Arm(WAM, JOINTS, base_frame=base) for base in ("wam_base", ""))
-    assert named.identity() == nameless.identity()
-    assert named.tool_pose(q)[0].tobytes() == nameless.tool_pose(q)[0].tobytes()
-    assert named.gravity(q).tobytes() == nameless.gravity(q).tobytes()
-
-
 def test_a_policy_for_one_base_frame_is_not_one_for_another() -> None:
-    arms = [Arm(mounted(*MOUNTS[0]), JOINTS, base_frame=base) for base in ("world", "wam_base")]
-    assert arms[0].identity() != arms[1].identity()
-    assert arms[1].identity().kinematics == Arm(WAM, JOINTS).identity().kinematics
+    urdf, named = mounted(*STANDS["table"]), Arm(WAM, JOINTS, base_frame="wam_base")
+    world, base = (Arm(urdf, JOINTS, base_frame=it).identity() for it in ("world", "wam_base"))
+    assert world != base and base.kinematics == Arm(WAM, JOINTS).identity().kinematics
+    assert named.identity() == Arm(WAM, JOINTS).identity()  # the root by its name
 
 
 def test_every_frame_of_a_set_up_is_a_link(tmp_path: Path) -> None:
@@ -181,12 +170,9 @@ def test_every_frame_of_a_set_up_is_a_link(tmp_path: Path) -> None:
             overlay.setup([str(file)]).arm()
 
 
-@pytest.mark.parametrize(("place", "rpy"), MOUNTS[1::2], ids=["wall", "slope"])
-def test_the_simulated_arm_hangs_as_its_model_says(
-    place: tuple[float, ...], rpy: tuple[float, ...], tmp_path: Path
-) -> None:
+def test_the_simulated_arm_hangs_as_its_model_says(tmp_path: Path) -> None:
     file = tmp_path / "mounted.urdf"
-    file.write_text(mounted(place, rpy))
+    file.write_text(mounted(*STANDS["slope"]))
     settings = {"urdf": str(file), "wind_sd": 0.0, "torque_scale_sd": 0.0, "friction_sd": 0.0}
     for base in ("world", "wam_base"):
         world = World(Markers, WorldSettings(base_frame=base, **settings))
