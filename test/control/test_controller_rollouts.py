@@ -145,18 +145,6 @@ def test_a_rollout_from_rest_does_not_depend_on_what_happened_before() -> None:
     assert np.array_equal(*torques)
 
 
-def test_the_torque_comes_to_a_fixed_point_while_a_state_repeats() -> None:
-    controller, plant = begin(HOME + 0.03)
-    for differentiated in (False, True):
-        stamp, q, qd = plant.state()
-        answers = []
-        for k in range(60):
-            qd = None if differentiated else 0.001 * np.ones(7)
-            answers.append(controller.step(stamp + k * PERIOD_NS, q, qd))
-        plant.stamp += 60 * PERIOD_NS
-        assert all(np.array_equal(answers[-1], tau) for tau in answers[25:])
-
-
 def test_a_rollout_ends_without_a_fault_where_the_tool_enters_the_guarded_region() -> None:
     centre = MODEL.tool_pose(HOME)[0] + np.array([0.0, 0.0, -0.06])
     controller, plant = begin(

@@ -193,14 +193,6 @@ def test_an_arm_that_was_followed_in_its_fall_counts_as_having_rested() -> None:
     assert reaction.rested
 
 
-def test_a_reported_speed_is_measured_over_the_last_four_states() -> None:
-    reaction = Reaction(MODEL, MODEL.gravity)
-    for k in range(20):
-        at = HOME + 0.5 * 10.0 * (0.002 * k) ** 2 * np.eye(7)[3]
-        reaction.record(state(k, at), STILL, [0.0] * 7)
-    np.testing.assert_allclose(reaction.reported()[3], 10.0 * 0.002 * (19 - 2))
-
-
 def held(course: np.ndarray, torque: np.ndarray) -> Reaction:
     """Reaction after states that report rest, under torques (k, n) [N m] beyond g(course)."""
     reaction = Reaction(MODEL, MODEL.gravity)

@@ -93,20 +93,6 @@ def test_an_arm_in_a_fault_counts_as_rested_only_after_the_rest_time() -> None:
     assert not watch.rested(fast.stamp_ns)
 
 
-def test_without_states_the_model_predicts_the_arm_until_the_reaction_ends() -> None:
-    watch, qd = supervision(), 0.5 * np.eye(7)[1]
-    states = [state(tick, HOME + tick * 0.002 * qd, qd) for tick in range(100)]
-    for before, after in pairwise(states):
-        watch.plausibility_fault(Mode.GRAVITY_COMPENSATION, before, after)
-    first = watch.missing(states[-1], 0.002)
-    np.testing.assert_allclose(first.q, states[-1].q + 0.002 * qd, atol=5e-4)
-    np.testing.assert_allclose(first.qd, qd, atol=0.05)
-    second = watch.missing(states[-1], 0.002)
-    assert states[-1].q[1] < first.q[1] < second.q[1]
-    watch.reaction.end()
-    np.testing.assert_array_equal(watch.missing(states[-1], 0.002).q, first.q)
-
-
 @pytest.mark.requirement("S-121")
 def test_every_kind_of_fault_says_whether_its_states_are_believed() -> None:
     false = {FaultKind.JUMP, FaultKind.VELOCITY, FaultKind.DRIFT, FaultKind.STANDSTILL}

@@ -11,7 +11,7 @@ import pytest
 from hill_task import rng
 
 from wam_power_ros.learning.learner import Prediction
-from wam_power_ros.learning.model_based import PROBE_STEP, ModelBased
+from wam_power_ros.learning.model_based import ModelBased
 from wam_power_ros.learning.power import Power
 
 SIZE = 8
@@ -235,34 +235,6 @@ def test_a_plan_takes_no_more_simulations_than_are_set() -> None:
         practise(learner, 1)
         assert learner.mean.shape == (SIZE,)
         assert model.count == 1 + simulations
-
-
-def test_what_slopes_leave_out_is_a_constant_and_a_quarter_that_changes_with_the_distance() -> None:
-    model = LinearModel()
-    model.predict = None
-    learner = learner_of(model)
-    tell(learner, np.zeros(SIZE), START)
-    far = 1e3 * np.eye(SIZE)[-1]  # which changes no error
-    weight = 16.0 / (16.0 * 1.25 + 0.25)
-    expected = learner._expected()
-    np.testing.assert_allclose(expected(far).values[:2], weight * START)
-    np.testing.assert_allclose(expected(np.zeros(SIZE)).values[:2], 1.25 * weight * START)
-
-
-@pytest.mark.parametrize(("moved", "known"), [(0.65, False), (0.75, True), (1.0, True)])
-def test_a_direction_is_probed_until_most_of_a_probe_was_made_along_it(
-    moved: float, known: bool
-) -> None:
-    """Axes of the search are directions, in which coordinates are in steps of 5."""
-    learner, best = learner_of(LinearModel()), np.full(SIZE, 0.4)
-    expected = learner._expected()
-    points = [expected(5.0 * (best + z)) for z in moved * PROBE_STEP * np.eye(SIZE)]
-    at = expected(5.0 * best)
-    probe = learner._probe(at, [at, *points[:3]], False)
-    assert (probe is None) == known
-    if probe is not None:
-        np.testing.assert_allclose(probe, PROBE_STEP * np.eye(SIZE)[0])
-    assert learner._probe(at, [at, *points[1:3]], False) is not None
 
 
 def test_what_is_only_assumed_explains_an_error_as_far_as_it_changes_both() -> None:

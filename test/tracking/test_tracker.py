@@ -201,19 +201,6 @@ def test_a_hidden_body_is_extrapolated_for_a_tenth_of_a_second_and_then_lost() -
     assert tracker.validity is Validity.LOST
 
 
-def test_the_last_state_holds_for_two_periods_to_the_nanosecond() -> None:
-    for age, validity in (
-        (66_666_667, Validity.OK),
-        (66_666_668, Validity.OCCLUDED),
-        (166_666_667, Validity.OCCLUDED),
-        (166_666_668, Validity.LOST),
-    ):
-        tracker = Tracker(SETTINGS)
-        seen(tracker)
-        tracker.at(stamp(9) + age)
-        assert tracker.validity is validity
-
-
 def test_the_workspace_reaches_to_its_limits() -> None:
     for corner in (SETTINGS.workspace_low, SETTINGS.workspace_high):
         for axis in range(3):
