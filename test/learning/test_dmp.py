@@ -2,7 +2,6 @@
 """Eq. 1: tables, reproduction and fit."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -134,16 +133,8 @@ def test_a_reproduction_from_rest_stays_where_the_demonstration_ended() -> None:
     demonstration = reach(0)
     policy = fit([demonstration], replace(REACH_FIT, count=6), "p")
     start, end = demonstration.position[[0, -1]]
-    x, xd = reproduce_many(
-        policy.basis,
-        policy.stiffness[None],
-        policy.attractors[None],
-        policy.damping,
-        start,
-        np.zeros(3),
-        round((policy.basis.duration + 1.0) / DT),
-        DT,
-    )
+    springs, steps = (policy.stiffness[None], policy.attractors[None]), round(3.0 / DT)
+    x, xd = reproduce_many(policy.basis, *springs, policy.damping, start, np.zeros(3), steps, DT)
     assert x[0, -1] == pytest.approx(end, abs=0.003)
     assert np.linalg.norm(xd[0, -1]) < 0.001
 
@@ -163,10 +154,9 @@ def test_the_toss_is_reproduced_to_millimetres_and_a_degree() -> None:
     assert rmse(np.array(path), vectors) < math.radians(1.5)
 
 
-@pytest.mark.parametrize("begin", [0.0, 0.4])  # of the turn
-def test_a_reach_ends_turned_as_demonstrated(begin: float) -> None:
+def test_a_reach_ends_turned_as_demonstrated() -> None:
     flat = reach(0)
-    u = np.clip((flat.t / flat.duration - begin) / (1.0 - begin), 0.0, 1.0)
+    u = np.clip((flat.t / flat.duration - 0.4) / 0.6, 0.0, 1.0)
     turn = np.outer(10 * u**3 - 15 * u**4 + 6 * u**5, [math.pi / 3, 0.0, 0.0])
     policy = fit([replace(flat, quat_xyzw=rotations.quat_of_vector(turn))], REACH_FIT, "p")
     springs = np.tile(policy.rotation_stiffness * np.eye(3), (1, 2, 1, 1))
@@ -206,10 +196,9 @@ def test_the_stiffness_is_the_rescaled_inverse_of_the_residuals_covariance() -> 
     assert policy.stiffness == pytest.approx(expected, abs=0.02)
 
 
-def along(demonstration: Demonstration, *axes: Sequence[float]) -> Demonstration:
+def along(demonstration: Demonstration, *axes: np.ndarray) -> Demonstration:
     """Project a movement on these orthonormal axes and add sensor noise."""
-    axes_ = np.array(axes).T
-    part = axes_ @ axes_.T
+    part = np.transpose(axes) @ axes
     noise = np.random.default_rng(0).normal(0.0, 1e-4, demonstration.position.shape)
     start = demonstration.position[0]
     return replace(
@@ -223,28 +212,19 @@ def along(demonstration: Demonstration, *axes: Sequence[float]) -> Demonstration
 TILTED = rotations.exp([0.3, -0.5, 0.2])
 
 
-@pytest.mark.parametrize(
-    ("still", "moving"),
-    [
-        ([[0.0, 1.0, 0.0]], [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
-        ([TILTED[:, 1].tolist()], [TILTED[:, 0].tolist(), TILTED[:, 2].tolist()]),
-        ([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], [[0.0, 0.0, 1.0]]),
-    ],
-    ids=["planar", "planar-and-tilted", "along-a-line"],
-)
+@pytest.mark.parametrize("still", [1, 2], ids=["in a plane", "along a line"])
 def test_an_axis_that_does_not_move_has_the_mean_stiffness_and_leaves_the_range_to_the_others(
-    still: list[list[float]], moving: list[list[float]]
+    still: int,
 ) -> None:
-    policy = fit([along(toss(), *moving)], FLIP_FIT, "p")
-    for axis in still:
-        expected = np.tile(math.sqrt(150.0 * 500.0) * np.array(axis), (8, 1))
+    axes = TILTED.T if still == 1 else np.eye(3)
+    policy = fit([along(toss(), *axes[still:])], FLIP_FIT, "p")
+    for axis in axes[:still]:
+        expected = np.tile(math.sqrt(150.0 * 500.0) * axis, (8, 1))
         assert policy.stiffness @ axis == pytest.approx(expected, abs=2.0)  # no coupling either
-    within = np.array(moving) @ policy.stiffness @ np.array(moving).T
+    within = axes[still:] @ policy.stiffness @ axes[still:].T
     values = np.linalg.eigvalsh(within)
     assert values.min() == pytest.approx(150.0, abs=2.0)
     assert values.max() == pytest.approx(500.0, abs=2.0)
-    if len(moving) == 2:  # the matrices have coupling
-        assert np.abs(within[:, 0, 1]).max() > 30.0
 
 
 @pytest.mark.parametrize("size", [0.01, 1.0])
@@ -287,17 +267,12 @@ def test_angular_velocity_is_that_of_the_turning_matrix() -> None:
 
 def test_a_movement_gets_as_many_springs_as_it_needs_and_no_more() -> None:
     demonstration = toss()
-    each = [FLIP_FIT.with_count(count) for count in (8, 16, 32)]
+    each = [FLIP_FIT.with_count(count) for count in (8, 16)]
     fitted = [fit([demonstration], settings, "p") for settings in each]
     loss = {policy.basis.count: path_error(policy, [demonstration]) for policy in fitted}
     for error, count in ((1.01 * loss[8], 8), (1.01 * loss[16], 16), (1e-9, REFINED_MAX)):
         assert fit([demonstration], replace(FLIP_FIT, error=error), "p").basis.count == count
     assert fitted[0].basis.count == 8  # without a wanted error
-
-
-def test_a_short_recording_is_not_fitted_with_more_springs_than_it_has_samples_for() -> None:
-    short = from_positions(toss().position[:40], DT)
-    assert fit([short], replace(FLIP_FIT, error=1e-9), "p").basis.count == 8
 
 
 def test_start_and_orientation_reference_are_those_of_the_first_demonstration() -> None:
@@ -311,9 +286,11 @@ def test_start_and_orientation_reference_are_those_of_the_first_demonstration() 
     assert np.array_equal(policy.orientation_reference, first.quat_xyzw[0])
 
 
-def test_a_demonstration_that_never_moves_still_gives_a_valid_policy() -> None:
+def test_a_demonstration_that_never_moves_or_is_short_gives_a_policy_too() -> None:
     policy = fit([from_positions(np.tile([0.7, 0.0, 0.9], (100, 1)), DT)], FLIP_FIT, "p")
     assert policy.attractors == pytest.approx(np.tile([0.7, 0.0, 0.9], (8, 1)), abs=1e-9)
+    short = from_positions(toss().position[:40], DT)  # of fewer samples than more springs need
+    assert fit([short], replace(FLIP_FIT, error=1e-9), "p").basis.count == 8
 
 
 def test_clipping_leaves_good_matrices_alone_and_makes_bad_ones_good() -> None:
