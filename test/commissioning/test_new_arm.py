@@ -17,6 +17,7 @@ from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import share
 
+
 def test_what_is_proposed_for_an_arm_is_a_set_up_without_a_mistake(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

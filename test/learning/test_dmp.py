@@ -62,7 +62,7 @@ def rmse(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.sum((a - b) ** 2, axis=1))))
 
 
-def test_activations_are_the_normalised_gaussians_of_the_paper_clamped_to_the_movement() -> None:
+def test_activations_are_the_normalised_gaussians_of_the_paper() -> None:
     basis = Basis(3, 1.0, 0.02)
     raw = np.exp(-((0.3 - np.array([0.0, 0.5, 1.0])) ** 2) / 0.04)
     assert activations(basis, np.array([0.3]))[0] == pytest.approx(raw / raw.sum())
