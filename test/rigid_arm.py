@@ -6,12 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import pytest
 
 from wam_power_ros import rotations
 from wam_power_ros.control import replay_trajectory, safety
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.controller_settings import ControllerSettings
+from wam_power_ros.control.modes import ControllerError, Refusal
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.policy import Basis, Policy
 from wam_power_ros.params.resources import share
@@ -124,11 +126,29 @@ def begin(q: np.ndarray = HOME, controller: Controller | None = None, **plant: o
     return controller, plant
 
 
-def start_replay(controller: Controller, trajectory: object, speed: float = 1.0) -> None:
+def executing(seconds: float, controller: Controller | None = None, **plant: object) -> tuple:
+    """A controller that has executed its policy for a time, its plant, and the last torque."""
+    controller, plant = begin(controller=controller, **plant)
+    controller.execute()
+    return controller, plant, run(controller, plant, seconds)[-1]
+
+
+def refusal_of(request: Callable[[], object]) -> Refusal:
+    """Code with which a request is refused."""
+    with pytest.raises(ControllerError) as refused:
+        request()
+    return refused.value.refusal
+
+
+def start_replay(controller: Controller, t: np.ndarray, q: np.ndarray, speed: float = 1.0) -> None:
     period, limits = controller.settings.period, controller.limits
-    controller.start_replay(
-        replay_trajectory.sampled(trajectory.t / speed, trajectory.q, period, limits)
-    )
+    controller.start_replay(replay_trajectory.sampled(t / speed, q, period, limits))
+
+
+def speed(plant: Plant) -> float:
+    """Highest speed of tool and guarded points [m/s]."""
+    guarded, tool_speed = MODEL.speeds(plant.q, plant.qd)
+    return max(*guarded, tool_speed)
 
 
 def run(

@@ -49,39 +49,37 @@ def test_the_last_zero_is_seen_of_a_body_that_lies_flat() -> None:
     assert 0.0 < found.zeros_sd[-1] < np.deg2rad(1.0)
 
 
-@pytest.mark.parametrize("wrong", [[4], [0, 11]])
-def test_a_body_that_was_seen_elsewhere_is_rejected_by_number(wrong: list[int]) -> None:
+def test_a_body_that_was_seen_elsewhere_is_rejected_by_number() -> None:
     q = postures()
     position, rotation = seen(q)
-    position[wrong] += 0.03
+    position[[0, 11]] += 0.03
     found = calibrate(ARM, q, position, rotation)
-    assert found.rejected == tuple(wrong)
+    assert found.rejected == (0, 11)
     assert np.allclose(found.zeros, true_arm.ZEROS, atol=np.deg2rad(0.1))
 
 
-def test_few_postures_are_refused() -> None:
-    q = postures(9)
-    with pytest.raises(ValueError, match="9 postures, at least 10 are needed"):
-        calibrate(ARM, q, *seen(q))
-
-
-def test_postures_that_are_all_alike_are_refused() -> None:
-    q = postures(spread=3.0)
-    with pytest.raises(ValueError, match="turn the tool by at most"):
-        calibrate(ARM, q, *seen(q))
-
-
-def test_a_mirrored_axis_of_the_cameras_is_refused_with_the_cause() -> None:
-    q = postures()
-    position, rotation = seen(q)
+def mirrored(position: np.ndarray, rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Places in cameras of which one axis is reversed."""
     mirror = np.diag([1.0, -1.0, 1.0])
-    with pytest.raises(ValueError, match="mirrored"):
-        calibrate(ARM, q, position @ mirror, mirror @ rotation @ mirror)
+    return position @ mirror, mirror @ rotation @ mirror
 
 
-def test_a_joint_with_another_sign_is_refused() -> None:
-    q = postures()
-    places = seen(q)
-    q[:, 3] = 2.0 * true_arm.HOME[3] - q[:, 3]
-    with pytest.raises(ValueError, match="order or sign"):
+def turned(q: np.ndarray) -> np.ndarray:
+    """Postures of which a joint has the other sign."""
+    return np.where(np.arange(7) == 3, 2.0 * true_arm.HOME - q, q)
+
+
+@pytest.mark.parametrize(
+    ("q", "places", "why"),
+    [
+        (postures(9), seen(postures(9)), "9 postures, at least 10 are needed"),
+        (postures(spread=3.0), seen(postures(spread=3.0)), "turn the tool by at most"),
+        (postures(12), mirrored(*seen(postures(12))), "mirrored"),
+        (turned(postures(12)), seen(postures(12)), "order or sign"),
+    ],
+)
+def test_what_tells_nothing_or_cannot_be_is_refused_with_the_cause(
+    q: np.ndarray, places: tuple[np.ndarray, np.ndarray], why: str
+) -> None:
+    with pytest.raises(ValueError, match=why):
         calibrate(ARM, q, *places)

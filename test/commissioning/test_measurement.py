@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 import true_arm
 
-from wam_power_ros.commissioning.measurement import Commissioned, Recording, analyse, begun
+from wam_power_ros.commissioning.measurement import Commissioned, Recording, Seen, analyse, begun
 
 PLAN = true_arm.planned()
 TRUE = true_arm.truth()
+ASIDE = 0.004 * np.array([0.6, 0.8, 0.0])
 
 
 @pytest.fixture(scope="module")
@@ -25,8 +26,7 @@ def found(recorded: Recording) -> Commissioned:
     return analyse(true_arm.plain(), PLAN, recorded, payload=float(TRUE.payload[0]))
 
 
-def test_zeros_and_frame_are_those_of_the_arm(found: Commissioned) -> None:
-    assert found.cameras is not None
+def test_zeros_frame_and_delay_are_those_of_the_arm_and_its_cameras(found: Commissioned) -> None:
     cameras = found.cameras.frame
     assert np.allclose(cameras.zeros, TRUE.zeros, atol=np.deg2rad(0.25))
     frame, truth = cameras.world_to_base, true_arm.CAMERAS.inverse()
@@ -38,10 +38,6 @@ def test_zeros_and_frame_are_those_of_the_arm(found: Commissioned) -> None:
     assert 0.0 < found.cameras.sweep_position < 1e-3
     assert found.cameras.sweep_rotation < np.deg2rad(0.1)
     assert found.cameras.unseen == ()
-
-
-def test_late_stamps_of_the_cameras_are_measured(found: Commissioned) -> None:
-    assert found.cameras is not None
     assert found.cameras.latency == pytest.approx(0.003, abs=3e-4)
     assert abs(found.cameras.latency_change) < 3e-4
 
@@ -81,10 +77,8 @@ def test_movements_that_were_not_used_are_explained_several_times_better(
 
 def test_without_a_body_in_view_the_torques_are_still_used(recorded: Recording) -> None:
     nothing = np.empty(0)
-    blind = replace(
-        recorded, seen_t=nothing, position=np.empty((0, 3)), rotation=np.empty((0, 3, 3))
-    )
-    found = analyse(true_arm.plain(), PLAN, blind)
+    parts = {"position": np.empty((0, 3)), "rotation": np.empty((0, 3, 3))}
+    found = analyse(true_arm.plain(), PLAN, replace(recorded, seen_t=nothing, **parts))
     assert found.cameras is None
     assert not found.arm.corrections.zeros.any()
     assert found.after.slow < found.before.slow
@@ -98,14 +92,17 @@ def test_the_mass_by_the_torques_alone_is_found_although_another_one_was_told(
     assert abs(told.felt_payload - TRUE.payload[0]) < 2.0 * told.felt_sd < 0.1
 
 
+def seen_of(recorded: Recording, wrong: np.ndarray, by: np.ndarray) -> Seen:
+    """What is found of the cameras if the body was seen elsewhere (3,) [m] at these poses (N,)."""
+    moved = replace(recorded, position=recorded.position + wrong[:, None] * by)
+    return analyse(true_arm.plain(), PLAN, moved).cameras
+
+
 def test_a_camera_that_is_knocked_after_the_postures_is_seen_in_the_sweeps(
     recorded: Recording, found: Commissioned
 ) -> None:
     later = recorded.seen_t - recorded.seen_t[0] > PLAN.rests[-1, 1]
-    moved = replace(recorded, position=recorded.position + 0.004 * later[:, None] * [0.6, 0.8, 0])
-    seen = analyse(true_arm.plain(), PLAN, moved).cameras
-    assert seen is not None
-    assert found.cameras is not None
+    seen = seen_of(recorded, later, ASIDE)
     assert seen.check_position == pytest.approx(found.cameras.check_position, abs=1e-4)
     assert seen.sweep_position == pytest.approx(0.004, abs=0.0015)
 
@@ -116,10 +113,8 @@ def test_rests_without_the_body_in_view_are_named_and_rejected_ones_keep_their_n
     t = recorded.seen_t - recorded.t[0]
     hidden = np.logical_or.reduce([(t > a) & (t < b) for a, b in PLAN.rests[[2, 3, 25]]])
     wrong = (t > PLAN.rests[7, 0]) & (t < PLAN.rests[7, 1])
-    moved = replace(recorded, position=recorded.position + 0.03 * wrong[:, None])
-    parts = {name: getattr(moved, name)[~hidden] for name in ("seen_t", "position", "rotation")}
-    seen = analyse(true_arm.plain(), PLAN, replace(moved, **parts)).cameras
-    assert seen is not None
+    parts = {name: getattr(recorded, name)[~hidden] for name in ("seen_t", "position", "rotation")}
+    seen = seen_of(replace(recorded, **parts), wrong[~hidden], 0.03 * np.ones(3))
     assert seen.unseen == (2, 3, 25)
     assert seen.frame.rejected == (7,)
     assert seen.fit_position < 0.001  # without it
@@ -127,21 +122,14 @@ def test_rests_without_the_body_in_view_are_named_and_rejected_ones_keep_their_n
 
 def test_a_body_that_slips_early_shows_at_the_rests_before(recorded: Recording) -> None:
     later = recorded.seen_t - recorded.t[0] > PLAN.rests[6, 1]
-    slips = 0.003 * later[:, None] * recorded.rotation[:, :, 0]
-    seen = analyse(
-        true_arm.plain(), PLAN, replace(recorded, position=recorded.position + slips)
-    ).cameras
-    assert seen is not None
+    seen = seen_of(recorded, later, 0.003 * recorded.rotation[:, :, 0])
     assert seen.frame.rejected == ()
     assert seen.fit_position > 0.0015
 
 
 def test_a_body_that_is_loose_at_one_side_of_an_unused_posture_shows(recorded: Recording) -> None:
     t, (begin, end) = recorded.seen_t - recorded.t[0], PLAN.rests[-1]
-    loose = (t > begin - 1.0) & (t < end)
-    moved = replace(recorded, position=recorded.position + 0.004 * loose[:, None] * [0.6, 0.8, 0])
-    seen = analyse(true_arm.plain(), PLAN, moved).cameras
-    assert seen is not None
+    seen = seen_of(recorded, (t > begin - 1.0) & (t < end), ASIDE)
     assert seen.check_position == pytest.approx(0.004, abs=0.001)
     assert seen.fit_position < 0.001
 
@@ -150,7 +138,6 @@ def test_cameras_that_saw_nothing_of_a_sweep_leave_its_error_open(recorded: Reco
     early = recorded.seen_t - recorded.t[0] < PLAN.sweeps[3, 0]
     parts = {name: getattr(recorded, name)[early] for name in ("seen_t", "position", "rotation")}
     seen = analyse(true_arm.plain(), PLAN, replace(recorded, **parts)).cameras
-    assert seen is not None
     assert np.isnan([seen.latency_change, seen.sweep_position, seen.sweep_rotation]).all()
 
 
@@ -161,17 +148,13 @@ def test_the_beginning_of_the_movement_is_found_in_the_recording(recorded: Recor
     assert begun(PLAN, t, q) == pytest.approx(1.4, abs=0.003)
 
 
-def test_a_recording_that_was_ended_early_is_refused(recorded: Recording) -> None:
+def test_a_recording_of_another_movement_or_one_that_was_ended_early_is_refused(
+    recorded: Recording,
+) -> None:
     with pytest.raises(ValueError, match="ended early"):
         begun(PLAN, recorded.t[:-1000], recorded.q[:-1000])
-
-
-def test_a_recording_of_another_movement_is_refused(recorded: Recording) -> None:
     other = true_arm.planned(seed=1)
     shorter = replace(other, t=PLAN.t, q=np.resize(other.q, PLAN.q.shape))
+    t, q = np.append(recorded.t, recorded.t[-1] + 1.0), np.vstack([recorded.q, recorded.q[-1:]])
     with pytest.raises(ValueError, match="another one"):
-        begun(
-            shorter,
-            np.append(recorded.t, recorded.t[-1] + 1.0),
-            np.vstack([recorded.q, recorded.q[-1:]]),
-        )
+        begun(shorter, t, q)

@@ -17,21 +17,18 @@ from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import share
 
-ARMS = {"fr3": "fr3_pan", "openarm": "openarm_pan"}
 
-
-@pytest.mark.parametrize("arm", ARMS)
 def test_what_is_proposed_for_an_arm_is_a_set_up_without_a_mistake(
-    tmp_path: Path, arm: str, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    shutil.copy(share(f"urdf/{arm}.urdf"), urdf := tmp_path / "mine.urdf")
+    shutil.copy(share("urdf/openarm.urdf"), urdf := tmp_path / "mine.urdf")
     assert main.main(["new-arm", str(urdf), "--output", "position"]) == 0
     assert "not yet right" not in capsys.readouterr().out
     file = tmp_path / "mine.yaml"
     values = [line for line in file.read_text().splitlines() if line.startswith("    ")]
     assert len(values) > 15 and all("  # " in line for line in values)
     setup = overlay.setup([str(file)], task="reach")
-    assert setup["torque_controller"]["tool_frame"] == ARMS[arm]
+    assert setup["torque_controller"]["tool_frame"] == "openarm_pan"
     assert setup["torque_controller"]["output"] == "position"
     assert not [*mistakes(setup)]
     model = setup.arm()

@@ -12,6 +12,8 @@ STATE = "sensor_msgs/msg/JointState"
 SEE = "its publishers cannot be received: see the row on QoS"
 TEXT = "node 'driver' is of another type"
 START = 1_700_000_000_000 * MS
+DRIVER = Endpoint("driver", True, False)
+OTHER = Endpoint("teleop", True, False)
 
 
 def grid(count: int, period_ms: int) -> np.ndarray:
@@ -19,23 +21,20 @@ def grid(count: int, period_ms: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("period_ms", "expected"), [(2, Verdict.OK), (10, Verdict.FAIL), (1, Verdict.FAIL)]
+    ("stamps", "hertz", "expected", "found"),
+    [
+        (grid(500, 2), 500.0, Verdict.OK, "500.0 Hz, 0.0% missing"),
+        (grid(500, 10), 500.0, Verdict.FAIL, "100.0 Hz"),
+        (grid(500, 1), 500.0, Verdict.FAIL, "1000.0 Hz"),
+        (np.delete(grid(500, 2), np.s_[::5]), 500.0, Verdict.WARN, "500.0 Hz, 19.8% missing"),
+        (START + (np.arange(60) * 1000 // 30 // 2) * 2 * MS, 30.0, Verdict.OK, ""),  # by 2 ms
+    ],
 )
-def test_the_rate_is_computed_from_the_stamps(period_ms: int, expected: Verdict) -> None:
-    row = topic_checks.rate("rate", grid(500, period_ms), 500.0)
-    assert row.verdict is expected
-    assert f"{1000 / period_ms:.1f} Hz" in row.found
-
-
-def test_lost_messages_are_reported_and_do_not_change_the_rate() -> None:
-    stamps = np.delete(grid(500, 2), np.arange(0, 500, 5))
-    row = topic_checks.rate("rate", stamps, 500.0)
-    assert (row.verdict, row.found) == (Verdict.WARN, "500.0 Hz, 19.8% missing")
-
-
-def test_a_coarse_clock_resolution_does_not_change_the_rate() -> None:
-    stamps = START + (np.arange(60) * 1000 // 30 // 2) * 2 * MS  # 30 Hz in steps of 2 ms
-    assert topic_checks.rate("rate", stamps, 30.0).verdict is Verdict.OK
+def test_the_rate_is_computed_from_the_stamps_whatever_is_lost(
+    stamps: np.ndarray, hertz: float, expected: Verdict, found: str
+) -> None:
+    row = topic_checks.rate("rate", stamps, hertz)
+    assert (row.verdict, found in row.found) == (expected, True)
 
 
 @pytest.mark.parametrize(
@@ -53,8 +52,7 @@ def test_stamps_must_be_set_and_increase(
     stamps: np.ndarray, expected: Verdict, fragment: str
 ) -> None:
     row = topic_checks.stamps("stamps", stamps)
-    assert row.verdict is expected
-    assert fragment in row.found
+    assert (row.verdict, fragment in row.found) == (expected, True)
 
 
 def test_stamps_of_another_clock_are_a_warning() -> None:
@@ -73,11 +71,10 @@ def test_late_messages_are_a_warning_and_never_a_failure() -> None:
 @pytest.mark.parametrize(
     ("ends", "unmatched", "expected"),
     [
-        ([Endpoint("driver", True, False)], [], Verdict.OK),
         ([Endpoint("driver", False, False)], [], Verdict.OK),
-        ([Endpoint("driver", True, False)], [TEXT], Verdict.FAIL),
-        ([Endpoint(node, True, False) for node in ("left", "right")], [], Verdict.WARN),
-        ([Endpoint(node, True, False) for node in ("left", "right")], [TEXT], Verdict.FAIL),
+        ([DRIVER], [TEXT], Verdict.FAIL),
+        ([DRIVER, OTHER], [], Verdict.WARN),
+        ([DRIVER, OTHER], [TEXT], Verdict.FAIL),
         ([], [], Verdict.UNCHECKED),
     ],
 )
@@ -90,14 +87,10 @@ def test_publishers_that_our_subscriptions_cannot_receive_fail(
 
 
 def test_without_messages_publishers_that_cannot_be_received_change_the_advice() -> None:
-    ends = [Endpoint("driver", True, False)]
+    ends = [DRIVER]
     assert topic_checks.reception("states", "/states", 0, 5.0, ends, [TEXT]).advice == SEE
     assert "start the driver" in topic_checks.reception("states", "/s", 0, 5.0, [], []).advice
     assert topic_checks.reception("states", "/s", 9, 5.0, ends, [TEXT]).verdict is Verdict.OK
-
-
-DRIVER = Endpoint("driver", True, False)
-OTHER = Endpoint("teleop", True, False)
 
 
 @pytest.mark.parametrize(
@@ -138,8 +131,8 @@ def rows(*verdicts: Verdict) -> list[Row]:
 
 
 def test_one_failure_decides_and_every_warning_is_named() -> None:
-    result, fragment = topic_checks.verdict(rows(Verdict.OK, Verdict.FAIL, Verdict.WARN))
-    assert (result, fragment) == (Verdict.FAIL, "DOES NOT CONFORM, do not move the arm: row 1.")
+    failed = topic_checks.verdict(rows(Verdict.OK, Verdict.FAIL, Verdict.WARN))
+    assert failed == (Verdict.FAIL, "DOES NOT CONFORM, do not move the arm: row 1.")
     result, fragment = topic_checks.verdict(rows(Verdict.OK, Verdict.WARN, Verdict.UNCHECKED))
     assert result is Verdict.WARN
     assert "row 1" in fragment and "Not checked: row 2" in fragment
@@ -154,9 +147,7 @@ def test_only_existing_rows_can_be_accepted() -> None:
         topic_checks.accept(rows(Verdict.OK, Verdict.FAIL), ["row 9"])
 
 
-@pytest.mark.parametrize(
-    ("jitter_ms", "expected"), [(0.0, Verdict.OK), (0.5, Verdict.OK), (0.75, Verdict.WARN)]
-)
+@pytest.mark.parametrize(("jitter_ms", "expected"), [(0.5, Verdict.OK), (0.75, Verdict.WARN)])
 def test_the_jitter_of_stamps_is_measured_around_their_rate(
     jitter_ms: float, expected: Verdict
 ) -> None:
@@ -169,23 +160,20 @@ def test_the_jitter_of_stamps_is_measured_around_their_rate(
 
 def test_the_order_of_a_forwarder_is_that_of_the_torques() -> None:
     names = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
-    row = topic_checks.torque_order("/forwarder", names, "effort", names)
-    assert row.verdict is Verdict.OK
-    row = topic_checks.torque_order("/forwarder", sorted(names), "effort", names)
-    assert (row.verdict, "set joints" in row.advice) == (Verdict.FAIL, True)
-    assert "/forwarder: elbow_joint" in row.found
-    row = topic_checks.torque_order("/forwarder", names, "position", names)
-    assert (row.verdict, "interface_name" in row.advice) == (Verdict.FAIL, True)
-    group = topic_checks.torque_order("/group", names, "", names)  # has no interface_name
-    assert group.verdict is Verdict.OK
-    assert topic_checks.torque_order("/bridge", (), "", names).verdict is Verdict.UNCHECKED
+    for joints, interface, verdict, advice in (
+        (names, "effort", Verdict.OK, ""),
+        (names, "", Verdict.OK, ""),  # a group has no interface_name
+        (sorted(names), "effort", Verdict.FAIL, "set joints"),
+        (names, "position", Verdict.FAIL, "interface_name"),
+        ((), "", Verdict.UNCHECKED, "compare"),
+    ):
+        row = topic_checks.torque_order("/forwarder", joints, interface, names)
+        assert (row.verdict, advice in row.advice) == (verdict, True)
 
 
 def test_a_driver_of_poses_is_asked_for_its_frames() -> None:
     ours = "base_link", "pan"
     assert topic_checks.pose_frames("/motion", ours, ours).verdict is Verdict.OK
     for theirs in (("world", "pan"), ("base_link", "tool0")):
-        row = topic_checks.pose_frames("/motion", theirs, ours)
-        assert row.verdict is Verdict.FAIL and "base_frame" in row.advice
-        assert " ".join(theirs[:1]) in row.found and theirs[1] in row.found
+        assert topic_checks.pose_frames("/motion", theirs, ours).verdict is Verdict.FAIL
     assert topic_checks.pose_frames("/bridge", (), ours).verdict is Verdict.UNCHECKED

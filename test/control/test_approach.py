@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -30,7 +29,7 @@ def allowed(q: np.ndarray, joint: int, way: float) -> float:
     return float(np.sqrt(2.0 * deceleration * room) - offset)
 
 
-@pytest.mark.parametrize(("joint", "way", "room"), [(3, 1.0, 0.3), (1, -1.0, 0.4), (5, -1.0, 0.2)])
+@pytest.mark.parametrize(("joint", "way", "room"), [(3, 1.0, 0.3), (1, -1.0, 0.4)])
 def test_a_joint_that_approaches_its_limit_too_fast_is_a_fault_and_one_that_leaves_is_none(
     joint: int, way: float, room: float
 ) -> None:
@@ -42,20 +41,10 @@ def test_a_joint_that_approaches_its_limit_too_fast_is_a_fault_and_one_that_leav
     def fault(speed: float) -> str:
         qd[joint] = speed
         check, motion = MotionCheck(LIMITS, ARM.guarded), ARM.motion(q, qd)
-        found = [
-            check.fault(Mode.HOLD, JointState(0, q, qd, 0.002, 0.002), motion) for _ in "12345"
-        ]
-        last = found[-1]
-        return "" if last is None else f"{last.kind.value}: {last.text}"
+        state = JointState(0, q, qd, 0.002, 0.002)
+        found = [check.fault(Mode.HOLD, state, motion) for _ in range(5)][-1]
+        return "" if found is None else f"{found.kind.value}: {found.text}"
 
-    assert fault(way * most) == ""
-    assert fault(way * (most + 0.1)).startswith(
-        f"{FaultKind.JOINT_SPEED.value}: joint {joint + 1} "
-    )
-    assert fault(-way * (most + 0.1)) == ""
-
-
-def test_a_description_without_such_speeds_has_none() -> None:
-    plain = re.sub("<position_based_velocity_limits[^>]*>", "", URDF)
-    assert Arm(plain, NAMES, "fr3_pan", guarded=()).approach == ()
-    assert len(ARM.approach) == 7
+    assert fault(way * most) == fault(-way * (most + 0.1)) == ""
+    expected = f"{FaultKind.JOINT_SPEED.value}: joint {joint + 1} "
+    assert fault(way * (most + 0.1)).startswith(expected)

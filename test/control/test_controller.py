@@ -2,7 +2,7 @@
 """The controller holds, moves and answers requests, on the arm of `rigid_arm`."""
 
 import math
-from types import SimpleNamespace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -20,6 +20,7 @@ from rigid_arm import (
     check,
     make,
     make_policy,
+    refusal_of,
     run,
     start_replay,
     tool,
@@ -30,7 +31,7 @@ from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.modes import TRANSITIONS, ControllerError, Mode, Refusal
 from wam_power_ros.control.safety import limits_of
-from wam_power_ros.learning.policy import Policy, with_id
+from wam_power_ros.learning.policy import with_id
 
 
 def test_hold_returns_after_a_push() -> None:
@@ -61,22 +62,20 @@ def test_hold_brakes_a_moving_arm_without_a_jerk() -> None:
 
 
 @pytest.mark.requirement("S-29")
-@pytest.mark.parametrize("friction", [0.0, 1.0])
-def test_a_move_to_start_arrives_at_limited_speed_and_is_ready(friction: float) -> None:
+def test_a_move_to_start_arrives_at_limited_speed_and_is_ready() -> None:
     away = HOME + np.array([0.4, -0.3, 0.2, 0.5, -0.6, 0.4, 0.8])
-    controller, plant = begin(away, friction=friction, sensing=True, delay=2)
+    controller, plant = begin(away, friction=1.0, sensing=True, delay=2)
     assert not controller.ready
     controller.move_to_start()
-    peak = 0.0
+    peaks = [0.0]
 
     def arrived() -> bool:
-        nonlocal peak
-        peak = max(peak, np.abs(plant.qd).max())
+        peaks.append(np.abs(plant.qd).max())
         return controller.mode is Mode.HOLD
 
     run(controller, plant, 10.0, until=arrived)
     run(controller, plant, 0.5)
-    assert peak < 1.3 * 0.3
+    assert max(peaks) < 1.3 * 0.3
     assert np.abs(plant.q - HOME).max() < 0.03
     assert controller.ready
     assert controller.label == "hold"
@@ -106,9 +105,8 @@ def test_a_held_arm_that_was_moved_away_does_not_spring_back() -> None:
 def test_a_replay_follows_the_recording_and_reports_its_error() -> None:
     t = np.linspace(0.0, 1.5, 300)
     wave = 0.5 * (1.0 - np.cos(2.0 * np.pi * t / 1.5))[:, None]
-    recording = SimpleNamespace(t=t, q=HOME + wave * np.array([0.1, 0.2, 0.1, 0.5, 0.2, -0.4, 0.3]))
     controller, plant = begin(HOME + 0.05, sensing=True, delay=2, friction=1.0)
-    start_replay(controller, recording, speed=1.5)
+    start_replay(controller, t, HOME + wave * [0.1, 0.2, 0.1, 0.5, 0.2, -0.4, 0.3], speed=1.5)
     run(controller, plant, 6.0, until=lambda: controller.mode is not Mode.REPLAY)
     assert controller.mode is Mode.HOLD, controller.latched
     error = controller.replay_error
@@ -128,8 +126,7 @@ def in_mode(mode: Mode) -> Controller:
         Mode.MOVE_TO_START: controller.move_to_start,
         Mode.ROLLOUT: controller.execute,
         Mode.REPLAY: lambda: start_replay(
-            controller,
-            SimpleNamespace(t=np.arange(9.0), q=HOME + np.arange(9.0)[:, None] * np.full(7, 0.01)),
+            controller, np.arange(9.0), HOME + 0.01 * np.arange(9.0)[:, None]
         ),
         Mode.FAULT: lambda: controller.fault(A_TEST),
     }
@@ -153,13 +150,14 @@ REQUESTS = {
 def test_a_request_changes_the_mode_as_the_table_says_or_is_refused_with_a_reason(
     mode: Mode,
 ) -> None:
+    controller = in_mode(mode)
     for target, request in REQUESTS.items():
-        controller = in_mode(mode)
         if mode is target or (mode, target) == (Mode.FAULT, Mode.INACTIVE):
             continue
         if target in TRANSITIONS[mode] and (mode, target) != (Mode.FAULT, Mode.HOLD):
             request(controller)
             assert controller.mode is target
+            controller = in_mode(mode)
         else:
             with pytest.raises(ControllerError, match=r"refused|not possible"):
                 request(controller)
@@ -173,42 +171,31 @@ def test_nothing_begins_before_the_first_state_or_without_a_policy() -> None:
         with pytest.raises(ControllerError):
             request()
     controller, _ = begin(controller=make(None))
-    with pytest.raises(ControllerError) as refused:
-        controller.execute()
-    assert refused.value.refusal is Refusal.NOTHING
-    with pytest.raises(ControllerError) as refused:
-        controller.move_to_start()
-    assert refused.value.refusal is Refusal.NOTHING
+    for request in (controller.execute, controller.move_to_start):
+        assert refusal_of(request) is Refusal.NOTHING
 
 
 @pytest.mark.requirement("S-28")
 def test_a_rollout_starts_only_at_rest_at_its_start() -> None:
     controller, plant = begin(HOME + np.array([0, 0, 0, 0.06, 0, 0, 0]))
-    with pytest.raises(ControllerError, match=r"wam_j4 is 0\.060 rad from the start") as refused:
-        controller.execute()
-    assert refused.value.refusal is Refusal.NOT_AT_START
+    assert refusal_of(controller.execute) is Refusal.NOT_AT_START
     controller, plant = begin()
     stamp, q, _ = plant.state()
     controller.step(stamp, q, np.array([0.2, 0, 0, 0, 0, 0, 0]))
     assert not controller.at_rest
-    with pytest.raises(ControllerError) as refused:
-        controller.execute()
-    assert refused.value.refusal is Refusal.BUSY
+    assert refusal_of(controller.execute) is Refusal.BUSY
 
 
 @pytest.mark.requirement("S-15")
 def test_a_policy_that_does_not_fit_is_refused_and_the_old_one_kept() -> None:
     controller, _ = begin()
-    for policy, reason in (
-        (make_policy("long", q_start=HOME), "rollout"),
-        (Policy(**{**vars(POLICY), "q_start": HOME[:6]}), "6 joints"),
-    ):
-        if reason == "rollout":
-            controller.execute()
-        with pytest.raises(ControllerError, match=reason):
-            controller.load(policy)
-        controller.stop()
-        assert controller.policy_id == "trial-0001"
+    with pytest.raises(ControllerError, match="6 joints"):
+        controller.load(replace(POLICY, q_start=HOME[:6]))
+    controller.execute()
+    with pytest.raises(ControllerError, match="rollout"):
+        controller.load(make_policy("long"))
+    controller.stop()
+    assert controller.policy_id == "trial-0001"
     controller.load(with_id(POLICY, "trial-0002"))
     assert controller.policy_id == "trial-0002"
 
@@ -221,53 +208,42 @@ def test_limits_of_another_number_of_joints_are_refused() -> None:
 number = st.one_of(
     st.floats(-3.0, 3.0), st.floats(), st.sampled_from([math.nan, math.inf, 1e308, -1e308])
 )
+plain = st.lists(st.floats(-4.0, 4.0), min_size=7, max_size=7)
 state = st.tuples(
     st.sampled_from([PERIOD_NS] * 6 + [0, -PERIOD_NS, 4 * PERIOD_NS, 10**12, 3]),
-    st.one_of(
-        st.none(),  # near home
-        st.lists(st.floats(-4.0, 4.0), min_size=7, max_size=7),
-        st.lists(number, min_size=6, max_size=8),
-    ),
+    st.one_of(st.none(), plain, st.lists(number, min_size=6, max_size=8)),  # none: near home
     st.one_of(st.none(), st.just([0.0] * 7), st.lists(number, min_size=7, max_size=7)),
 )
 call = st.sampled_from(
     [
-        Controller.hold,
-        Controller.stop,
-        Controller.execute,
-        Controller.move_to_start,
-        Controller.reset,
-        lambda c: c.set_gravity_compensation(True),
+        *REQUESTS.values(),
+        *(Controller.stop, Controller.reset, Controller.stale_torque),
         lambda c: c.fault(A_TEST),
-        Controller.stale_torque,
     ]
 )
 
 
 @pytest.mark.requirement("S-01")
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(st.one_of(state, state, state, call), max_size=60), st.booleans(), st.booleans())
 def test_no_sequence_of_states_and_calls_gives_a_torque_beyond_the_limits(
     events: list, driver: bool, law: bool
 ) -> None:
     kind = "virtual_mass" if law else "operational_space"
-    controller = make(driver_compensates_gravity=driver, law=kind)
-    controller, plant = begin(controller=controller)
+    controller, plant = begin(controller=make(driver_compensates_gravity=driver, law=kind))
     previous, stamp = controller.step(*plant.state()), plant.stamp
     for event in events:
         if callable(event):
             before = controller.mode
             try:
-                answer = event(controller)
+                tau = event(controller)
             except ControllerError:
                 assert controller.mode is before
                 continue
-            if answer is None:
-                continue
-            tau = answer
         else:
             step, q, qd = event
             stamp += step
             tau = controller.step(stamp, HOME if q is None else q, qd)
-        check(tau, previous, 0.004)
-        previous = tau
+        if tau is not None:
+            check(tau, previous, 0.004)
+            previous = tau

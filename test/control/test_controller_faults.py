@@ -2,7 +2,6 @@
 """The controller under false states and motion beyond limits, on the arm of `rigid_arm`."""
 
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,9 +15,12 @@ from rigid_arm import (
     POLICY,
     begin,
     check,
+    executing,
     make,
     make_policy,
+    refusal_of,
     run,
+    speed,
     start_replay,
     tool,
 )
@@ -53,14 +55,11 @@ def test_a_state_that_is_not_valid_is_ignored_and_five_are_a_fault(q: object, qd
     controller, plant = begin()
     stamp, good, _ = plant.state()
     answer = controller.step(stamp, good, np.zeros(7))
-    for k in range(1, 5):
+    for k in range(1, 6):
+        assert controller.mode is Mode.HOLD and controller.counters["rejected"] == k - 1
         tau = controller.step(stamp + k * PERIOD_NS, q, qd)
         check(tau, answer)
         answer = tau
-    assert controller.mode is Mode.HOLD
-    assert controller.counters["rejected"] == 4
-    assert np.array_equal(answer, tau)  # the last torque again
-    check(controller.step(stamp + 5 * PERIOD_NS, q, qd), answer)
     assert controller.mode is Mode.FAULT
     with pytest.raises(ControllerError, match="not valid"):
         controller.reset()
@@ -81,9 +80,7 @@ def test_a_state_that_could_not_be_read_counts_as_one_that_is_not_valid() -> Non
         controller.step(stamp + k * PERIOD_NS, good, np.zeros(7))
         assert controller.mode is Mode.HOLD
     controller.step(stamp + 5 * PERIOD_NS, np.full(7, math.nan), np.zeros(7))
-    assert controller.mode is Mode.FAULT
     assert controller.latched.kind is FaultKind.STATES_REFUSED
-    assert controller.counters["rejected"] == 5
 
 
 @pytest.mark.requirement("S-44")
@@ -103,7 +100,7 @@ def test_a_joint_that_jumps_is_a_fault_in_every_mode(teaching: bool) -> None:
 
 @pytest.mark.requirement("S-131")
 @pytest.mark.parametrize("teaching", [False, True])
-@pytest.mark.parametrize("joint", range(7))
+@pytest.mark.parametrize("joint", [0, 3, 6])
 def test_a_speed_that_no_motor_gives_within_one_state_is_a_fault_and_moves_nothing(
     joint: int, teaching: bool
 ) -> None:
@@ -113,7 +110,6 @@ def test_a_speed_that_no_motor_gives_within_one_state_is_a_fault_and_moves_nothi
     stamp, q, qd = plant.state()
     step = 2.1 * MODEL.tau_max[joint] * 0.002 / MODEL.mass_matrix(q)[joint, joint]
     tau = controller.step(stamp, q, qd + step * np.eye(7)[joint])
-    assert controller.mode is Mode.FAULT
     assert controller.latched.kind is FaultKind.VELOCITY
     assert controller.label == "fault"  # this torque is already the reaction's
     assert np.abs(tau - carrying).max() < 0.5 * MODEL.friction.min()
@@ -123,11 +119,8 @@ def test_a_speed_that_no_motor_gives_within_one_state_is_a_fault_and_moves_nothi
 def test_a_rollout_that_leaves_the_workspace_is_a_fault() -> None:
     top = MODEL.tool_pose(HOME)[0][2] + 0.02
     limits = safety.limits_of(MODEL, workspace_max=(2.0, 2.0, top))
-    controller, plant = begin(controller=make(limits=limits))
-    controller.execute()
-    run(controller, plant, 2.0)
-    assert controller.mode is Mode.FAULT
-    assert "z =" in controller.latched.text
+    controller, *_ = executing(2.0, make(limits=limits))
+    assert controller.latched.kind is FaultKind.WORKSPACE
 
 
 @pytest.mark.requirement("S-23")
@@ -138,12 +131,9 @@ def test_neither_tool_nor_guarded_point_comes_behind_the_plane(guarded: str) -> 
     plane = {"elbow": (-1.0, 0.0, 0.0, 0.01 - elbow[0]), "tool": (-1.0, 0.0, 0.0, -0.01 - tool[0])}
     controller, plant = begin(controller=make(limits=safety.limits_of(MODEL, plane=plane[guarded])))
     run(controller, plant, 0.1)
-    assert (
-        controller.mode is Mode.HOLD
-    )  # allowed in hold: the plane applies while the arm moves by itself
+    assert controller.mode is Mode.HOLD  # the plane applies while the arm moves by itself
     controller.execute()
     run(controller, plant, 1.0)
-    assert controller.mode is Mode.FAULT
     assert controller.latched.text.startswith(f"{guarded} is 0.0")
 
 
@@ -153,14 +143,11 @@ def test_hold_to_run_is_required_and_its_release_is_a_fault_in_the_same_state() 
         controller.set_gravity_compensation(True)
 
     def replay(controller: Controller) -> None:
-        t = np.linspace(0.0, 1.0, 11)
-        start_replay(controller, SimpleNamespace(t=t, q=np.tile(HOME, (11, 1))))
+        start_replay(controller, np.linspace(0.0, 1.0, 11), np.tile(HOME, (11, 1)))
 
     for request in (teach, replay, Controller.execute):
         controller, plant = begin(controller=make(hold_to_run=True))
-        with pytest.raises(ControllerError) as refused:
-            request(controller)
-        assert refused.value.refusal is Refusal.SWITCH
+        assert refusal_of(lambda: request(controller)) is Refusal.SWITCH  # noqa: B023
         assert controller.mode is Mode.HOLD
         controller.enabled = True
         request(controller)
@@ -188,9 +175,7 @@ def test_a_policy_that_has_run_once_under_the_switch_runs_without_it_under_any_n
     controller.load(make_policy(size=0.9))
     controller.move_to_start()
     run(controller, plant, 10.0, until=lambda: controller.ready)
-    with pytest.raises(ControllerError) as refused:
-        controller.execute()
-    assert refused.value.refusal is Refusal.SWITCH
+    assert refusal_of(controller.execute) is Refusal.SWITCH
 
 
 @pytest.mark.requirement("S-24")
@@ -206,26 +191,14 @@ def test_soft_springs_push_a_taught_arm_off_its_limits() -> None:
 
 @pytest.mark.requirement("S-26")
 def test_a_fault_brings_the_arm_to_rest_carries_it_and_stays_until_reset() -> None:
-    controller, plant = begin(sensing=True, delay=2)
-    controller.execute()
-    run(controller, plant, 0.45)  # in the middle of the throw
+    controller, plant, _ = executing(0.45, sensing=True, delay=2)  # in the middle of the throw
     start = tool(plant)
     assert np.abs(plant.qd).max() > 0.5
     controller.fault(A_TEST)
-    with pytest.raises(ControllerError) as refused:
-        controller.reset()
-    assert refused.value.refusal is Refusal.BUSY
+    assert refusal_of(controller.reset) is Refusal.BUSY
     run(controller, plant, 1.0)
-    assert MODEL.motion(plant.q, plant.qd).tool_speed < 0.01
+    assert speed(plant) < 0.01
     assert np.linalg.norm(tool(plant) - start) < 0.15
-    for request in (
-        controller.hold,
-        controller.execute,
-        controller.move_to_start,
-        lambda: controller.set_gravity_compensation(True),
-    ):
-        with pytest.raises(ControllerError):
-            request()
     controller.stop()
     controller.deactivate()
     assert controller.mode is Mode.FAULT
@@ -247,36 +220,32 @@ def test_a_driver_that_starts_again_from_zero_faults_and_can_be_reset() -> None:
 
 
 @pytest.mark.requirement("S-41")
-@pytest.mark.parametrize("friction", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize("friction", [0.5, 2.0])
 def test_without_states_the_arm_is_braked_by_its_model_alone(friction: float) -> None:
     assert np.array_equal(make().stale_torque(), np.zeros(7))
-    controller, plant = begin(friction=friction)
-    controller.execute()
-    tau = run(controller, plant, 0.4)[-1]
+    controller, plant, tau = executing(0.4, friction=friction)
     speeds = []
     for _ in range(500):
         before, tau = tau, controller.stale_torque()
         check(tau, before)
         plant.step(tau)
-        speeds.append(MODEL.motion(plant.q, plant.qd).tool_speed)
+        speeds.append(speed(plant))
     assert max(speeds) < speeds[0] + 0.05
     assert max(speeds[250:]) < safety.REST_SPEED
     assert np.abs(tau - MODEL.gravity(plant.q)).max() < MODEL.friction.max()
 
 
 @pytest.mark.requirement("S-41")
-@pytest.mark.parametrize("moment", [0.22, 0.33, 0.4])
+@pytest.mark.parametrize("moment", [0.22, 0.4])
 def test_a_loss_of_states_detected_late_is_braked_from_the_predicted_state(moment: float) -> None:
-    controller, plant = begin(friction=1.0, delay=2, sensing=True)
-    controller.execute()
-    tau = run(controller, plant, moment)[-1]
+    controller, plant, tau = executing(moment, friction=1.0, delay=2, sensing=True)
     for _ in range(8):
         plant.step(tau)
     speeds, elapsed = [], 9 * 0.002
     for _ in range(500):
         tau = controller.stale_torque(elapsed)
         plant.step(tau)
-        speeds.append(MODEL.motion(plant.q, plant.qd).tool_speed)
+        speeds.append(speed(plant))
         elapsed = 0.002
     assert max(speeds) > 0.5
     assert max(speeds[60:]) < 0.02
@@ -312,10 +281,7 @@ def test_a_law_without_a_torque_is_a_fault_and_not_an_exception(
 
     for law, reason in ((singular, "Singular"), (infinite, "not finite"), (wrong, "a mistake")):
         monkeypatch.setattr(torque_law, "operational_space", law)
-        controller, plant = begin()
-        controller.execute()
-        run(controller, plant, 0.1)
-        assert controller.mode is Mode.FAULT
+        controller, *_ = executing(0.1)
         assert reason in controller.latched.text
 
 
@@ -325,9 +291,7 @@ def test_however_long_states_were_missing_20_ms_are_predicted_and_two_periods_of
 ):
     answers = []
     for silence in (0.02, 0.5, 1e4):
-        controller, plant = begin(friction=1.0, delay=2, sensing=True)
-        controller.execute()
-        before = run(controller, plant, 0.3)[-1]
+        controller, _, before = executing(0.3, friction=1.0, delay=2, sensing=True)
         controller.stop()
         answers.append(controller.stale_torque(silence))
         change = np.abs(answers[-1] - before)
@@ -343,31 +307,22 @@ def test_gravity_compensation_is_neither_begun_nor_ended_in_a_fault(on: bool) ->
     controller.set_gravity_compensation(True)
     run(controller, plant, 0.1)
     controller.fault(A_TEST)
-    with pytest.raises(ControllerError, match=r"fault \(.*\); reset first") as refused:
-        controller.set_gravity_compensation(on)
-    assert refused.value.refusal is Refusal.FAULT
+    assert refusal_of(lambda: controller.set_gravity_compensation(on)) is Refusal.FAULT
     run(controller, plant, 0.5)
     controller.reset()
-    assert controller.mode is Mode.HOLD
     controller.set_gravity_compensation(False)  # it holds already
 
 
 @pytest.mark.requirement("S-104")
 def test_gravity_compensation_is_not_ended_while_the_arm_moves_by_itself() -> None:
-    controller, plant = begin()
-    controller.execute()
-    run(controller, plant, 0.1)
-    with pytest.raises(ControllerError, match="not on: mode is rollout") as refused:
-        controller.set_gravity_compensation(False)
-    assert refused.value.refusal is Refusal.BUSY
+    controller, *_ = executing(0.1)
+    assert refusal_of(lambda: controller.set_gravity_compensation(False)) is Refusal.BUSY
     assert controller.mode is Mode.ROLLOUT
 
 
 @pytest.mark.requirement("S-123")
 def test_the_time_of_torques_without_a_state_is_not_used_again_by_the_next_state() -> None:
-    controller, plant = begin(friction=1.0, delay=2, sensing=True)
-    controller.execute()
-    run(controller, plant, 0.3)
+    controller, plant, _ = executing(0.3, friction=1.0, delay=2, sensing=True)
     controller.stale_torque(0.002)
     before = controller.stale_torque(0.0015)
     plant.stamp += PERIOD_NS
@@ -379,14 +334,12 @@ def test_the_time_of_torques_without_a_state_is_not_used_again_by_the_next_state
 
 
 def test_an_activation_trusts_the_states_again() -> None:
-    controller, plant = begin()
+    controller, _ = begin()
     controller._supervision.doubt(FaultKind.JUMP)
     controller.deactivate()
     assert not controller._supervision.believed
     controller.hold()
     assert controller._supervision.believed
-    run(controller, plant, 0.1)
-    assert controller.mode is Mode.HOLD
 
 
 @pytest.mark.requirement("S-134")
@@ -401,7 +354,6 @@ def test_gravity_that_is_carried_twice_or_by_nobody_is_refused_by_name_and_then_
         return adds * MODEL.gravity(q)
 
     controller, plant = begin(controller=make(**settings), push=driver, friction=1.0)
-    assert controller.mode is Mode.FAULT
     assert f"driver_compensates_gravity: {meant}" in controller.latched.text
     run(controller, plant, 0.3)
     at = plant.q

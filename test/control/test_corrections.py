@@ -35,11 +35,7 @@ def test_without_a_correction_every_number_stays_bit_for_bit() -> None:
     assert same.torque_scales is None
     for name in ("q_min", "q_max", "friction", "damping"):
         assert getattr(same, name).tobytes() == getattr(PLAIN, name).tobytes()
-    for quantity in ("bias", "inverse_dynamics"):
-        given = (Q, QD) if quantity == "bias" else (Q, QD, QD)
-        assert (
-            getattr(same, quantity)(*given).tobytes() == getattr(PLAIN, quantity)(*given).tobytes()
-        )
+    assert same.bias(Q, QD).tobytes() == PLAIN.bias(Q, QD).tobytes()
 
 
 def test_a_driver_that_adds_gravity_adds_that_of_the_urdf_and_the_rest_is_sent() -> None:
@@ -49,9 +45,9 @@ def test_a_driver_that_adds_gravity_adds_that_of_the_urdf_and_the_rest_is_sent()
         base_tilt=[0.02, -0.01],
         torque_scales=[0.9, 1.1, 1.0, 1.0, 0.95, 1.05, 1.0],
     )
+    assert corrected.identity() == PLAIN.identity()
     assert np.array_equal(corrected.driver_gravity(Q), PLAIN.gravity(Q))
     assert not np.allclose(corrected.gravity(Q), PLAIN.gravity(Q), atol=0.1)
-    assert np.array_equal(PLAIN.driver_gravity(Q), PLAIN.gravity(Q))
     output = TorqueOutput(corrected, limits_of(corrected), True, Counter())
     wanted = corrected.gravity(Q) + 0.5
     sent = output.send(wanted, Q, None)
@@ -114,16 +110,10 @@ def test_friction_replaces_that_of_the_urdf_where_it_was_measured() -> None:
     assert measured.damping.tolist() == PLAIN.damping.tolist()
 
 
-def test_the_arm_keeps_its_identity() -> None:
-    corrected = arm(zeros=0.02, payload=[0.3, 0.0, 0.0, 0.01], base_tilt=[0.02, 0.0])
-    assert corrected.identity() == PLAIN.identity()
-
-
 def test_a_weak_motor_is_sent_more_so_that_the_arm_is_held_at_the_same_place() -> None:
-    """The torque that acts is what the model asks for; the checks see that torque."""
     scales = np.array([1.0, 0.8, 1.1, 1.0, 1.0, 0.9, 1.0])
     controllers = Controller(Arm(URDF, JOINTS)), Controller(arm(torque_scales=scales))
-    for step in range(400):
+    for step in range(100):
         sent = [each.step(2_000_000 * (step + 1), Q, np.zeros(7)) for each in controllers]
         if step == 0:
             for each in controllers:
@@ -140,13 +130,9 @@ def test_a_weak_motor_is_sent_more_so_that_the_arm_is_held_at_the_same_place() -
         ({"torque_scales": 0.0}, "torque_scales .* must be positive"),
         ({"payload": [0.1, 0.0]}, "payload .* must be 4 finite numbers"),
         ({"stiffness": 1.0}, "stiffness"),
+        ({"payload": [-5.0, 0.0, 0.0, 0.0]}, "payload -5 kg leaves"),
     ],
 )
 def test_other_numbers_are_refused_by_name(values: dict[str, object], reason: str) -> None:
     with pytest.raises(ValueError, match=reason):
-        Corrections.of(7, **values)
-
-
-def test_a_payload_lighter_than_the_tool_is_no_arm() -> None:
-    with pytest.raises(ValueError, match="payload -5 kg leaves"):
-        arm(payload=[-5.0, 0.0, 0.0, 0.0])
+        arm(**values)

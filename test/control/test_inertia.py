@@ -78,10 +78,8 @@ def test_a_link_that_does_not_move_is_not_checked() -> None:
     [
         ({"mass": "-2.6"}, "mass -2.6 kg of link 'cobot_link3' must not be negative"),
         ({"mass": "nan"}, "'cobot_link3' must have finite numbers"),
-        ({"mass": "2,6"}, "'cobot_link3' must have finite numbers"),
         ({"mass": None}, "'cobot_link3' must have finite numbers"),
         ({"ixx": "inf"}, "'cobot_link3' must have finite numbers"),
-        ({"iyz": None}, "'cobot_link3' must have finite numbers"),
         ({"xyz": "0 nan 0"}, "'cobot_link3' must have finite numbers"),
         ({"xyz": "60 30 10"}, "links ['cobot_link3'], which move together, have their centre of"),
         ({"ixx": "-0.01"}, "links ['cobot_link3'], which move together, have the principal mom"),
@@ -96,11 +94,9 @@ def test_an_inertial_of_no_body_is_refused_with_the_link_and_the_value(
 
 
 def test_an_inertial_without_mass_or_inertia_is_refused_rather_than_left_out() -> None:
+    before, name, after = COBOT.partition('<link name="cobot_link3">')
     for part in ("mass", "inertia"):
-        tree = ElementTree.fromstring(COBOT)
-        inertial = tree.find("./link[@name='cobot_link3']/inertial")
-        inertial.remove(inertial.find(part))
-        text = refusal(ElementTree.tostring(tree, encoding="unicode"))
+        text = refusal(before + name + re.sub(f"<{part} [^>]*>", "", after, count=1))
         assert text == "<inertial> of link 'cobot_link3' must have <mass> and <inertia>"
 
 

@@ -6,12 +6,7 @@ import pytest
 from rigid_arm import HOME, LIMITS, NAMES
 from rigid_arm import MODEL as ARM
 
-from wam_power_ros.control.joint_control import (
-    TOOL_STRIDE,
-    JointControl,
-    TrackingError,
-    TrackingLost,
-)
+from wam_power_ros.control.joint_control import JointControl, TrackingError, TrackingLost
 from wam_power_ros.control.joint_references import interpolated
 
 STILL = np.zeros(7)
@@ -28,13 +23,8 @@ def holding(at: np.ndarray = HOME) -> JointControl:
     return control
 
 
-def test_at_its_reference_at_rest_the_arm_gets_the_gravity_torque() -> None:
-    np.testing.assert_allclose(holding().torque(202 * MS, HOME, STILL), ARM.gravity(HOME))
-
-
 def test_a_displaced_arm_gets_the_same_pd_feedback_whatever_its_inertia() -> None:
-    speed = AWAY[::-1]
-    for q, qd in ((HOME + AWAY, STILL), (HOME - AWAY, STILL), (HOME, speed), (HOME + AWAY, speed)):
+    for q, qd in ((HOME, STILL), (HOME - AWAY, STILL), (HOME, AWAY[::-1]), (HOME + AWAY, AWAY)):
         wanted = 25.0**2 * (HOME - q) - 2.0 * 0.7 * 25.0 * qd
         expected = ARM.inverse_dynamics(q, qd, wanted)
         np.testing.assert_allclose(holding().torque(202 * MS, q, qd), expected, atol=1e-9)
@@ -60,22 +50,18 @@ def test_a_moving_reference_is_fed_forward_with_most_of_the_friction() -> None:
 
 
 @pytest.mark.requirement("S-25")
-@pytest.mark.parametrize("joint", range(7))
-@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("moves", [False, True])
+@pytest.mark.parametrize(("joint", "sign"), [(0, 1.0), (3, -1.0), (6, 1.0)])
 def test_a_joint_0_3_rad_off_its_reference_is_a_fault_at_rest_and_in_motion(
-    joint: int, sign: float
+    joint: int, sign: float, moves: bool
 ) -> None:
-    for on_its_way in (False, True):
-        control = holding()
-        if on_its_way:
-            control.move(HOME + AWAY, 0.3)
-            control.torque(0, HOME, STILL)
-        q = HOME.copy()
-        q[joint] += 0.299 * sign
-        control.torque(1 if on_its_way else 202 * MS, q, STILL)
-        q[joint] = HOME[joint] + 0.301 * sign
-        with pytest.raises(TrackingLost, match=r"0\.301 rad from its reference"):
-            control.torque(2 if on_its_way else 204 * MS, q, STILL)
+    control, way, stamp = holding(), sign * np.eye(7)[joint], 202 * MS
+    if moves:
+        control.move(HOME + AWAY, 0.3)
+        control.torque(stamp, HOME, STILL)
+    control.torque(stamp + 1, HOME + 0.299 * way, STILL)
+    with pytest.raises(TrackingLost, match=r"0\.301 rad from its reference"):
+        control.torque(stamp + 2, HOME + 0.301 * way, STILL)
 
 
 def test_an_arm_may_lag_behind_while_it_brakes() -> None:
@@ -119,10 +105,10 @@ def test_only_the_states_of_a_replay_count_for_its_error() -> None:
 
 def test_the_error_of_joints_and_tool_is_reported() -> None:
     error = TrackingError(ARM)
+    assert error.tool() == (0.0, 0.0) and not error.rms.any()
     for k in range(100):
         off = 0.01 * np.eye(7)[0] * (1.0 if k < 50 else 0.0)
         error.add(HOME + off, HOME)
-    assert error.count == 100
     assert error.largest[0] == pytest.approx(0.01)
     assert error.rms[0] == pytest.approx(0.01 / np.sqrt(2.0))
     assert not error.rms[1:].any() and not error.largest[1:].any()
@@ -130,23 +116,4 @@ def test_the_error_of_joints_and_tool_is_reported() -> None:
     rms, largest = error.tool()
     assert largest == pytest.approx(0.01 * reach, rel=0.01)
     assert rms == pytest.approx(0.01 * reach / np.sqrt(2.0), rel=0.05)
-    lines = error.text(NAMES).splitlines()
-    assert lines[0] == "rms error 0.0071 rad in the worst joint, wam_j1"
-    assert len(lines) == 9
-
-
-def test_before_any_state_all_errors_are_zero() -> None:
-    error = TrackingError(ARM)
-    assert error.tool() == (0.0, 0.0)
-    assert not error.rms.any()
-
-
-def test_the_tool_is_compared_every_few_states_and_every_joint_in_each() -> None:
-    error = TrackingError(ARM)
-    for k in range(10 * TOOL_STRIDE):
-        error.add(HOME + 0.001 * k, HOME)
-    assert error.count == 10 * TOOL_STRIDE
-    assert error.largest[3] == pytest.approx(0.001 * (error.count - 1))
-    last = TOOL_STRIDE * (error.count // TOOL_STRIDE - 1)  # compared
-    apart = ARM.tool_pose(HOME + 0.001 * last)[0] - ARM.tool_pose(HOME)[0]
-    assert error.tool()[1] == pytest.approx(np.linalg.norm(apart))
+    assert error.text(NAMES).startswith("rms error 0.0071 rad in the worst joint, wam_j1\n")

@@ -1,17 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The table of transitions, and refusals with reason codes."""
 
-import math
-
 import pytest
 
 from wam_power_ros.control.modes import (
     MOVING_MODES,
     PASSIVE_MODES,
-    REFERENCE_MODES,
-    SWITCH_MODES,
     TRANSITIONS,
-    WORKSPACE_MODES,
     ControllerError,
     Mode,
     Refusal,
@@ -40,14 +35,3 @@ def test_every_moving_mode_can_end_in_hold_and_in_a_fault() -> None:
         assert {Mode.FAULT, Mode.INACTIVE} <= TRANSITIONS[mode]
     for mode in MOVING_MODES:
         assert TRANSITIONS[mode] == {Mode.INACTIVE, Mode.HOLD, Mode.FAULT}
-    assert (
-        set(WORKSPACE_MODES) <= set(MOVING_MODES)
-        and Mode.GRAVITY_COMPENSATION not in REFERENCE_MODES
-    )
-    assert set(SWITCH_MODES) == {Mode.GRAVITY_COMPENSATION, Mode.REPLAY, Mode.ROLLOUT}
-
-
-def test_a_refusal_of_what_is_too_fast_has_the_speed_at_which_it_is_possible() -> None:
-    error = ControllerError(Refusal.TOO_FAST, "away", 0.5)
-    assert (str(error), error.refusal, error.speed) == ("away", Refusal.TOO_FAST, 0.5)
-    assert math.isnan(ControllerError(Refusal.BUSY, "moving").speed)

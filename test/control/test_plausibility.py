@@ -2,7 +2,6 @@
 """False joint states that are well formed, with a driver that holds the last torque."""
 
 from collections.abc import Callable
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -14,15 +13,18 @@ from rigid_arm import (
     Plant,
     begin,
     check,
+    executing,
     make,
+    refusal_of,
     run,
+    speed,
     start_replay,
 )
 
-from wam_power_ros.control import plausibility, safety
+from wam_power_ros.control import safety
 from wam_power_ros.control.controller import Controller
-from wam_power_ros.control.modes import ControllerError, Mode
-from wam_power_ros.control.plausibility import Bound, Interval, TorqueCheck, VelocityCheck
+from wam_power_ros.control.modes import Mode, Refusal
+from wam_power_ros.control.plausibility import Interval, VelocityCheck
 from wam_power_ros.control.state_checks import JointState
 from wam_power_ros.faults import FaultKind
 
@@ -33,7 +35,6 @@ LONGEST = 15  # states until false states of a moving arm are a fault: 30 ms
 FROZEN = 17  # states until an arm frozen with velocity zero is a fault: 12 of them identical
 DETECTABLE = 0.5  # [rad/s] error of a velocity; a smaller error may be detected later
 START = HOME + np.array([0.3, -0.2, 0.2, -0.3, 0.2, 0.2, 0.3])
-MOMENTS = {"early": 0.12, "upwards": 0.33, "late": 0.55}  # [s] of the rollout
 
 
 def frozen(*joints: int, still: bool = False) -> Falsification:
@@ -81,28 +82,14 @@ FALSIFICATIONS: dict[str, Callable[[], Falsification]] = {
     "all frozen": frozen,
     "all frozen, velocities zero": lambda: frozen(still=True),
     "joint 2 frozen": lambda: frozen(1),
-    "joint 2 frozen, its velocity zero": lambda: frozen(1, still=True),
     "joint 4 frozen, its velocity zero": lambda: frozen(3, still=True),
     "velocities zero": lambda: velocities(np.zeros_like),
     "velocities negated": lambda: velocities(np.negative),
     "velocities doubled": lambda: velocities(lambda qd: 2.0 * qd),
-    "velocities permuted": lambda: velocities(lambda qd: np.roll(qd, 1)),
-    "velocities of another clock": lambda: velocities(lambda qd: 0.1 * qd),
     "two drivers": two_drivers,
     "stamps at a tenth of the speed": lambda: stamps(0.1),
-    "stamps at three times the speed": lambda: stamps(3.0),
 }
-ONE_OF_EACH = (
-    "all frozen",
-    "joint 4 frozen, its velocity zero",
-    "velocities negated",
-    "two drivers",
-    "stamps at a tenth of the speed",
-)
-
-
-def tool_speed(plant: Plant) -> float:
-    return MODEL.motion(plant.q, plant.qd).tool_speed
+SOME = ("joint 4 frozen, its velocity zero", "velocities negated", "two drivers")
 
 
 def falsify(
@@ -124,7 +111,7 @@ def falsify(
         tau, before = controller.step(*false, PERIOD), tau
         check(tau, before)
         plant.step(tau)
-        speeds.append(tool_speed(plant))
+        speeds.append(speed(plant))
         if faulted is None and controller.mode is Mode.FAULT:
             faulted = k
     return faulted, speeds, float(np.min(sizes[:LONGEST], axis=0).max())
@@ -132,28 +119,24 @@ def falsify(
 
 @pytest.fixture(scope="module")
 def nominal() -> float:
-    """Peak tool speed of the rollout with true states [m/s]."""
-    controller, plant = begin(friction=1.0)
-    controller.execute()
-    return max(tool_speed(plant) for _ in range(700) if run(controller, plant, 0.002))
+    """Peak speed of the rollout with true states [m/s]."""
+    controller, plant, _ = executing(0.002, friction=1.0)
+    return max(speed(plant) for _ in range(700) if run(controller, plant, 0.002))
 
 
 @pytest.mark.requirement("S-91")
 @pytest.mark.parametrize(
     ("name", "moment"),
     [
-        *((name, "upwards") for name in FALSIFICATIONS),
-        ("all frozen", "early"),
-        ("joint 2 frozen", "late"),
-        ("velocities negated", "late"),
+        *((name, 0.33) for name in FALSIFICATIONS),
+        ("all frozen", 0.12),
+        ("joint 2 frozen", 0.55),
     ],
 )
 def test_a_false_state_in_a_rollout_ends_in_a_stop_that_true_ones_do_not_disturb(
-    name: str, moment: str, nominal: float
+    name: str, moment: float, nominal: float
 ) -> None:
-    controller, plant = begin(friction=1.0, delay=2, sensing=True)
-    controller.execute()
-    run(controller, plant, MOMENTS[moment])
+    controller, plant, _ = executing(moment, friction=1.0, delay=2, sensing=True)
     faulted, speeds, size = falsify(controller, plant, FALSIFICATIONS[name]())
     assert max(speeds) < nominal + 0.5
     if faulted is None:  # the arm did not move enough to make the states false
@@ -164,39 +147,33 @@ def test_a_false_state_in_a_rollout_ends_in_a_stop_that_true_ones_do_not_disturb
     assert max(speeds[faulted + 250 :], default=0.0) < safety.REST_SPEED
     if size < DETECTABLE:
         return
-    tau, speeds = controller.step(*plant.state(), PERIOD), []
+    speeds = []
     for _ in range(250):
-        plant.step(tau)
-        speeds.append(tool_speed(plant))
-        tau = controller.step(*plant.state(), PERIOD)
+        run(controller, plant, PERIOD, elapsed=PERIOD)
+        speeds.append(speed(plant))
     assert max(speeds) < 0.3
     assert max(speeds[150:]) < safety.REST_SPEED
     controller.reset()
 
 
 @pytest.mark.requirement("S-91")
-@pytest.mark.parametrize("moment", [0.22, 0.33, 0.48])
+@pytest.mark.parametrize("moment", [0.22, 0.48])
 def test_an_arm_frozen_with_velocity_zero_is_detected_after_standing_still(moment: float) -> None:
-    controller, plant = begin(friction=1.0, delay=2, sensing=True)
-    controller.execute()
-    run(controller, plant, moment)
+    controller, plant, _ = executing(moment, friction=1.0, delay=2, sensing=True)
     faulted, _, _ = falsify(controller, plant, FALSIFICATIONS["all frozen, velocities zero"]())
     assert faulted is not None and faulted <= FROZEN
 
 
 @pytest.mark.requirement("S-91")
-@pytest.mark.parametrize("moment", [0.22, 0.4])
-def test_a_burst_of_states_in_a_fault_does_not_look_fast(moment: float) -> None:
-    controller, plant = begin(friction=1.0, delay=2, sensing=True)
-    controller.execute()
-    tau = run(controller, plant, moment)[-1]
+def test_a_burst_of_states_in_a_fault_does_not_look_fast() -> None:
+    controller, plant, tau = executing(0.4, friction=1.0, delay=2, sensing=True)
     controller.fault(A_TEST)
     speeds = []
     for pause in [8, *[1] * 30, 8, *[1] * 300]:  # periods: the process is held up twice
         late = []
         for _ in range(pause):
             plant.step(tau)
-            speeds.append(tool_speed(plant))
+            speeds.append(speed(plant))
             late.append(plant.state())
         elapsed = pause * PERIOD
         for state in late:
@@ -206,7 +183,7 @@ def test_a_burst_of_states_in_a_fault_does_not_look_fast(moment: float) -> None:
 
 
 @pytest.mark.requirement("S-91")
-@pytest.mark.parametrize("name", ONE_OF_EACH)
+@pytest.mark.parametrize("name", SOME)
 def test_a_false_state_in_a_move_ends_in_a_stop(name: str) -> None:
     controller, plant = begin(START, controller=make(move_speed=1.0), friction=1.0, delay=2)
     controller.move_to_start()
@@ -220,7 +197,7 @@ def test_a_false_state_in_a_move_ends_in_a_stop(name: str) -> None:
 
 @pytest.mark.requirement("S-91")
 @pytest.mark.parametrize("teaching", [False, True])
-@pytest.mark.parametrize("name", ONE_OF_EACH)
+@pytest.mark.parametrize("name", SOME)
 def test_a_false_state_of_an_arm_at_rest_moves_nothing(name: str, teaching: bool) -> None:
     controller, plant = begin(friction=1.0, delay=2)
     controller.set_gravity_compensation(teaching)
@@ -229,53 +206,50 @@ def test_a_false_state_of_an_arm_at_rest_moves_nothing(name: str, teaching: bool
 
 
 @pytest.mark.requirement("S-91")
-@pytest.mark.parametrize("adds_gravity", [False, True])
-def test_torques_of_another_commander_are_detected(adds_gravity: bool) -> None:
+def test_torques_of_another_commander_are_detected() -> None:
     def foreign(t: float, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
-        return np.array([0.0, 20.0, 0.0, 0.0, 0.0, 0.0, 0.0]) * (t > 0.3)
+        return 20.0 * np.eye(7)[1] * (t > 0.3)
 
-    controller = make(driver_compensates_gravity=adds_gravity)
-    controller, plant = begin(
-        controller=controller, friction=1.0, push=foreign, adds_gravity=adds_gravity
-    )
+    controller = make(driver_compensates_gravity=True)
+    controller, plant = begin(controller=controller, friction=1.0, push=foreign, adds_gravity=True)
     run(controller, plant, 0.5)
     assert controller.latched.kind is FaultKind.EXTERNAL_TORQUE
     assert "joint 2" in controller.latched.text
 
 
 @pytest.mark.requirement("S-92")
-@pytest.mark.parametrize("direction", np.eye(3), ids="xyz")
-def test_a_contact_of_30_newtons_stops_a_replay_within_60_milliseconds(
-    direction: np.ndarray,
-) -> None:
+@pytest.mark.parametrize("axis", range(3), ids="xyz")
+def test_a_contact_of_30_newtons_stops_a_replay_within_60_milliseconds(axis: int) -> None:
     t = np.linspace(0.0, 3.0, 300)
     wave = 0.5 * (1.0 - np.cos(2.0 * np.pi * t / 3.0))[:, None]
-    recording = type("Recording", (), {"t": t, "q": HOME + wave * 0.4 * np.ones(7)})
 
     def contact(t: float, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
-        return MODEL.jacobian(q)[:3].T @ (-30.0 * direction) * (t >= 0.9)
+        return -30.0 * MODEL.jacobian(q)[axis] * (t >= 0.9)
 
     controller, plant = begin(friction=1.0, delay=2, sensing=True, push=contact)
-    start_replay(controller, recording, speed=0.5)
+    start_replay(controller, t, HOME + 0.4 * wave, speed=0.5)
     run(controller, plant, 0.9 - (plant.stamp - 10**12) * 1e-9)
     assert controller.mode is Mode.REPLAY
     run(controller, plant, 0.06)
-    assert controller.mode is Mode.FAULT
     assert controller.latched.kind is FaultKind.EXTERNAL_TORQUE
+
+
+def assert_executes(controller: Controller, plant: Plant) -> None:
+    """Move to the start and execute the policy without a fault."""
+    controller.move_to_start()
+    run(controller, plant, 6.0, lambda: controller.ready)
+    controller.execute()
+    run(controller, plant, 2.0)
+    assert controller.mode is Mode.HOLD, controller.latched
 
 
 @pytest.mark.requirement("S-93")
 @pytest.mark.parametrize(("friction", "delay"), [(0.5, 4), (2.0, 0)])
 def test_model_errors_are_no_fault(friction: float, delay: int) -> None:
     controller, plant = begin(START, friction=friction, delay=delay, sensing=True)
-    scale = np.array([1.05, 0.95, 1.05, 0.95, 1.05, 0.95, 1.05])
     obey = plant.step
-    plant.step = lambda tau: obey(scale * tau)  # type: ignore[method-assign]
-    controller.move_to_start()
-    run(controller, plant, 6.0, lambda: controller.ready)
-    controller.execute()
-    run(controller, plant, 2.5)
-    assert controller.mode is Mode.HOLD, controller.latched
+    plant.step = lambda tau: obey((1.05, 0.95, 1.05, 0.95, 1.05, 0.95, 1.05) * tau)
+    assert_executes(controller, plant)
 
 
 @pytest.mark.requirement("S-93")
@@ -283,10 +257,8 @@ def test_a_fast_replay_with_sensor_and_motor_lag_is_no_contact() -> None:
     t = np.linspace(0.0, 1.0, 101)
     x = np.clip((t - 0.3) / 0.25, 0.0, 1.0)
     flick = x**3 * (10.0 - 15.0 * x + 6.0 * x**2)  # from rest to rest
-    turned = HOME + flick[:, None] * np.array([0.0, 0.0, 0.0, 0.25, 0.0, 0.3, 0.0])
-    recording = type("Recording", (), {"t": t, "q": turned})
     controller, plant = begin(friction=1.0, delay=4, sensing=True)
-    start_replay(controller, recording)
+    start_replay(controller, t, HOME + flick[:, None] * [0.0, 0.0, 0.0, 0.25, 0.0, 0.3, 0.0])
     run(controller, plant, 2.0)
     assert controller.mode is Mode.HOLD, controller.latched
 
@@ -315,24 +287,12 @@ def test_a_velocity_delayed_by_a_filter_is_plausible_and_one_too_small_is_not() 
 @pytest.mark.requirement("S-26")
 def test_a_reset_needs_rest_for_a_time_and_not_a_turning_point() -> None:
     controller, plant = begin(friction=1.0)
-    swing = [0.0]
-
-    def push(t: float, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
-        return swing[0] * np.sin(2.0 * np.pi * 2.0 * t) * np.eye(7)[0]
-
-    plant.push = push
-    controller.fault(controller.latched or A_TEST)
-    swing[0] = 30.0
-    resets = 0
+    controller.fault(A_TEST)
+    plant.push = lambda t, q, qd: 30.0 * np.sin(4.0 * np.pi * t) * np.eye(7)[0]
     for _ in range(500):
         run(controller, plant, 0.002)
-        try:
-            controller.reset()
-            resets += 1
-        except ControllerError:
-            pass
-    assert resets == 0
-    swing[0] = 0.0
+        assert refusal_of(controller.reset) is Refusal.BUSY
+    plant.push = None
     run(controller, plant, 2.0)
     controller.reset()
     assert controller.mode is Mode.HOLD
@@ -345,20 +305,6 @@ def test_many_states_within_a_period_do_not_raise_the_torque_rate() -> None:
     for k in range(1, 101):  # 0.1 ms in all
         tau = controller.step(stamp + 1000 * k, q - 1e-6 * k, np.zeros(7))
     assert np.all(np.abs(tau - first) <= controller.limits.torque_rate * 1e-4 + 1e-9)
-
-
-def test_fast_stamps_do_not_raise_the_torque_rate() -> None:
-    def changed(elapsed: float | None) -> float:
-        controller, plant = begin()
-        controller.execute()
-        first = controller.step(*plant.state(), elapsed)
-        for _ in range(10):  # the arm stands still, and its stamps go on
-            plant.stamp += 10 * PERIOD_NS // 2
-            tau = controller.step(*plant.state(), elapsed)
-        return float(np.abs(tau - first).max())
-
-    assert changed(1e-5) <= 10 * 1e-5 * safety.limits_of(MODEL).torque_rate.max() + 1e-9
-    assert changed(None) > 1.0
 
 
 def test_the_state_before_a_gap_is_not_compared_with() -> None:
@@ -384,11 +330,10 @@ class HonestDriver:
         jitter: Standard deviation of the stamps [s].
         lag: Time constant of a filter of the velocities, after the encoders' own [s].
         repeats: Number of states with the same measurement.
-        seed: Seed of the jitter.
     """
 
-    def __init__(self, jitter: float = 0.0, lag: float = 0.0, repeats: int = 1, seed: int = 0):  # noqa: ANN204
-        self._rng, self._jitter, self._repeats = np.random.default_rng(seed), jitter, repeats
+    def __init__(self, jitter: float = 0.0, lag: float = 0.0, repeats: int = 1) -> None:
+        self._rng, self._jitter, self._repeats = np.random.default_rng(0), jitter, repeats
         self._share = 1.0 - np.exp(-PERIOD / lag) if lag else 1.0
         self._qd, self._count, self._last_ns = np.zeros(7), 0, 0
 
@@ -407,78 +352,7 @@ class HonestDriver:
 @pytest.mark.requirement("S-124")
 @pytest.mark.parametrize("name", HONEST)
 def test_an_honest_driver_is_never_called_false(name: str) -> None:
-    for seed, delay in enumerate((2, 4)):
-        controller, plant = begin(START, friction=1.0, delay=delay, sensing=True)
-        driver = HonestDriver(**HONEST[name], seed=seed)  # type: ignore[arg-type]
-        tell = plant.state
-        plant.state = lambda tell=tell, driver=driver: driver(tell())  # type: ignore[method-assign]
-        controller.move_to_start()
-        run(controller, plant, 6.0, lambda c=controller: c.ready)
-        controller.execute()
-        run(controller, plant, 2.0)
-        assert controller.mode is Mode.HOLD, controller.latched
-
-
-def states_of(rng: np.random.Generator, count: int) -> list[JointState]:
-    """States whose positions and velocities have little to do with each other."""
-    q, states = HOME, []
-    for k in range(count):
-        qd = rng.normal(0.0, 1.0, 7)
-        q = q + 0.002 * rng.normal(qd, 3.0) * rng.choice([0.0, 1.0], 7)
-        states.append(JointState(k * PERIOD_NS, q, qd, PERIOD, PERIOD))
-    return states
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_the_mismatch_is_what_no_speed_and_no_lag_within_the_interval_explains(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    check, sums, late, previous = VelocityCheck(7), [np.zeros(7)] * 2, np.zeros(7), np.zeros(7)
-    for last, state in pairwise(states_of(rng, 200)):
-        dt = Interval(PERIOD, *(PERIOD + np.sort(rng.uniform(-1e-3, 1e-3, 2))))
-        check.fault(last, state, [0] * 7, dt)
-        moved, speed = state.q - last.q, 0.5 * (last.qd + state.qd)
-        late = late + (1.0 - np.exp(-dt.mean / plausibility.VELOCITY_LAG)) * (moved - late)
-        ways = np.sort([dt.shortest * speed, dt.longest * speed], axis=0)
-        beyond = np.minimum(moved, late) - ways[1], ways[0] - np.maximum(moved, late)
-        mismatch = np.maximum(np.maximum(*beyond), 0.0)
-        back = np.where(moved * previous < 0.0, np.minimum(abs(moved), abs(previous)), 0.0)
-        most = np.where(speed > 0.0, dt.longest, dt.shortest) * speed
-        leap = np.where(abs(moved - most) > 0.015, 0.003, 0.0)
-        counted = np.minimum(np.max([mismatch, back, leap], axis=0), 0.003)
-        added = counted - 0.1 * np.min([abs(moved), *abs(ways)], axis=0)
-        windows = [window for window, _ in plausibility.MISMATCH_WINDOWS]
-        sums = [np.exp(-dt.mean / w) * each + added for w, each in zip(windows, sums, strict=True)]
-        np.testing.assert_allclose(check._mismatch, sums, rtol=0.0, atol=1e-14)
-        previous = moved
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_the_residual_is_the_torque_that_none_of_the_last_seven_commands_explains(
-    seed: int,
-) -> None:
-    rng = np.random.default_rng(seed)
-    check, sent, dt, in_row = TorqueCheck(MODEL), [], PERIOD, 0
-    residual = inertial = np.zeros(7)
-    keep = np.exp(-dt / plausibility.RESIDUAL_TIME_CONSTANT)
-    for last, state in pairwise(states_of(rng, 100)):
-        bound = Bound(*rng.uniform(0.0, 60.0, (2, 7)), rng.uniform(0.0, 0.5))
-        unchanged = rng.choice([0, 12], 7)
-        sent.append(rng.normal(0.0, 20.0, 7))
-        fault = check.fault(last, state, unchanged.tolist(), sent[-1], bound, dt)
-        needed = MODEL.inverse_dynamics(state.q, state.qd, (state.qd - last.qd) / dt)
-        needed = needed + MODEL.friction_torque(state.qd)
-        window = np.array(sent[-7:])
-        unexplained = needed - np.clip(needed, window.min(axis=0), window.max(axis=0))
-        residual = keep * residual + (1.0 - keep) * unexplained
-        np.testing.assert_allclose(check.residual, residual, rtol=0.0, atol=1e-9)
-        torque = MODEL.mass_matrix(state.q) @ (state.qd - last.qd) / dt
-        if np.any(abs(torque) > plausibility.STEP_FACTOR * MODEL.tau_max):
-            assert fault is not None and fault.kind is FaultKind.VELOCITY
-            continue
-        inertial = keep * inertial + (1.0 - keep) * np.abs(torque)
-        bounds = np.where(unchanged >= 12, bound.standing, bound.moving)
-        excess = np.abs(residual) - bound.inertial * inertial - 2.0 * MODEL.friction - bounds
-        in_row = in_row + 1 if excess.max() > 0.0 else 0
-        assert (fault is not None) == (in_row >= plausibility.CONTRADICTIONS_TO_FAULT)
-        if fault is not None:
-            assert f"at joint {excess.argmax() + 1} are not explained" in fault.text
+    controller, plant = begin(START, friction=1.0, delay=4, sensing=True)
+    driver, tell = HonestDriver(**HONEST[name]), plant.state
+    plant.state = lambda: driver(tell())
+    assert_executes(controller, plant)

@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from rigid_arm import A_TEST, HOME, MODEL, begin, make, run, tool
+from rigid_arm import A_TEST, HOME, MODEL, begin, executing, make, run, tool
 
 from wam_power_ros.control.modes import Mode
 from wam_power_ros.control.payload import GRAVITY, PayloadCheck
@@ -34,7 +34,7 @@ def test_two_witnesses_confirm_the_slower_speed_and_none_where_they_contradict()
 def test_what_the_states_alone_ask_for_gives_a_resting_arm_no_speed_beyond_the_bound() -> None:
     rng = np.random.default_rng(0)
     reaction = Reaction(MODEL, lambda q: MODEL.gravity(q))
-    for _ in range(200):
+    for _ in range(50):
         q = HOME + rng.uniform(-0.5, 0.5, 7)
         mass = MODEL.mass_matrix(q)
         wanted = mass.dot(rng.normal(size=7) * 10.0 ** rng.uniform(-1.0, 4.0))
@@ -50,7 +50,7 @@ def test_what_the_states_alone_ask_for_gives_a_resting_arm_no_speed_beyond_the_b
 @pytest.mark.requirement("S-131")
 def test_the_brake_takes_energy_from_the_motion_that_either_witness_sees() -> None:
     rng = np.random.default_rng(1)
-    for _ in range(100):
+    for _ in range(20):
         seen, foreseen = rng.normal(size=7), rng.normal(size=7)
         reaction = Reaction(MODEL, lambda q: MODEL.gravity(q))
         for k in range(120):
@@ -66,28 +66,23 @@ def test_the_brake_takes_energy_from_the_motion_that_either_witness_sees() -> No
         assert braking.dot(seen) < bounded * np.linalg.norm(seen)
 
 
-@pytest.mark.parametrize("share", [-0.9, 0.9])
-def test_the_model_keeps_joints_at_rest_that_friction_holds(share: float) -> None:
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_the_model_rests_under_friction_and_its_speed_stays_below_the_limits(sign: float) -> None:
     model = ModelState(MODEL, HOME, STILL, STILL, [], 0.002)
     for _ in range(50):
-        model.predict(MODEL.gravity(HOME) + share * MODEL.friction, 0.002)
+        model.predict(MODEL.gravity(HOME) + 0.9 * sign * MODEL.friction, 0.002)
     assert np.abs(model.qd).max() < 0.02
+    for _ in range(500):
+        model.predict(sign * MODEL.tau_max, 0.002)
+        assert np.all(np.abs(model.qd) <= MODEL.qd_max)
 
 
 def test_a_torque_acts_on_the_model_with_the_delay_of_the_arm() -> None:
     carried = MODEL.gravity(HOME)
     model = ModelState(MODEL, HOME, STILL, STILL, [carried, carried], 0.002)
-    for expected in (0.0, 0.0, 1.0):
+    for moves in (False, False, True):
         model.advance(carried + 10.0 * MODEL.friction, 0.002)
-        assert (model.qd[1] > 0.01) == bool(expected)
-
-
-@pytest.mark.parametrize("sign", [-1.0, 1.0])
-def test_no_predicted_speed_is_beyond_the_limit_of_its_joint(sign: float) -> None:
-    model = ModelState(MODEL, HOME, STILL, STILL, [], 0.002)
-    for _ in range(500):
-        model.predict(sign * MODEL.tau_max, 0.002)
-        assert np.all(np.abs(model.qd) <= MODEL.qd_max)
+        assert (model.qd[1] > 0.01) == moves
 
 
 def fall(mass: float, steps: int = 40) -> list[PastState]:
@@ -103,10 +98,9 @@ def fall(mass: float, steps: int = 40) -> list[PastState]:
 
 
 @pytest.mark.requirement("S-133")
-@pytest.mark.parametrize("mass", [-0.3, 2.0, 3.0])
+@pytest.mark.parametrize("mass", [-0.3, 3.0])
 def test_a_mass_on_the_tool_is_recognized_by_the_fall_of_the_arm(mass: float) -> None:
     torque = PayloadCheck(MODEL).torque(fall(mass))
-    assert torque is not None
     expected = -mass * GRAVITY * MODEL.jacobian(HOME)[2]
     np.testing.assert_allclose(torque, expected, atol=0.3 * np.abs(expected).max())
 
@@ -123,12 +117,10 @@ def test_a_joint_that_runs_away_is_no_mass(joint: int) -> None:
     t = 0.002 * np.arange(60)
     speed = 4.0 * np.sin(np.pi * t / 0.4) ** 2
     change = np.gradient(speed, t)
-    way = np.cumsum(speed) * 0.002
+    way, inertia = np.cumsum(speed) * 0.002, MODEL.mass_matrix(HOME)[joint]
     check = PayloadCheck(MODEL)
     past = [
-        PastState(
-            HOME + x * np.eye(7)[joint], STILL, list(MODEL.mass_matrix(HOME)[joint] * a), 0.002
-        )
+        PastState(HOME + x * np.eye(7)[joint], STILL, list(inertia * a), 0.002)
         for x, a in zip(way, change, strict=True)
     ]
     for k in range(30, 60):
@@ -152,14 +144,12 @@ def test_a_fault_holds_an_arm_whose_model_is_wrong_and_can_be_reset(
     torque: float, delay: int
 ) -> None:
     """8 N m at joint 2: 0.9 kg at the tool, or a motor that gives 70 %."""
-    controller, plant = begin(friction=1.0, delay=delay, sensing=True)
-    controller.execute()
-    run(controller, plant, 0.3)
+    controller, plant, _ = executing(0.3, friction=1.0, delay=delay, sensing=True)
     controller.fault(A_TEST)
     plant.push = lambda *_: torque * np.eye(7)[1]
     run(controller, plant, 0.5)
     at = tool(plant)
-    run(controller, plant, 5.0)
+    run(controller, plant, 3.0)
     assert np.linalg.norm(tool(plant) - at) < 0.05
     controller.reset()
     assert controller.mode is Mode.HOLD
@@ -173,11 +163,7 @@ def test_a_brake_that_is_too_weak_never_pulls_the_arm_back() -> None:
     plant.push = lambda t, q, qd: -25.0 * np.eye(7)[1]
     run(controller, plant, 0.1)
     plant.push = None
-    speeds = []
-    for _ in range(500):
-        tau = controller.step(*plant.state())
-        plant.step(tau)
-        speeds.append(plant.qd[1])
+    speeds = [plant.qd[1] for _ in range(500) if run(controller, plant, 0.002)]
     assert min(speeds) < -0.5
     assert max(speeds) < 0.1
     assert abs(speeds[-1]) < 0.01
@@ -207,14 +193,6 @@ def test_an_arm_that_was_followed_in_its_fall_counts_as_having_rested() -> None:
     assert reaction.rested
 
 
-def test_a_reported_speed_is_measured_over_the_last_four_states() -> None:
-    reaction = Reaction(MODEL, MODEL.gravity)
-    for k in range(20):
-        at = HOME + 0.5 * 10.0 * (0.002 * k) ** 2 * np.eye(7)[3]
-        reaction.record(state(k, at), STILL, [0.0] * 7)
-    np.testing.assert_allclose(reaction.reported()[3], 10.0 * 0.002 * (19 - 2))
-
-
 def held(course: np.ndarray, torque: np.ndarray) -> Reaction:
     """Reaction after states that report rest, under torques (k, n) [N m] beyond g(course)."""
     reaction = Reaction(MODEL, MODEL.gravity)
@@ -224,8 +202,7 @@ def held(course: np.ndarray, torque: np.ndarray) -> Reaction:
 
 
 @pytest.mark.requirement("S-132")
-@pytest.mark.parametrize("speed", [0.2, -0.3])
-@pytest.mark.parametrize("joint", [1, 3])
+@pytest.mark.parametrize(("joint", "speed"), [(1, 0.2), (3, -0.3)])
 def test_a_torque_that_changes_as_gravity_shows_which_joint_follows_a_drift(
     joint: int, speed: float
 ) -> None:
@@ -233,11 +210,10 @@ def test_a_torque_that_changes_as_gravity_shows_which_joint_follows_a_drift(
     at = np.eye(7)[joint]
     course = HOME + np.outer(speed * t, at)
     drag = MODEL.friction[joint] * np.sign(speed) * at
-    found = held(course, np.tile(drag, (150, 1))).followed()
-    assert found is not None
-    assert found[0] == joint
+    found, torque = held(course, np.tile(drag, (150, 1))).followed()
+    assert found == joint
     due = MODEL.gravity(course[-1])[joint]
-    assert abs(found[1] - due) < 0.4 * MODEL.friction[joint]
+    assert abs(torque - due) < 0.4 * MODEL.friction[joint]
 
 
 @pytest.mark.requirement("S-132")

@@ -38,14 +38,10 @@ def test_a_state_with_the_last_stamp_is_a_repetition() -> None:
     ("stamp", "q", "qd"),
     [
         (2.0, Q, ZERO),
-        (None, Q, ZERO),
         (-1, Q, ZERO),
-        (2 * MS, Q[:6], ZERO),
         (2 * MS, Q, ZERO[:6]),
         (2 * MS, Q * math.nan, ZERO),
         (2 * MS, Q, ZERO + math.inf),
-        (2 * MS, Q + 30.0, ZERO),
-        (2 * MS, "posture", ZERO),
         (2 * MS, [[1.0], [2.0, 3.0]], ZERO),
     ],
 )
@@ -55,15 +51,10 @@ def test_an_invalid_state_is_refused_as_a_whole(stamp: object, q: object, qd: ob
     assert (states.last.stamp_ns, states.refused_in_row, states.fault) == (0, 1, None)
     assert np.array_equal(states.last.q, Q) and np.array_equal(states.last.qd, ZERO)
     assert states.counters["older" if stamp == -1 else "rejected"] == 1
-    assert isinstance(states.take(2 * MS, Q, ZERO, restart=False), JointState)
-    assert states.refused_in_row == 0
-
-
-def test_an_accepted_state_is_a_copy() -> None:
-    states, q = checks(), Q.copy()
-    states.take(2 * MS, q, ZERO, restart=False)
-    q[0] = 9.0
-    assert np.array_equal(states.last.q, Q)
+    later = Q.copy()
+    assert isinstance(states.take(2 * MS, later, ZERO, restart=False), JointState)
+    later[0] = 9.0  # a state is a copy
+    assert states.refused_in_row == 0 and np.array_equal(states.last.q, Q)
 
 
 def test_an_older_stamp_is_a_restart_where_restarts_are_allowed() -> None:
@@ -87,8 +78,8 @@ def interleaved(states: StateChecks, restart: bool, n: int = 100) -> list[bool]:
 @pytest.mark.requirement("S-130")
 def test_stamps_that_go_back_again_and_again_are_no_restart() -> None:
     states = checks()
-    assert interleaved(states, restart=True, n=2000) == [True] + [False] * 1999
-    assert states.counters["older"] == 1999
+    assert interleaved(states, restart=True, n=600) == [True] + [False] * 599
+    assert states.counters["older"] == 599
 
 
 @pytest.mark.requirement("S-130")
@@ -96,7 +87,6 @@ def test_stamps_that_went_back_before_a_fault_go_back_again_in_it() -> None:
     states = checks()
     assert not any(interleaved(states, restart=False, n=5))
     assert states.fault.kind is FaultKind.STATES_REFUSED
-    assert states.fault.text.endswith("within 50; stamp is 6.0 ms older than the last one")
     assert not any(interleaved(states, restart=True))
 
 
@@ -116,9 +106,7 @@ def test_a_driver_that_restarts_is_used_again_within_a_second(late: bool) -> Non
 @pytest.mark.parametrize(
     ("q", "qd", "reason"),
     [
-        (np.rad2deg(Q), ZERO, "position of joint 4 is 115, allowed is 20 rad: degrees?"),
         (np.rad2deg(Q), None, "position of joint 4 is 115, allowed is 20 rad: degrees?"),
-        (Q * math.nan, ZERO, "position of joint 1 is nan, allowed is 20 rad: degrees?"),
         (Q, ZERO - 1e3, "velocity of joint 1 is -1e+03, allowed is 500 rad/s"),
         (Q[:6], ZERO, "position has shape (6,), the arm 7 joints"),
         (Q, "still", "could not convert string to float: 'still'"),
@@ -155,15 +143,17 @@ def test_the_bound_on_a_jump_grows_with_the_time_between_states() -> None:
         assert states.counters["jumps"] == jumps
         assert (states.fault and states.fault.kind) == (FaultKind.JUMP if jumps else None)
         assert states.fault is None or states.fault.text.startswith("joint 3 jumped")
-        states.take(states.last.stamp_ns + 2 * MS, states.last.q, ZERO, restart=False)
-        assert states.fault is None  # the fault belongs to one state only
+        states.refuse()
+        assert states.fault is None and states.refused_in_row == 1  # it belongs to one state only
 
 
-def test_a_missing_velocity_is_estimated_and_comes_to_rest_bit_for_bit() -> None:
-    states, speed = checks(), 0.3
+@pytest.mark.parametrize("speed", [0.3, -0.3])
+def test_a_missing_velocity_is_estimated_and_comes_to_rest_bit_for_bit(speed: float) -> None:
+    states = checks()
     for k in range(1, 101):
         states.take(2 * MS * k, Q + speed * 0.002 * k, None, restart=False)
-    np.testing.assert_allclose(states.last.qd, speed, rtol=1e-6)
+        expected = speed * (1.0 - math.exp(-180.0 * 0.002 * k))
+        np.testing.assert_allclose(states.last.qd, expected, rtol=1e-6)
     end = states.last.q
     states.take(210 * MS, end, None, restart=False)
     np.testing.assert_allclose(states.last.qd, speed, rtol=1e-6)  # kept across a gap
@@ -196,35 +186,16 @@ def test_five_refusals_are_a_fault_when_less_than_fifty_states_lie_between() -> 
             assert states.counters["rejected"] == 5
 
 
-def test_a_fault_belongs_to_its_state_and_not_to_a_later_unreadable_one() -> None:
-    states = checks()
-    states.take(2 * MS, Q + 0.2, ZERO, restart=False)
-    assert states.fault.kind is FaultKind.JUMP
-    states.refuse()
-    assert states.fault is None and states.refused_in_row == 1
-
-
-@pytest.mark.parametrize("speed", [0.3, -0.3])
-def test_a_differentiated_velocity_approaches_the_true_one_at_180_radians_a_second(
-    speed: float,
-) -> None:
-    states, step = checks(), 0.002 * speed * np.ones(7)
-    for k in range(1, 20):
-        states.take(2 * MS * k, Q + k * step, None, restart=False)
-        expected = speed * (1.0 - math.exp(-180.0 * 0.002 * k))
-        np.testing.assert_allclose(states.last.qd, expected, rtol=1e-6)
-
-
 def test_gaps_and_jumps_are_measured_from_the_last_state_at_any_stamp() -> None:
     later = 10**18
     states = StateChecks(7, 0.002, 180.0, np.full(7, 100.0))
     states.take(later, Q, ZERO, restart=False)
     states.take(later + 2 * MS, Q - 0.11, ZERO, restart=False)
-    assert "jumped by 0.110 rad from one state to the next" in states.fault.text
+    assert states.fault.kind is FaultKind.JUMP
     states.take(later + 3 * MS, Q - 0.2, ZERO, restart=False)
     assert states.fault is None  # 0.09 rad in less than a period
     states.take(later + 24 * MS, Q - 0.2, ZERO, restart=False)
-    assert states.fault.text == "no joint state for 21 ms"
+    assert states.fault.kind is FaultKind.STATES_LOST
 
 
 @pytest.mark.requirement("S-14")
@@ -235,17 +206,9 @@ def test_positions_three_periods_apart_are_differentiated_and_later_ones_are_not
         assert states.last.qd.any() == moved
 
 
-def test_the_time_since_a_state_is_by_the_own_clock_where_there_is_one() -> None:
-    states = checks()
-    assert states.take(2 * MS, Q, ZERO, restart=False).dt == 0.002
-    assert states.take(3 * MS, Q, ZERO, restart=False, elapsed=0.0025).dt == 0.0025
-    assert states.take(5 * MS, Q, ZERO, restart=False, elapsed=1e-4).dt == 1e-4
-    assert states.take(7 * MS, Q, ZERO, restart=False, elapsed=5.0).dt == 0.004
-
-
-def test_the_time_of_motion_is_the_longer_of_stamps_and_own_clock() -> None:
-    states = checks()
-    at_once = states.take(2 * MS, Q, ZERO, restart=False, elapsed=5e-5)
-    slow_stamps = states.take(2 * MS + 200_000, Q, ZERO, restart=False, elapsed=0.002)
-    late = states.take(4 * MS, Q, ZERO, restart=False, elapsed=1.0)
-    assert [state.span for state in (at_once, slow_stamps, late)] == [0.002, 0.002, 0.004]
+def test_time_is_by_the_own_clock_where_there_is_one_and_motion_by_the_longer_of_both() -> None:
+    states, found = checks(), []
+    for stamp, elapsed in ((2 * MS, None), (4 * MS, 1e-4), (4_200_000, 0.0025), (7 * MS, 5.0)):
+        state = states.take(stamp, Q, ZERO, restart=False, elapsed=elapsed)
+        found.append((state.dt, state.span))
+    assert found == [(0.002, 0.002), (1e-4, 0.002), (0.0025, 0.0025), (0.004, 0.004)]

@@ -53,15 +53,12 @@ def test_a_restart_of_the_checks_forgets_earlier_contradictions() -> None:
 
 
 def test_the_count_of_exceeded_limits_restarts_when_the_mode_changes() -> None:
-    watch, fast = supervision(), np.full(7, 100.0)
-    moving = state(0, qd=fast)
-    motion = MODEL.motion(HOME, fast)
-    seen = [watch.limit_fault(Mode.ROLLOUT, moving, motion) for _ in range(2)]
-    watch.mode_changed()
-    seen += [watch.limit_fault(Mode.REPLAY, moving, motion) for _ in range(2)]
-    assert seen == [None] * 4
-    fault = watch.limit_fault(Mode.REPLAY, moving, motion)
-    assert fault is not None and fault.kind is FaultKind.JOINT_SPEED
+    watch, moving = supervision(), state(0, qd=np.full(7, 100.0))
+    motion = MODEL.motion(HOME, moving.qd)
+    for mode in (Mode.ROLLOUT, Mode.REPLAY):
+        watch.mode_changed()
+        assert [watch.limit_fault(mode, moving, motion) for _ in range(2)] == [None] * 2
+    assert watch.limit_fault(Mode.REPLAY, moving, motion).kind is FaultKind.JOINT_SPEED
 
 
 def react(watch: Supervision, states: list[JointState]) -> list[np.ndarray]:
@@ -89,42 +86,26 @@ def test_an_arm_in_a_fault_counts_as_rested_only_after_the_rest_time() -> None:
     states = [state(k) for k in range(ticks + 1)]
     react(watch, states)
     assert not watch.rested(states[-1].stamp_ns)
-    react(watch, [states[-1], state(ticks + 1)])
-    assert watch.rested(state(ticks + 1).stamp_ns)
-    fast = state(ticks + 2, HOME + 0.0004, np.full(7, 0.2))
-    watch.reaction_torque(fast, MODEL.motion(HOME, np.full(7, 0.2)))
+    rests, fast = state(ticks + 1), state(ticks + 2, HOME + 0.0004, np.full(7, 0.2))
+    react(watch, [states[-1], rests])
+    assert watch.rested(rests.stamp_ns)
+    react(watch, [rests, fast])
     assert not watch.rested(fast.stamp_ns)
 
 
-def test_without_states_the_model_predicts_the_arm_until_the_reaction_ends() -> None:
-    watch, qd = supervision(), 0.5 * np.eye(7)[1]
-    states = [state(tick, HOME + tick * 0.002 * qd, qd) for tick in range(100)]
-    for before, after in pairwise(states):
-        watch.plausibility_fault(Mode.GRAVITY_COMPENSATION, before, after)
-    first = watch.missing(states[-1], 0.002)
-    np.testing.assert_allclose(first.q, states[-1].q + 0.002 * qd, atol=5e-4)
-    np.testing.assert_allclose(first.qd, qd, atol=0.05)
-    second = watch.missing(states[-1], 0.002)
-    assert states[-1].q[1] < first.q[1] < second.q[1]
-    watch.reaction.end()
-    np.testing.assert_array_equal(watch.missing(states[-1], 0.002).q, first.q)
+@pytest.mark.requirement("S-121")
+def test_every_kind_of_fault_says_whether_its_states_are_believed() -> None:
+    false = {FaultKind.JUMP, FaultKind.VELOCITY, FaultKind.DRIFT, FaultKind.STANDSTILL}
+    assert {kind for kind in FaultKind if not faulted(kind, ticks=2).believed} == false
 
 
 @pytest.mark.requirement("S-121")
-@pytest.mark.parametrize("kind", list(FaultKind))
-def test_every_kind_of_fault_says_whether_its_states_are_believed(kind: FaultKind) -> None:
-    false = (FaultKind.JUMP, FaultKind.VELOCITY, FaultKind.DRIFT, FaultKind.STANDSTILL)
-    assert faulted(kind).believed == (kind not in false)
-
-
-@pytest.mark.requirement("S-121")
-@pytest.mark.parametrize("mode", [Mode.HOLD, Mode.GRAVITY_COMPENSATION])
-def test_a_velocity_that_no_motor_can_reach_in_one_state_is_a_false_state(mode: Mode) -> None:
-    fast = 0.5 * np.eye(7)[1]
+def test_a_velocity_that_no_motor_can_reach_in_one_state_is_a_false_state() -> None:
+    fast, mode = 0.5 * np.eye(7)[1], Mode.GRAVITY_COMPENSATION
     watch = supervision()
     assert watch.plausibility_fault(mode, state(0), state(1)) is None
     fault = watch.plausibility_fault(mode, state(1), state(2, HOME + 0.001 * fast, fast))
-    assert fault is not None and fault.kind is FaultKind.VELOCITY
+    assert fault.kind is FaultKind.VELOCITY
 
 
 @pytest.mark.requirement("S-131")
@@ -176,7 +157,6 @@ def test_after_a_jump_or_a_drift_no_rest_is_believed_before_the_reset(kind: Faul
 
 @pytest.mark.requirement("S-121")
 def test_after_a_jump_the_arm_is_braked_from_the_states_before_it() -> None:
-    """What the joint was going to do is known; what it reports from then on never counts."""
     speed, jumps = 0.8 * np.eye(7)[3], 0.5 * np.eye(7)[3]
     watch = supervision()
     states = [state(k, HOME + 0.002 * k * speed, speed) for k in range(200)]

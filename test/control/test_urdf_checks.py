@@ -46,11 +46,9 @@ def finger(name: str, kind: str = "prismatic", inside: str = "") -> str:
         (ELBOW, ELBOW.replace("revolute", "fixed"), "'elbow_joint' is fixed .* movable are"),
         (ELBOW, ELBOW.replace("revolute", "floating"), "'elbow_joint' is of type 'floating'"),
         (ELBOW, f'{ELBOW}<mimic joint="wrist_1_joint"/>', "'elbow_joint' mimics .* leave it out"),
-        (f"<limit {LIMIT}/>", "", "'elbow_joint' has no limit 'lower': add <limit"),
         (LIMIT, LIMIT.partition(" effort")[0], "'elbow_joint' has no limit 'velocity'"),
         (LIMIT, LIMIT.replace("150", "0"), "effort = '0' of .* a finite number above 0"),
         (LIMIT, LIMIT.replace("150", "inf"), "effort = 'inf' of joint 'elbow_joint' must be a fin"),
-        (LIMIT, LIMIT.replace("150", "much"), "effort = 'much' of joint 'elbow_joint'"),
         (LIMIT, LIMIT.replace('"-3', '"4'), "upper = '3.* of .* number above 4"),
     ],
 )
@@ -76,17 +74,11 @@ def test_the_fingers_of_a_gripper_are_locked_whatever_their_kind() -> None:
         assert np.allclose(arm.gravity(q), plain.gravity(q))
     with pytest.raises(ValueError, match=r"joints \['thumb'\] are not in .* known: .*'finger'"):
         ur(eight, (*NAMES, "thumb"))
-
-
-def test_a_joint_that_follows_one_of_the_arm_is_not_locked_silently() -> None:
+    with pytest.raises(ValueError, match=r"base to tip, \('shoulder_pan_joint', 'shoulder_lift_jo"):
+        ur(URDF, tuple(sorted(NAMES)))
     coupled = finger("rod", "revolute", '<mimic joint="elbow_joint"/>')
     with pytest.raises(ValueError, match="'rod' mimics 'elbow_joint' of the arm"):
         ur(URDF.replace("</robot>", coupled))
-
-
-def test_names_in_the_order_of_the_alphabet_are_refused_with_the_right_order() -> None:
-    with pytest.raises(ValueError, match=r"base to tip, \('shoulder_pan_joint', 'shoulder_lift_jo"):
-        ur(URDF, tuple(sorted(NAMES)))
 
 
 def test_position_limits_make_a_continuous_joint_usable_and_tighten_others() -> None:
@@ -97,8 +89,6 @@ def test_position_limits_make_a_continuous_joint_usable_and_tighten_others() -> 
         np.testing.assert_array_equal(given[[0, 3, 4, 5]], found[[0, 3, 4, 5]])
     assert arm.q_min[1:3].tolist() == [-2.0, -3.0]
     assert arm.q_max[1:3].tolist() == [0.5, 3.0]
-    q = np.linspace(0.1, 1.1, 6)
-    np.testing.assert_array_equal(arm.gravity(q), plain.gravity(q))
     assert arm.identity() == plain.identity()
     corrected = arm.corrected(Corrections.of(6, zeros=[0.1, *[0.0] * 5]))
     assert corrected.q_max[2] == 3.0
@@ -110,18 +100,13 @@ def test_position_limits_make_a_continuous_joint_usable_and_tighten_others() -> 
         ("revolute", (-7.0, 1.0), "'elbow_joint', -7 to 1, .* those of the URDF, -3.14159 to 3.1"),
         ("revolute", (1.0, 1.0), "'elbow_joint', 1 to 1, must rise"),
         ("continuous", (-3.2, 3.2), "'elbow_joint', -3.2 to 3.2, .* within a turn"),
-        ("continuous", (3.0, -3.0), "'elbow_joint', 3 to -3, must rise"),
+        ("revolute", (1.0,) * 9, "must be 12 numbers"),
     ],
 )
 def test_position_limits_beyond_those_of_the_maker_are_refused(
-    joint: str, limits: tuple[float, float], words: str
+    joint: str, limits: tuple[float, ...], words: str
 ) -> None:
     urdf = URDF.replace(ELBOW, ELBOW.replace("revolute", joint))
     given = [0.0] * 4 + [*limits] + [0.0] * 6
     with pytest.raises(ValueError, match=words):
         Arm(urdf, NAMES, "pan", guarded=(), position_limits=given)
-
-
-def test_position_limits_of_another_number_of_joints_are_refused() -> None:
-    with pytest.raises(ValueError, match="must be 12 numbers"):
-        Arm(URDF, NAMES, "pan", guarded=(), position_limits=[-1.0, 1.0])

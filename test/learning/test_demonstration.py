@@ -2,6 +2,7 @@
 """Smoothing and trimming of joint samples of the WAM."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -80,16 +81,11 @@ def test_position_velocity_and_acceleration_are_those_of_the_arm(arm: Arm) -> No
     assert np.abs(demonstration.q - joints(t))[inner].max() < 0.002
 
 
-def test_orientation_is_that_of_the_arm_and_its_vector_starts_at_zero(arm: Arm) -> None:
+def test_orientation_is_that_of_the_arm(arm: Arm) -> None:
     demonstration = from_joint_samples(arm, *recording(seed=1))
-    reference = rotations.matrix(demonstration.quat_xyzw[0])
-    vectors = rotation_from(demonstration.quat_xyzw, demonstration.quat_xyzw[0])
-    assert vectors[0] == pytest.approx(np.zeros(3), abs=1e-15)
     for k in range(0, len(demonstration.t), 50):
         _, matrix = arm.tool_pose(demonstration.q[k])
         assert rotations.matrix(demonstration.quat_xyzw[k]) == pytest.approx(matrix, abs=0.002)
-        built = rotations.exp(vectors[k]) @ reference
-        assert rotations.matrix(demonstration.quat_xyzw[k]) == pytest.approx(built, abs=1e-9)
 
 
 def test_smoothing_does_not_delay(arm: Arm) -> None:
@@ -100,7 +96,7 @@ def test_smoothing_does_not_delay(arm: Arm) -> None:
     assert backward.velocity[::-1] == pytest.approx(-forward.velocity, abs=1e-9)
 
 
-@pytest.mark.parametrize(("before", "after"), [(0.2, 0.2), (1.234, 0.2), (0.2, 3.0), (4.0, 2.5)])
+@pytest.mark.parametrize(("before", "after"), [(0.2, 0.2), (4.0, 2.5)])
 def test_trimming_forgets_how_long_the_arm_rested(arm: Arm, before: float, after: float) -> None:
     base = from_joint_samples(arm, *recording(seed=3))
     assert same(from_joint_samples(arm, *recording(before, after, seed=3)), base)
@@ -167,52 +163,25 @@ def test_a_turn_that_is_too_slow_is_refused_with_both_limits(arm: Arm) -> None:
         from_joint_samples(arm, *turn(0.08))
 
 
-def wrong(name: str) -> tuple[np.ndarray, np.ndarray]:
-    stamps, q = recording()
-    if name == "twice":
-        stamps[7] = stamps[6]
-    elif name == "back":
-        stamps[7] = stamps[5]
-    elif name == "gap":
-        stamps[100:] += 60_000_000
-    elif name == "nan":
-        q[9, 2] = math.nan
-    elif name == "inf":
-        q[9, 2] = math.inf
-    elif name == "columns":
-        q = q[:, :6]
-    elif name == "rows":
-        q = q[:-1]
-    elif name == "float":
-        stamps = stamps * 1e-9
-    elif name == "one":
-        stamps, q = stamps[:1], q[:1]
-    elif name == "short":
-        stamps, q = stamps[:20], q[:20]
-    elif name == "still":
-        q = np.tile(HOME, (len(stamps), 1))
-    return stamps, q
-
-
 @pytest.mark.parametrize(
-    ("name", "words"),
+    ("change", "words"),
     [
-        ("twice", "stamps must increase"),
-        ("back", "stamps must increase"),
-        ("gap", "gap of 0.062"),
-        ("nan", r"q\[9, 2\] = nan"),
-        ("inf", r"q\[9, 2\] = inf"),
-        ("columns", "q has shape"),
-        ("rows", "q has shape"),
-        ("float", "float64"),
-        ("one", "at least two"),
-        ("short", "recording of 20 samples"),
-        ("still", "peak speed"),
+        (lambda s, q: (np.where(s == s[7], s[6], s), q), "stamps must increase"),
+        (lambda s, q: (s + 60_000_000 * (s >= s[100]), q), "gap of 0.062"),
+        (lambda s, q: (s, np.where(np.indices(q.shape)[0] == 9, math.nan, q)), r"q\[9, 0\] = nan"),
+        (lambda s, q: (s, q[:, :6]), "q has shape"),
+        (lambda s, q: (s, q[:-1]), "q has shape"),
+        (lambda s, q: (s * 1e-9, q), "float64"),
+        (lambda s, q: (s[:1], q[:1]), "at least two"),
+        (lambda s, q: (s[:20], q[:20]), "recording of 20 samples"),
+        (lambda s, q: (s, np.tile(HOME, (len(q), 1))), "peak speed"),
     ],
 )
-def test_a_wrong_recording_is_refused_and_the_fault_named(arm: Arm, name: str, words: str) -> None:
+def test_a_wrong_recording_is_refused_and_the_fault_named(
+    arm: Arm, change: Callable[..., tuple[np.ndarray, np.ndarray]], words: str
+) -> None:
     with pytest.raises(ValueError, match=words):
-        from_joint_samples(arm, *wrong(name))
+        from_joint_samples(arm, *change(*recording()))
 
 
 def test_positions_alone_make_a_demonstration() -> None:
@@ -285,21 +254,12 @@ def test_a_movement_is_cut_and_smoothed_as_its_task_says(arm: Arm) -> None:
     assert np.abs(smoother.velocity).max() < 0.9 * np.abs(base.velocity).max()
 
 
-def test_the_shortest_recording_is_as_long_as_the_smoothing_reaches() -> None:
-    stamps = 10**9 + np.arange(57) * PERIOD_NS
-    q = np.tile(HOME, (57, 1))
-    assert len(smooth_joints(stamps, q)[0]) == 57
-    with pytest.raises(ValueError, match="56 samples"):
-        smooth_joints(stamps[:-1], q[:-1])
-
-
-def test_a_whole_recording_is_smoothed_without_trimming(arm: Arm) -> None:
+def test_a_whole_recording_as_long_as_the_smoothing_reaches_is_smoothed(arm: Arm) -> None:
     t, q = smooth_joints(*recording(seed=1))
     whole = from_joint_samples(arm, *recording(seed=1), WHOLE)
     np.testing.assert_array_equal(t, whole.t)
     np.testing.assert_array_equal(q, whole.q)
-    still = np.tile(HOME, (100, 1))  # the arm need not move
-    _, q = smooth_joints(np.arange(100) * 2_000_000, still)
-    assert q == pytest.approx(still)
-    with pytest.raises(ValueError, match="20 samples"):
-        smooth_joints(*wrong("short"))
+    stamps, still = 10**9 + np.arange(57) * PERIOD_NS, np.tile(HOME, (57, 1))  # it need not move
+    assert smooth_joints(stamps, still)[1] == pytest.approx(still)
+    with pytest.raises(ValueError, match="56 samples"):
+        smooth_joints(stamps[:-1], still[:-1])

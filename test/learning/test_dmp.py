@@ -2,7 +2,6 @@
 """Eq. 1: tables, reproduction and fit."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -63,37 +62,21 @@ def rmse(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.sum((a - b) ** 2, axis=1))))
 
 
-@pytest.mark.parametrize("variance", [1e-8, 1e-4, 0.003, 100.0])
-def test_activations_sum_to_one_however_narrow_the_basis(variance: float) -> None:
-    h = activations(Basis(8, 0.85, variance), np.linspace(-0.1, 2.0, 500))
-    assert np.isfinite(h).all()
-    assert h.min() >= 0.0
-    assert h.sum(axis=1) == pytest.approx(np.ones(500))
-
-
 def test_activations_are_the_normalised_gaussians_of_the_paper() -> None:
     basis = Basis(3, 1.0, 0.02)
     raw = np.exp(-((0.3 - np.array([0.0, 0.5, 1.0])) ** 2) / 0.04)
     assert activations(basis, np.array([0.3]))[0] == pytest.approx(raw / raw.sum())
-
-
-def test_time_is_clamped_to_the_movement() -> None:
-    h = activations(Basis(4, 0.5, 0.01), np.array([-1.0, 0.0, 0.5, 9.0]))
-    assert np.array_equal(h[0], h[1])
-    assert np.array_equal(h[2], h[3])
-
-
-def linear_acceleration(
-    tables: dmp.TabulatedPolicy, k: int, x: np.ndarray, xd: np.ndarray
-) -> np.ndarray:
-    return dmp.acceleration(tables, k, x, np.zeros(3), [*xd, 0.0, 0.0, 0.0])[:3]
+    for variance in (1e-8, 0.003, 100.0):  # however narrow it is
+        h = activations(Basis(8, 0.85, variance), np.linspace(-0.1, 2.0, 500))
+        assert h.min() >= 0.0 and h.sum(axis=1) == pytest.approx(np.ones(500))
+        assert np.array_equal(h[0], h[23]) and np.array_equal(h[230], h[-1])
 
 
 def test_tabulated_acceleration_is_equation_1() -> None:
     policy = fit([toss()], FLIP_FIT, "p")
     tables = tabulate(policy)
     rng = np.random.default_rng(0)
-    for k in (0, 17, len(tables.b) - 1, len(tables.b) + 50):
+    for k in (0, 17, len(tables.b) + 50):
         x, xd = rng.normal(size=(2, 3))
         h = activations(policy.basis, np.array([k * DT]))[0]
         expected = sum(
@@ -109,7 +92,7 @@ def test_tabulated_acceleration_is_equation_1() -> None:
 
 
 def test_many_reproductions_are_the_acceleration_integrated_velocity_first() -> None:
-    policies = [fit([toss(seed=seed)], FLIP_FIT, "p") for seed in range(5)]
+    policies = [fit([toss(seed=seed)], FLIP_FIT, "p") for seed in range(2)]
     policies = [replace(policy, basis=policies[0].basis) for policy in policies]
     x0, xd0 = np.array([0.7, 0.0, 0.9]), np.array([0.1, 0.0, -0.2])
     paths, speeds = reproduce_many(
@@ -126,12 +109,13 @@ def test_many_reproductions_are_the_acceleration_integrated_velocity_first() -> 
     start = reproduce_many(policies[0].basis, *only, policies[0].damping, x0, xd0, steps=1, dt=DT)
     assert np.array_equal(start[0], paths[:, :1]) and np.array_equal(start[1], speeds[:, :1])
     for policy, path, speed in zip(policies, paths, speeds, strict=True):
-        tables, x, xd = tabulate(policy), x0, xd0
+        tables, x, xd, expected = tabulate(policy), x0, xd0, []
         for k in range(600):
-            assert path[k] == pytest.approx(x, abs=1e-9)
-            assert speed[k] == pytest.approx(xd, abs=1e-8)
-            xd = xd + DT * linear_acceleration(tables, k, x, xd)
+            expected.append([x, xd])
+            acceleration = dmp.acceleration(tables, k, x, np.zeros(3), [*xd, 0.0, 0.0, 0.0])
+            xd = xd + DT * acceleration[:3]
             x = x + DT * xd
+        np.testing.assert_allclose(np.stack([path, speed], axis=1), expected, atol=1e-8)
 
 
 def test_a_movement_made_by_equation_1_gives_back_its_attractors(
@@ -149,16 +133,8 @@ def test_a_reproduction_from_rest_stays_where_the_demonstration_ended() -> None:
     demonstration = reach(0)
     policy = fit([demonstration], replace(REACH_FIT, count=6), "p")
     start, end = demonstration.position[[0, -1]]
-    x, xd = reproduce_many(
-        policy.basis,
-        policy.stiffness[None],
-        policy.attractors[None],
-        policy.damping,
-        start,
-        np.zeros(3),
-        round((policy.basis.duration + 1.0) / DT),
-        DT,
-    )
+    springs, steps = (policy.stiffness[None], policy.attractors[None]), round(3.0 / DT)
+    x, xd = reproduce_many(policy.basis, *springs, policy.damping, start, np.zeros(3), steps, DT)
     assert x[0, -1] == pytest.approx(end, abs=0.003)
     assert np.linalg.norm(xd[0, -1]) < 0.001
 
@@ -178,10 +154,9 @@ def test_the_toss_is_reproduced_to_millimetres_and_a_degree() -> None:
     assert rmse(np.array(path), vectors) < math.radians(1.5)
 
 
-@pytest.mark.parametrize("begin", [0.0, 0.4])  # of the turn
-def test_a_reach_ends_turned_as_demonstrated(begin: float) -> None:
+def test_a_reach_ends_turned_as_demonstrated() -> None:
     flat = reach(0)
-    u = np.clip((flat.t / flat.duration - begin) / (1.0 - begin), 0.0, 1.0)
+    u = np.clip((flat.t / flat.duration - 0.4) / 0.6, 0.0, 1.0)
     turn = np.outer(10 * u**3 - 15 * u**4 + 6 * u**5, [math.pi / 3, 0.0, 0.0])
     policy = fit([replace(flat, quat_xyzw=rotations.quat_of_vector(turn))], REACH_FIT, "p")
     springs = np.tile(policy.rotation_stiffness * np.eye(3), (1, 2, 1, 1))
@@ -192,12 +167,15 @@ def test_a_reach_ends_turned_as_demonstrated(begin: float) -> None:
     assert np.linalg.norm(r[0, -1] - turn[-1]) < math.radians(0.5)
 
 
-def test_coordination_matrices_are_symmetric_with_eigenvalues_in_the_range() -> None:
-    policy = fit([toss()], FLIP_FIT, "p")
+@pytest.mark.parametrize(("error", "factor"), [(math.inf, 1.0), (1e-9, 4.0)])
+def test_coordination_matrices_are_symmetric_and_twice_as_many_are_twice_as_stiff(
+    error: float, factor: float
+) -> None:
+    policy = fit([toss()], replace(FLIP_FIT, error=error), "p")
     assert np.array_equal(policy.stiffness, np.swapaxes(policy.stiffness, 1, 2))
     values = np.linalg.eigvalsh(policy.stiffness)
-    assert values.min() == pytest.approx(150.0)
-    assert values.max() == pytest.approx(500.0)
+    assert values.min() == pytest.approx(150.0 * factor)
+    assert values.max() == pytest.approx(500.0 * factor)
 
 
 def test_the_stiffness_is_the_rescaled_inverse_of_the_residuals_covariance() -> None:
@@ -218,10 +196,9 @@ def test_the_stiffness_is_the_rescaled_inverse_of_the_residuals_covariance() -> 
     assert policy.stiffness == pytest.approx(expected, abs=0.02)
 
 
-def along(demonstration: Demonstration, *axes: Sequence[float]) -> Demonstration:
+def along(demonstration: Demonstration, *axes: np.ndarray) -> Demonstration:
     """Project a movement on these orthonormal axes and add sensor noise."""
-    axes_ = np.array(axes).T
-    part = axes_ @ axes_.T
+    part = np.transpose(axes) @ axes
     noise = np.random.default_rng(0).normal(0.0, 1e-4, demonstration.position.shape)
     start = demonstration.position[0]
     return replace(
@@ -235,28 +212,19 @@ def along(demonstration: Demonstration, *axes: Sequence[float]) -> Demonstration
 TILTED = rotations.exp([0.3, -0.5, 0.2])
 
 
-@pytest.mark.parametrize(
-    ("still", "moving"),
-    [
-        ([[0.0, 1.0, 0.0]], [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
-        ([TILTED[:, 1].tolist()], [TILTED[:, 0].tolist(), TILTED[:, 2].tolist()]),
-        ([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], [[0.0, 0.0, 1.0]]),
-    ],
-    ids=["planar", "planar-and-tilted", "along-a-line"],
-)
+@pytest.mark.parametrize("still", [1, 2], ids=["in a plane", "along a line"])
 def test_an_axis_that_does_not_move_has_the_mean_stiffness_and_leaves_the_range_to_the_others(
-    still: list[list[float]], moving: list[list[float]]
+    still: int,
 ) -> None:
-    policy = fit([along(toss(), *moving)], FLIP_FIT, "p")
-    for axis in still:
-        expected = np.tile(math.sqrt(150.0 * 500.0) * np.array(axis), (8, 1))
+    axes = TILTED.T if still == 1 else np.eye(3)
+    policy = fit([along(toss(), *axes[still:])], FLIP_FIT, "p")
+    for axis in axes[:still]:
+        expected = np.tile(math.sqrt(150.0 * 500.0) * axis, (8, 1))
         assert policy.stiffness @ axis == pytest.approx(expected, abs=2.0)  # no coupling either
-    within = np.array(moving) @ policy.stiffness @ np.array(moving).T
+    within = axes[still:] @ policy.stiffness @ axes[still:].T
     values = np.linalg.eigvalsh(within)
     assert values.min() == pytest.approx(150.0, abs=2.0)
     assert values.max() == pytest.approx(500.0, abs=2.0)
-    if len(moving) == 2:  # the matrices have coupling
-        assert np.abs(within[:, 0, 1]).max() > 30.0
 
 
 @pytest.mark.parametrize("size", [0.01, 1.0])
@@ -299,29 +267,12 @@ def test_angular_velocity_is_that_of_the_turning_matrix() -> None:
 
 def test_a_movement_gets_as_many_springs_as_it_needs_and_no_more() -> None:
     demonstration = toss()
-    each = [FLIP_FIT.with_count(count) for count in (8, 16, 32)]
+    each = [FLIP_FIT.with_count(count) for count in (8, 16)]
     fitted = [fit([demonstration], settings, "p") for settings in each]
     loss = {policy.basis.count: path_error(policy, [demonstration]) for policy in fitted}
-    for error, count in ((1.01 * loss[8], 8), (1.01 * loss[16], 16), (1.01 * loss[32], 32)):
-        policy = fit([demonstration], replace(FLIP_FIT, error=error), "p")
-        assert policy.basis.count == count
-        assert path_error(policy, [demonstration]) <= error
-    finest = fit([demonstration], replace(FLIP_FIT, error=1e-9), "p")
-    assert finest.basis.count == REFINED_MAX
-    plain = fit([demonstration], FLIP_FIT, "p")
-    assert plain.basis.count == 8  # without a wanted error
-
-
-def test_twice_as_many_springs_are_twice_as_stiff() -> None:
-    policy = fit([toss()], replace(FLIP_FIT, error=1e-9), "p")
-    values = np.linalg.eigvalsh(policy.stiffness)
-    assert values.min() == pytest.approx(4.0 * FLIP_FIT.k_min)
-    assert values.max() == pytest.approx(4.0 * FLIP_FIT.k_max)
-
-
-def test_a_short_recording_is_not_fitted_with_more_springs_than_it_has_samples_for() -> None:
-    short = from_positions(toss().position[:40], DT)
-    assert fit([short], replace(FLIP_FIT, error=1e-9), "p").basis.count == 8
+    for error, count in ((1.01 * loss[8], 8), (1.01 * loss[16], 16), (1e-9, REFINED_MAX)):
+        assert fit([demonstration], replace(FLIP_FIT, error=error), "p").basis.count == count
+    assert fitted[0].basis.count == 8  # without a wanted error
 
 
 def test_start_and_orientation_reference_are_those_of_the_first_demonstration() -> None:
@@ -335,9 +286,11 @@ def test_start_and_orientation_reference_are_those_of_the_first_demonstration() 
     assert np.array_equal(policy.orientation_reference, first.quat_xyzw[0])
 
 
-def test_a_demonstration_that_never_moves_still_gives_a_valid_policy() -> None:
+def test_a_demonstration_that_never_moves_or_is_short_gives_a_policy_too() -> None:
     policy = fit([from_positions(np.tile([0.7, 0.0, 0.9], (100, 1)), DT)], FLIP_FIT, "p")
     assert policy.attractors == pytest.approx(np.tile([0.7, 0.0, 0.9], (8, 1)), abs=1e-9)
+    short = from_positions(toss().position[:40], DT)  # of fewer samples than more springs need
+    assert fit([short], replace(FLIP_FIT, error=1e-9), "p").basis.count == 8
 
 
 def test_clipping_leaves_good_matrices_alone_and_makes_bad_ones_good() -> None:
@@ -363,7 +316,6 @@ def test_clipping_leaves_good_matrices_alone_and_makes_bad_ones_good() -> None:
     [
         ({"k_min": 0.0}, "k_min"),
         ({"k_max": 100.0}, "k_min"),
-        ({"k_max": math.inf}, "k_max"),
         ({"width": 0.0}, "width"),
         ({"damping": math.nan}, "damping"),
     ],

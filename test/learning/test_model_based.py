@@ -11,7 +11,7 @@ import pytest
 from hill_task import rng
 
 from wam_power_ros.learning.learner import Prediction
-from wam_power_ros.learning.model_based import PROBE_STEP, ModelBased
+from wam_power_ros.learning.model_based import ModelBased
 from wam_power_ros.learning.power import Power
 
 SIZE = 8
@@ -48,6 +48,11 @@ def learner_of(model: LinearModel, seed: int = 0, patience: int = 8) -> ModelBas
     return ModelBased(SIZE, ModelBased.Settings(patience=patience), rng(seed), model)
 
 
+def tell(learner: ModelBased, z: np.ndarray, error: np.ndarray, ret: float = 0.5) -> None:
+    learner.measure(z, error)
+    learner.tell(z, ret)
+
+
 def practise(
     learner: ModelBased, rollouts: int, true: Callable[[np.ndarray], np.ndarray] = error
 ) -> list[np.ndarray]:
@@ -57,37 +62,27 @@ def practise(
         z = np.zeros(SIZE) if number == 0 else learner.ask()
         measured = true(z)
         found.append(measured)
-        learner.measure(z, measured)
-        learner.tell(z, float(np.exp(-0.01 * (np.nan_to_num(measured, nan=9.0) ** 2).sum())))
+        ret = float(np.exp(-0.01 * (np.nan_to_num(measured, nan=9.0) ** 2).sum()))
+        tell(learner, z, measured, ret)
     return found
 
 
-def test_with_an_exact_model_the_second_rollout_is_within_the_tolerances() -> None:
-    model = LinearModel()
-    first, second = practise(learner_of(model), 2)
-    assert np.abs(first).max() > 4.0
-    assert np.abs(second).max() < 1.0
-    assert model.count <= 1 + ModelBased.Settings().simulations
-
-
-def test_a_constant_error_of_the_model_is_corrected_by_one_rollout() -> None:
-    """One more rollout than with an exact model."""
-    learner = learner_of(LinearModel(lambda z: error(z) + np.array([4.0, -3.0])))
-    errors = practise(learner, 3)
-    assert np.abs(errors[1]).max() > 2.0 or np.abs(errors[2]).max() < 1.0
-    assert np.abs(errors[2]).max() < 1.0
-
-
-def test_a_model_without_the_true_slopes_learns_them() -> None:
-    learner = learner_of(LinearModel(slopes=SLOPES * [-0.5, 1.0, 0.5]))
-    assert np.abs(practise(learner, 3)[-1]).max() < 1.0
-
-
-@pytest.mark.parametrize("factor", [0.6, 1.0, 1.8])
-def test_rough_slopes_without_a_prediction_suffice(factor: float) -> None:
-    model = LinearModel(slopes=factor * SLOPES)
-    model.predict = None
-    errors = practise(learner_of(model), 6)
+@pytest.mark.parametrize(
+    ("model", "predicts", "rollouts"),
+    [
+        (LinearModel(), True, 2),  # exact
+        (LinearModel(lambda z: error(z) + np.array([4.0, -3.0])), True, 3),  # off by a constant
+        (LinearModel(slopes=SLOPES * [-0.5, 1.0, 0.5]), True, 3),
+        (LinearModel(slopes=0.6 * SLOPES), False, 6),
+        (LinearModel(slopes=1.8 * SLOPES), False, 6),
+    ],
+)
+def test_a_plan_is_within_the_tolerances_after_few_rollouts_however_rough_the_model(
+    model: LinearModel, predicts: bool, rollouts: int
+) -> None:
+    if not predicts:
+        model.predict = None
+    errors = practise(learner_of(model), rollouts)
     assert np.abs(errors[0]).max() > 4.0
     assert min(np.abs(error).max() for error in errors[1:]) < 1.0
 
@@ -111,65 +106,52 @@ def test_a_rollout_that_a_fault_ended_moves_the_plan_away_from_the_limits() -> N
     assert np.linalg.norm(learner.mean) < 0.97 * before
 
 
-def test_without_a_foreseen_value_power_decides() -> None:
-    def nothing(z: np.ndarray) -> np.ndarray:
-        return np.array([-12.0, math.nan])
+def lost(_: np.ndarray) -> np.ndarray:
+    """Error of a rollout of which a part has no value."""
+    return np.array([-12.0, math.nan])
 
-    learner = learner_of(LinearModel(nothing), seed=3)
-    practise(learner, 1, nothing)
+
+def test_without_a_foreseen_value_power_decides() -> None:
+    learner = learner_of(LinearModel(lost), seed=3)
+    practise(learner, 1, lost)
     assert learner.falls_back
     power = Power(SIZE, ModelBased.Settings().fallback, rng(3))
     power.tell(np.zeros(SIZE), 1.0)
     np.testing.assert_array_equal(learner.ask(), power.ask())
 
 
-def test_without_progress_power_decides_after_some_rollouts() -> None:
-    def hopeless(z: np.ndarray) -> np.ndarray:
-        return np.array([9.0, 9.0])
-
-    learner = learner_of(LinearModel(), patience=4)
-    practise(learner, 4, hopeless)
+@pytest.mark.parametrize(("error", "gives_up"), [(9.0, True), (0.8, False)])
+def test_without_progress_power_decides_unless_the_error_is_within_the_tolerances(
+    error: float, gives_up: bool
+) -> None:
+    model = LinearModel() if gives_up else LinearModel(lambda z: np.full(2, error))
+    learner = learner_of(model, patience=4)
+    practise(learner, 4, lambda z: np.full(2, error))
     assert not learner.falls_back
-    practise(learner, 1, hopeless)
-    assert learner.falls_back
-
-
-def test_an_error_within_the_tolerances_needs_no_progress() -> None:
-    def fine(z: np.ndarray) -> np.ndarray:
-        return np.array([0.8, 0.8])
-
-    learner = learner_of(LinearModel(fine), patience=4)
-    practise(learner, 12, fine)
-    assert not learner.falls_back
+    practise(learner, 1, lambda z: np.full(2, error))
+    assert learner.falls_back is gives_up
 
 
 def test_power_decides_when_what_the_model_foresees_is_not_seen() -> None:
-    def nothing(z: np.ndarray) -> np.ndarray:
-        return np.array([-12.0, math.nan])
-
     learner = learner_of(LinearModel(), patience=4)
-    practise(learner, 3, nothing)
+    practise(learner, 3, lost)
     assert not learner.falls_back
-    practise(learner, 4, nothing)
+    practise(learner, 4, lost)
     assert learner.falls_back
-    z = np.full(SIZE, 0.5)
-    learner.measure(z, np.array([3.0, 3.0]))
-    learner.tell(z, 0.5)
+    tell(learner, np.full(SIZE, 0.5), np.array([3.0, 3.0]))
     assert not learner.falls_back, "a measured value is something to plan from"
 
 
 def test_a_plan_is_nearer_to_the_best_rollout_than_to_one_of_which_less_is_known() -> None:
     learner = learner_of(LinearModel(), seed=2)
     practise(learner, 1)
-    lost = learner.ask()
-    learner.measure(lost, np.array([-12.0, math.nan]))
-    learner.tell(lost, 0.1)
+    tried = learner.ask()
+    tell(learner, tried, lost(tried), 0.1)
     plan = learner.mean
-    assert 0.2 < np.linalg.norm(plan) <= np.linalg.norm(plan - lost)
+    assert 0.2 < np.linalg.norm(plan) <= np.linalg.norm(plan - tried)
 
 
-@pytest.mark.parametrize("foreseen", [True, False])
-@pytest.mark.parametrize("known", [[0], [1]])
+@pytest.mark.parametrize(("known", "foreseen"), [([0], True), ([1], False)])
 def test_the_known_part_of_an_error_is_learnt_from(known: list[int], foreseen: bool) -> None:
     """The other part is not seen before a rollout comes near, and not foreseen."""
 
@@ -191,7 +173,7 @@ def test_a_rollout_beyond_an_edge_halves_the_way_of_the_next_plan() -> None:
     """Beyond it there is no error with a value, as of a pancake that does not leave the pan."""
 
     def with_an_edge(z: np.ndarray) -> np.ndarray:
-        return error(z) if z[0] < 3.0 else np.array([-12.0, math.nan])
+        return error(z) if z[0] < 3.0 else lost(z)
 
     learner = learner_of(LinearModel())
     errors = practise(learner, 8, with_an_edge)
@@ -208,10 +190,8 @@ def test_power_decides_when_no_better_plan_is_found_than_one_that_was_run() -> N
     practise(learner, 1)
     assert learner.falls_back
     near = learner_of(LinearModel())
-    z = np.zeros(SIZE)
     for measured in (np.array([0.3, 0.3]), np.array([-0.2, 0.1])):
-        near.measure(z, measured)
-        near.tell(z, 1.0)
+        tell(near, np.zeros(SIZE), measured, 1.0)
     assert not near.falls_back, "what is within the tolerances is run again"
 
 
@@ -227,11 +207,6 @@ def test_where_a_rejected_plan_has_come_back_to_the_best_rollout_power_draws() -
 def test_a_learner_without_error_model_is_refused() -> None:
     with pytest.raises(ValueError, match="ModelBased needs a model"):
         ModelBased(SIZE, ModelBased.Settings(), rng(0))
-
-
-def tell(learner: ModelBased, z: np.ndarray, error: np.ndarray, ret: float = 0.5) -> None:
-    learner.measure(z, error)
-    learner.tell(z, ret)
 
 
 def test_after_as_many_rollouts_as_are_planned_power_decides() -> None:
@@ -260,34 +235,6 @@ def test_a_plan_takes_no_more_simulations_than_are_set() -> None:
         practise(learner, 1)
         assert learner.mean.shape == (SIZE,)
         assert model.count == 1 + simulations
-
-
-def test_what_slopes_leave_out_is_a_constant_and_a_quarter_that_changes_with_the_distance() -> None:
-    model = LinearModel()
-    model.predict = None
-    learner = learner_of(model)
-    tell(learner, np.zeros(SIZE), START)
-    far = 1e3 * np.eye(SIZE)[-1]  # which changes no error
-    weight = 16.0 / (16.0 * 1.25 + 0.25)
-    expected = learner._expected()
-    np.testing.assert_allclose(expected(far).values[:2], weight * START)
-    np.testing.assert_allclose(expected(np.zeros(SIZE)).values[:2], 1.25 * weight * START)
-
-
-@pytest.mark.parametrize(("moved", "known"), [(0.65, False), (0.75, True), (1.0, True)])
-def test_a_direction_is_probed_until_most_of_a_probe_was_made_along_it(
-    moved: float, known: bool
-) -> None:
-    """Axes of the search are directions, in which coordinates are in steps of 5."""
-    learner, best = learner_of(LinearModel()), np.full(SIZE, 0.4)
-    expected = learner._expected()
-    points = [expected(5.0 * (best + z)) for z in moved * PROBE_STEP * np.eye(SIZE)]
-    at = expected(5.0 * best)
-    probe = learner._probe(at, [at, *points[:3]], False)
-    assert (probe is None) == known
-    if probe is not None:
-        np.testing.assert_allclose(probe, PROBE_STEP * np.eye(SIZE)[0])
-    assert learner._probe(at, [at, *points[1:3]], False) is not None
 
 
 def test_what_is_only_assumed_explains_an_error_as_far_as_it_changes_both() -> None:

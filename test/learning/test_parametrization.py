@@ -62,7 +62,7 @@ def test_a_sampled_stiffness_is_positive_definite_and_stored_as_executed(variant
     p = parametrization(variant)
     rng = np.random.default_rng(1)
     clipped = 0
-    for _ in range(50):
+    for _ in range(20):
         wanted = 6.0 * rng.standard_normal(p.size)
         policy, z = p.policy(wanted, "a")
         clipped += not np.array_equal(wanted, z)
@@ -71,7 +71,7 @@ def test_a_sampled_stiffness_is_positive_definite_and_stored_as_executed(variant
         again, same = p.policy(z, "a")
         np.testing.assert_array_equal(same, z)
         assert to_json(again) == to_json(policy)
-    assert clipped == 0 if variant == "attractors" else clipped > 30
+    assert clipped == 0 if variant == "attractors" else clipped > 10
 
 
 @variants
@@ -98,7 +98,7 @@ def test_clipping_touches_only_what_is_learnt_and_what_is_too_soft(variant: str)
 
 
 @given(seed=st.integers(0, 1000), split=st.floats(0.0, 1.0))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=20)
 def test_a_mean_of_clipped_samples_needs_no_clipping(seed: int, split: float) -> None:
     for variant in ("full", "planar"):
         p = parametrization(variant)
@@ -112,13 +112,8 @@ def test_unit_noise_has_the_scale_of_each_group(variant: str) -> None:
     p = parametrization(variant)
     moved = p.theta(np.ones(p.size)) - p.theta0
     mean = np.trace(p.policy0.stiffness, axis1=1, axis2=2).mean() / 3.0
-    expected = {
-        "stiffness": 0.1 * mean,
-        "attractors": 0.01,
-        "rotation": 0.05,
-        "lift": 0.03,
-        "twist": 0.02,
-    }
+    expected = {"attractors": 0.01, "rotation": 0.05, "lift": 0.03, "twist": 0.02}
+    expected["stiffness"] = 0.1 * mean
     for name, group in p.groups.items():
         np.testing.assert_allclose(moved[group], expected[name])
 
@@ -166,54 +161,33 @@ def test_each_parameter_moves_its_own_entry_to_its_value_and_no_other(variant: s
             np.testing.assert_array_equal(getattr(policy, other), getattr(p.policy0, other))
 
 
-@variants
-def test_the_parameters_of_the_demonstrated_policy_are_its_entries(variant: str) -> None:
-    p = parametrization(variant)
-    matrices, axes, turned = ENTRIES[variant]
-    stiffness = p.policy0.stiffness
-    if variant in ("symmetric", "planar"):
-        stiffness = symmetric_part(stiffness)
-    expected = [stiffness[i][entry] for i in range(8) for entry in matrices]
-    expected += p.policy0.attractors[:, axes].ravel().tolist()
-    expected += p.policy0.rotation_attractors[:, turned].ravel().tolist()
-    np.testing.assert_array_equal(p.theta0, [*expected, 0.0, 0.0])
-    for array in (p.theta0, p.scale):
-        with pytest.raises(ValueError, match="read-only"):
-            array[0] = 1.0
-
-
 def test_what_cannot_be_is_refused_with_its_reason() -> None:
     p = parametrization("full")
-    with pytest.raises(ValueError, match="'cubic' is not one of full, symmetric, diagonal"):
-        parametrization_of(demonstrated_policy(), "cubic", NOISE)
-    with pytest.raises(ValueError, match="must be two or three"):
-        Stiffness(0.1, axes=(2,))
-    with pytest.raises(ValueError, match=r"shape \(3,\), the parameters have \(98,\)"):
-        p.policy(np.zeros(3), "a")
-    with pytest.raises(ValueError, match="not finite"):
-        p.clip(np.full(98, np.nan))
-    with pytest.raises(ValueError, match="'lift' has 8 attractors, policy 'flick-1' has 4"):
-        Parametrization(demonstrated_policy(count=4), (LIFT,))
-    with pytest.raises(ValueError, match="'attractors' is used by two groups"):
-        of("full", replace(LIFT, name="attractors"))
-    with pytest.raises(ValueError, match=r"noise = 0\.0"):
-        Direction(0.0, "lift", PATTERN, PATTERN)
-    with pytest.raises(ValueError, match=r"rotation has shape \(7, 3\)"):
-        Direction(1.0, "lift", PATTERN, PATTERN[1:])
+    for call, why in (
+        (lambda: parametrization_of(demonstrated_policy(), "cubic", NOISE), "'cubic' is not one"),
+        (lambda: Stiffness(0.1, axes=(2,)), "must be two or three"),
+        (lambda: p.policy(np.zeros(3), "a"), r"shape \(3,\), the parameters have \(98,\)"),
+        (lambda: p.clip(np.full(98, np.nan)), "not finite"),
+        (lambda: Parametrization(demonstrated_policy(count=4), (LIFT,)), "'lift' has 8 attractors"),
+        (lambda: of("full", replace(LIFT, name="attractors")), "is used by two groups"),
+        (lambda: Direction(0.0, "lift", PATTERN, PATTERN), r"noise = 0\.0"),
+        (lambda: Direction(1.0, "lift", PATTERN, PATTERN[1:]), r"rotation has shape \(7, 3\)"),
+    ):
+        with pytest.raises(ValueError, match=why):
+            call()
 
 
 @pytest.mark.parametrize("variant", ["full", "diagonal", "symmetric", "attractors"])
 def test_a_variant_by_name_is_that_of_its_groups(variant: str) -> None:
     named, p = parametrization_of(demonstrated_policy(), variant, NOISE), of(variant)
-    z = 6.0 * np.random.default_rng(3).standard_normal(p.size)
     assert named.groups == p.groups
-    assert to_json(named.policy(z, "a")[0]) == to_json(p.policy(z, "a")[0])
+    np.testing.assert_array_equal(named.theta(np.ones(p.size)), p.theta(np.ones(p.size)))
 
 
 @variants
 def test_many_at_once_are_the_policies_one_by_one(variant: str) -> None:
     p = parametrization(variant)
-    z = 6.0 * np.random.default_rng(2).standard_normal((20, p.size))
+    z = 6.0 * np.random.default_rng(2).standard_normal((5, p.size))
     many = p.arrays(z)
     for k in range(len(z)):
         policy, _ = p.policy(z[k], "a")

@@ -40,7 +40,7 @@ def make(seed: int = 0, count: int = 8) -> Policy:
     )
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=20)
 @given(st.integers(0, 2**32), st.integers(1, 20))
 def test_text_and_back_is_the_same_to_the_last_bit(seed: int, count: int) -> None:
     policy = make(seed, count)
@@ -61,7 +61,7 @@ def followed(policy: Policy, dt: float) -> np.ndarray:
     return path
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=5)
 @given(st.floats(0.5, 2.0), st.integers(0, 2**32))
 def test_a_faster_policy_moves_and_turns_along_the_same_path_in_the_new_time(
     tempo: float, seed: int
@@ -83,10 +83,13 @@ def test_the_arrays_are_copies_and_cannot_be_written() -> None:
         policy.stiffness[0, 0, 0] = 1.0
 
 
-def spoilt(name: str, index: tuple[int, ...], value: float) -> np.ndarray:
+def spoilt(name: str, index: tuple[int, ...], value: float) -> dict[str, np.ndarray]:
     array = np.array(getattr(make(), name))
     array[index] = value
-    return array
+    return {name: array}
+
+
+COUPLED = np.tile([[100.0, 300.0, 0.0], [0.0, 100.0, 0.0], [0.0, 0.0, 100.0]], (8, 1, 1))
 
 
 @pytest.mark.parametrize(
@@ -95,25 +98,23 @@ def spoilt(name: str, index: tuple[int, ...], value: float) -> np.ndarray:
         ({"id": "a/b"}, "id 'a/b'"),
         ({"id": "a\n"}, "id"),
         ({"id": "x" * 65}, "id"),
-        ({"stiffness": spoilt("stiffness", (3, 1, 2), math.nan)}, r"stiffness\[3, 1, 2\] = nan"),
-        ({"stiffness": spoilt("stiffness", (0, 0, 0), -500.0)}, r"stiffness\[0\] has eigenvalue"),
+        (spoilt("stiffness", (3, 1, 2), math.nan), r"stiffness\[3, 1, 2\] = nan"),
+        (spoilt("stiffness", (1, 0, 0), -500.0), r"stiffness\[1\] has eigenvalue"),
+        ({"stiffness": COUPLED}, r"stiffness\[0\] has eigenvalue"),  # of the symmetric part
         ({"stiffness": 300.0 * np.eye(3)}, r"stiffness has shape \(3, 3\)"),
-        ({"attractors": spoilt("attractors", (2, 2), math.inf)}, r"attractors\[2, 2\] = inf"),
         ({"attractors": [["a"] * 3] * 8}, "attractors is not an array of numbers"),
         ({"rotation_attractors": np.zeros((7, 3))}, "rotation_attractors has shape"),
-        ({"orientation_reference": [0.0, 0.0, 0.0, 0.9]}, "orientation_reference has length 0.9"),
+        ({"orientation_reference": [0.0, 0.0, 0.0, 1.0 - 2e-6]}, "orientation_reference has leng"),
         ({"damping": 0.0}, "damping = 0.0"),
         ({"rotation_stiffness": -1.0}, "rotation_stiffness = -1.0"),
         ({"q_start": np.zeros(0)}, "q_start has 0 joints"),
+        ({"q_start": np.zeros(17)}, "17 joints"),
         ({"q_start": np.zeros((7, 1))}, "q_start has shape"),
     ],
 )
 def test_a_wrong_policy_cannot_exist(change: dict[str, Any], words: str) -> None:
     with pytest.raises(ValueError, match=words):
         replace(make(), **change)
-
-
-LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 @pytest.mark.parametrize(
@@ -139,55 +140,29 @@ def test_a_value_at_its_limit_is_allowed_and_the_next_beyond_is_not(
             replace(make(), **{name: sign * at * (1.0 + 1e-15)})
 
 
-def test_a_basis_and_the_joints_have_their_limits() -> None:
+def test_a_basis_a_stiffness_and_the_joints_may_be_at_their_limits() -> None:
     for count, duration, variance in ((1, 60.0, 3600.0), (200, 1e-3, 1e-8)):
         assert Basis(count, duration, variance).duration == duration
-    for arguments in ((1, 60.0 + 1e-9, 1.0), (1, 1.0, 3600.0 + 1e-6), (1, 1.0, 0.999e-8)):
-        with pytest.raises(ValueError, match="must be"):
-            Basis(*arguments)
     assert Basis(3, 0.8, 0.1).centres.tolist() == [0.0, 0.4, 0.8]
+    skew = np.array([[0.0, 900.0, 0.0], [-900.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    for stiffness in (0.5 * np.eye(3), np.eye(3) + skew):  # its symmetric part counts
+        given = np.tile(stiffness, (8, 1, 1))
+        assert np.array_equal(replace(make(), stiffness=given).stiffness, given)
     for joints in (1, 16):
         assert len(replace(make(), q_start=np.zeros(joints)).q_start) == joints
-    with pytest.raises(ValueError, match="17 joints"):
-        replace(make(), q_start=np.zeros(17))
     assert replace(make(), id="x" * 64).id == "x" * 64
-    assert np.array_equal(replace(make(), orientation_reference=LEVEL).orientation_reference, LEVEL)
-    for off in (-2e-6, 2e-6):
-        with pytest.raises(ValueError, match="orientation_reference"):
-            replace(make(), orientation_reference=(1.0 + off) * LEVEL)
-
-
-def test_the_symmetric_part_decides_whether_a_stiffness_is_positive_definite() -> None:
-    def with_stiffness(matrix: np.ndarray) -> Policy:
-        return replace(make(count=2), stiffness=np.stack([300.0 * np.eye(3), matrix]))
-
-    skew = np.array([[0.0, 900.0, 0.0], [-900.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
-    for allowed in (0.5 * np.eye(3), np.eye(3) + skew):
-        assert np.array_equal(with_stiffness(allowed).stiffness[1], allowed)
-    coupled = 100.0 * np.eye(3)
-    coupled[0, 1] = 300.0  # symmetric part: 150 off the diagonal of 100
-    for refused in (np.diag([1.0, 1.0, 0.0]), coupled, coupled.T):
-        with pytest.raises(ValueError, match=r"stiffness\[1\] has eigenvalue"):
-            with_stiffness(refused)
-
-
-def test_a_text_of_a_million_bytes_is_read_and_no_longer_one() -> None:
-    text = to_json(make())
-    padded = text + " " * (1_000_000 - len(text))
-    assert to_json(from_json(padded)) == text
-    with pytest.raises(ValueError, match="1000001 bytes; at most 1000000 are allowed"):
-        from_json(padded + " ")
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
         ((0, 1.0, 0.1), "count = 0"),
-        ((2.0, 1.0, 0.1), "count = 2.0"),
         ((True, 1.0, 0.1), "count = True"),
         ((8, 0.0, 0.1), "duration = 0.0"),
+        ((8, 60.0 + 1e-9, 0.1), "duration"),
         ((8, math.nan, 0.1), "duration"),
-        ((8, 1.0, 0.0), "variance = 0.0"),
+        ((8, 1.0, 0.999e-8), "variance"),
+        ((8, 1.0, 3600.0 + 1e-6), "variance"),
     ],
 )
 def test_a_wrong_basis_cannot_exist(arguments: tuple[Any, ...], words: str) -> None:
@@ -205,22 +180,18 @@ def changed(**keys: object) -> str:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "not JSON"),
         ("[]", "policy text"),
-        ("[" * 100_000, "nested deeper"),
-        ('{"id": 1, "id": 2}', "key 'id' appears twice"),
         (to_json(make()).replace("32.0", "NaN"), "NaN is not a finite number"),
-        (to_json(make()).replace("32.0", "1" + "0" * 400), "beyond 128 bits"),
         (changed(schema="wam_power_ros/policy/3"), "schema"),
         (changed(damping=...), "damping"),
         (changed(damping="32"), "damping"),
-        (changed(count=8.5), "count"),
         (changed(count=3), "shape"),
         (changed(extra=1), "extra"),
         (changed(attractors=[[1.0, 2.0]] * 8), "attractors.0"),
         (changed(q_start=[0.0] * 17), "q_start"),
         (changed(id="../x"), "id"),
         (" " * SIZE_MAX + to_json(make()), "bytes"),
+        (to_json(make()).encode(), "bytes"),
     ],
 )
 def test_a_wrong_text_is_refused_and_the_fault_named(text: str, words: str) -> None:
@@ -228,7 +199,7 @@ def test_a_wrong_text_is_refused_and_the_fault_named(text: str, words: str) -> N
         from_json(text)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=50)
 @given(st.data())
 def test_a_damaged_text_raises_value_error_or_is_a_valid_policy(data: st.DataObject) -> None:
     text = to_json(make(count=2))
@@ -239,11 +210,6 @@ def test_a_damaged_text_raises_value_error_or_is_a_valid_policy(data: st.DataObj
     except ValueError:
         return
     assert np.isfinite(policy.stiffness).all()
-
-
-def test_bytes_are_not_text() -> None:
-    with pytest.raises(ValueError, match="bytes"):
-        from_json(to_json(make()).encode())  # type: ignore[arg-type]
 
 
 ARM = ArmIdentity("wam7", tuple(f"wam_j{i}" for i in range(1, 8)), "1" * 64, "2" * 64)

@@ -16,26 +16,21 @@ def path(kind: type[EndEffectorPath] | type[BodyPath] = BodyPath, **change: obje
     return kind(**{"id": "a", "t": T, "position": np.zeros((3, 3)), "quat_xyzw": LEVEL, **change})
 
 
-@pytest.mark.parametrize("kind", [EndEffectorPath, BodyPath])
 @pytest.mark.parametrize(
     ("change", "words"),
     [
         ({"id": "a/b"}, "id 'a/b'"),
         ({"t": [0.0, 0.02, 0.02]}, r"path a: t\[2\] = 0.02 follows 0.02; it must increase"),
-        ({"t": [0.0, -0.02, -0.03]}, r"path a: t\[1\] = -0.02 follows 0.0"),
         ({"t": [0.0, np.nan, 1.0]}, r"path a: t\[1\] = nan"),
         ({"position": np.zeros((2, 3))}, r"path a: position has shape \(2, 3\)"),
-        ({"position": np.full((3, 3), np.inf)}, "path a: position"),
-        ({"quat_xyzw": LEVEL[:, :3]}, "path a: quat_xyzw has shape"),
         ({"quat_xyzw": LEVEL * [[1.0], [1.002], [0.9]]}, r"quat_xyzw\[1\] has length 1.002"),
         ({"quat_xyzw": LEVEL * [[1.0], [1.0], [0.998]]}, r"quat_xyzw\[2\] has length 0.998"),
     ],
 )
-def test_a_wrong_path_cannot_exist(
-    kind: type[EndEffectorPath] | type[BodyPath], change: dict[str, Any], words: str
-) -> None:
-    with pytest.raises(ValueError, match=words):
-        path(kind, **change)
+def test_a_wrong_path_cannot_exist(change: dict[str, Any], words: str) -> None:
+    for kind in (EndEffectorPath, BodyPath):
+        with pytest.raises(ValueError, match=words):
+            path(kind, **change)
 
 
 def test_a_path_is_a_copy_that_cannot_be_written() -> None:

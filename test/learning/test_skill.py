@@ -18,7 +18,7 @@ def near(policy: power.Policy) -> float:
     return float(np.exp(-10.0 * np.linalg.norm(x - VIA, axis=1).min()))
 
 
-@pytest.mark.parametrize("duration", [0.4, 2.0, 20.0])
+@pytest.mark.parametrize("duration", [0.4, 20.0])
 def test_a_movement_is_reproduced_as_well_whatever_its_tempo(duration: float) -> None:
     t, x = power.path(power.fit(T * duration / 2.0, X), X[0])
     expected = np.column_stack([np.interp(t, T * duration / 2.0, axis) for axis in X.T])
@@ -38,19 +38,20 @@ def test_times_need_neither_begin_at_zero_nor_be_even() -> None:
 @pytest.mark.parametrize("make", [None, lambda n, rng: CmaEs(n, CmaEs.Settings(), rng)])
 def test_practice_improves_the_return_and_the_same_seed_gives_the_same(make: object) -> None:
     more = {} if make is None else {"learner": make}
-    rngs = np.random.default_rng(0), np.random.default_rng(0)
-    runs = [[*power.practise(near, power.fit(T, X), rng, rollouts=60, **more)] for rng in rngs]
-    assert [a.ret for a in runs[0]] == [a.ret for a in runs[1]]
-    first, last = runs[0][0], runs[0][-1]
-    np.testing.assert_allclose(first.ret, near(power.fit(T, X)))
-    assert near(last.mean) > 1.2 * first.ret
+    policy = power.fit(T, X)
+    run, again = (
+        [*power.practise(near, policy, np.random.default_rng(0), rollouts=count, **more)]
+        for count in (60, 10)
+    )
+    assert [tried.ret for tried in run[:10]] == [tried.ret for tried in again]
+    np.testing.assert_allclose(run[0].ret, near(policy))
+    assert near(run[-1].mean) > 1.2 * run[0].ret
 
 
 @pytest.mark.parametrize(
     ("t", "x", "why"),
     [
         (T, X[:, :2], "x"),
-        (T[:-1], X, "x"),
         (T[::-1], X, "t must have"),
         (T, np.where(X == X[3], np.nan, X), "x"),
         (T * 1e-2, X, "at least 24"),

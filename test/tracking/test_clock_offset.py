@@ -14,9 +14,7 @@ def test_the_offset_of_two_clocks_is_the_age_that_jitter_cannot_lower() -> None:
     for jitter in (7_000_000, 0, 3_000_000):
         offset.add(START, START + 250_000_000 + jitter)
     assert offset.seconds == pytest.approx(0.25)
-    for index in range(
-        240
-    ):  # two seconds of frames delivered at once to a tracker that was not scheduled
+    for index in range(240):  # two seconds of frames at once: the tracker was not scheduled
         offset.add(START + index * 8_333_333, START + 2_500_000_000 + index * 100_000)
     assert offset.seconds == pytest.approx(0.25)
     for index in range(20):  # if all frames are late for long, the clocks differ

@@ -23,7 +23,7 @@ def matrix(pose: Pose) -> np.ndarray:
     return whole
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(3))
 def test_any_two_frames_of_a_tree_see_each_other_as_matrices_say(seed: int) -> None:
     rng, tree, in_root = np.random.default_rng(seed), FrameTree(), {"root": np.eye(4)}
     for name in "abcdefgh":

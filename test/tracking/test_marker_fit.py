@@ -37,40 +37,24 @@ def test_no_two_distances_of_the_layout_are_alike() -> None:
 
 
 @given(seed=seeds)
-@settings(max_examples=40, deadline=None)
-def test_a_cloud_in_any_order_gives_the_pose(seed: int) -> None:
-    points, vector = cloud(np.random.default_rng(seed))
-    found = marker_fit.fit(points)
-    assert found.markers == 4
-    np.testing.assert_allclose(found.position, POSITION, atol=1e-9)
-    assert angle_between(found, vector) < 1e-9
-
-
-@given(seed=seeds)
-@settings(max_examples=40, deadline=None)
-def test_a_hidden_marker_leaves_the_pose_as_it_is(seed: int) -> None:
-    points, vector = cloud(np.random.default_rng(seed))
-    found = marker_fit.fit(points[:3])
-    assert found.markers == 3
-    np.testing.assert_allclose(found.position, POSITION, atol=1e-9)
-    assert angle_between(found, vector) < 1e-9
-
-
-@given(seed=seeds)
-@settings(max_examples=40, deadline=None)
-def test_markers_of_other_things_do_not_move_the_pose(seed: int) -> None:
+@settings(max_examples=25)
+def test_a_cloud_in_any_order_gives_the_pose_whatever_is_hidden_or_seen_beside_it(
+    seed: int,
+) -> None:
     rng = np.random.default_rng(seed)
     points, vector = cloud(rng)
     others = POSITION + rng.uniform(0.3, 1.0, (6, 3)) * rng.choice([-1.0, 1.0], (6, 3))
-    found = marker_fit.fit(rng.permutation(np.vstack([points, others])))
-    np.testing.assert_allclose(found.position, POSITION, atol=1e-9)
-    assert angle_between(found, vector) < 1e-9
+    for seen, count in ((points, 4), (points[:3], 3), (np.vstack([points, others]), 4)):
+        found = marker_fit.fit(rng.permutation(seen))
+        assert found.markers == count
+        np.testing.assert_allclose(found.position, POSITION, atol=1e-9)
+        assert angle_between(found, vector) < 1e-9
 
 
 def test_half_a_millimetre_of_noise_gives_half_a_millimetre_and_half_a_degree() -> None:
     rng = np.random.default_rng(1)
     errors, angles = [], []
-    for _ in range(200):
+    for _ in range(100):
         points, vector = cloud(rng, noise=0.5e-3)
         found = marker_fit.fit(points)
         errors.append(np.linalg.norm(found.position - POSITION))
@@ -82,7 +66,6 @@ def test_half_a_millimetre_of_noise_gives_half_a_millimetre_and_half_a_degree() 
 @pytest.mark.parametrize(
     ("points", "why"),
     [
-        (np.zeros((0, 3)), "0 markers in view"),
         (marker_fit.LAYOUT[:2], "2 markers in view"),
         (np.zeros((65, 3)), "65 markers in view"),
         (marker_fit.LAYOUT * [1.0, -1.0, 1.0] * 1.3, "not found in 4"),
