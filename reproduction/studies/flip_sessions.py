@@ -60,16 +60,18 @@ def stand_in(
     seed: int,
     *,
     believed_pan: float = 1.0,
-    mocap: MocapSettings | None = None,
+    camera: bool = False,
     home: Sequence[float] | None = None,
     **world: Any,  # noqa: ANN401 - checked by WorldSettings
 ) -> Environment:
     """Environment with sensors and motors of the stand-in, in its normal or another condition.
 
-    The controller's model has `believed_pan` times the mass of the pan. Demonstrations begin at
-    `home` [rad], None for that of the scene; `world` are fields of `WorldSettings`.
+    A `camera` with tags on the pancake takes the place of motion capture. The controller's model
+    has `believed_pan` times the mass of the pan. Demonstrations begin at `home` [rad], None for
+    that of the scene; `world` are fields of `WorldSettings`.
     """
-    world_ = World(scene_type("flip"), WorldSettings(**world), seed, mocap)
+    eyes = MocapSettings(camera=camera)
+    world_ = World(scene_type("flip"), WorldSettings(**world), seed, eyes)
     if home is not None:
         world_.scene.home = np.array(home)
     return Environment(world_, urdf=_with_pan(world_.urdf, believed_pan))

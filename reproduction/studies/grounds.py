@@ -57,6 +57,7 @@ GROUNDS: Mapping[str, Mapping[str, Any]] = {
     "pancake of 0.12 m": {"condition": {"body_size": 0.12 / PANCAKE_RADIUS}},
     "unknown world": {"condition": {"unknown": "session"}},
     "varied world": {"condition": {"unknown": "rollout"}},
+    "camera with tags": {"condition": {"camera": True}},
     **TURNED,
 }
 # Final policies are run again in as many other worlds as there are re-tests.
