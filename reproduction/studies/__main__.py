@@ -66,7 +66,7 @@ GROUNDS = Table(
     grounds.jobs,
     grounds.line,
     (
-        grounds.GROUNDS.keys() - {"hand 4.0 rad/s", "varied world", "camera with tags", *grounds.TURNED},
+        grounds.GROUNDS.keys() - {"hand 4.0 rad/s", "varied world", *grounds.OTHER},
         ("model_based", "hindsight"),
     ),
     grounds.row,
