@@ -134,7 +134,7 @@ def test_interrupted_and_begun_again_it_ends_with_the_same_files(tmp_path: Path)
         "run(draws(10, 0.1), Path(sys.argv[1]), 2)"
     )
     command = [sys.executable, "-c", code, str(tmp_path / "stopped")]
-    places = [ROOT, ROOT / "test/reproduction", os.environ.get("PYTHONPATH", "")]
+    places = [ROOT, ROOT / "test", ROOT / "test/reproduction", os.environ.get("PYTHONPATH", "")]
     path = os.pathsep.join(map(str, places))
     environment = os.environ | {"PYTHONPATH": path}
     with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE) as process:
