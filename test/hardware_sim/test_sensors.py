@@ -11,9 +11,10 @@ from simulated import CALM, LEVEL, begin, run
 
 from hardware_sim.motors import motor_motion
 from hardware_sim.scenes.flip import Flip
-from hardware_sim.sensors import Encoders, MocapFrame, MocapSettings
+from hardware_sim.sensors import Encoders, Mocap, MocapFrame, MocapSettings
 from hardware_sim.wam import PERIOD, PERIOD_NS
 from hardware_sim.world import World
+from wam_power_ros import rotations
 from wam_power_ros.tracking.marker_fit import LAYOUT
 
 
@@ -84,3 +85,23 @@ def test_frames_and_markers_are_lost_at_the_configured_rates() -> None:
     assert len(frames) == pytest.approx(0.8 * 490, rel=0.12)
     hidden = sum(len(frame.markers) == 3 for frame in frames)
     assert hidden / len(frames) == pytest.approx(0.3, abs=0.08)
+
+
+def test_a_camera_sees_either_side_of_a_disc_and_nothing_of_one_that_is_edge_on() -> None:
+    pytest.importorskip("cv2")
+    mocap = Mocap(MocapSettings(camera=True, latency=0.0))
+    mocap.restart(1, np.random.default_rng(0))
+    place, twist = np.array([0.8, -0.2, 0.5]), np.array([0.5, 0.0, 1.0, 0.0, 7.0, 0.0])
+    off, turned = [], []
+    for number in range(13):
+        now_ns = (number + 1) * 1_000_000_000
+        rotation = rotations.exp(np.array([0.0, number * np.pi / 12, 0.0]))
+        mocap.expose(now_ns, place, rotation, twist)
+        for frame in mocap.delivered(now_ns):
+            off.append(np.linalg.norm(frame.position - place))
+            error = rotations.matrix(frame.quat_xyzw) @ rotation.T
+            turned.append(np.linalg.norm(rotations.log(error)))
+            assert len(frame.markers) == 0
+    assert 9 <= len(off) < 13
+    assert np.median(off) < 1e-3 and max(off) < 5e-3
+    assert max(turned) < np.deg2rad(2.0)
