@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """How well simulated arms that differ from their model measure themselves.
 
-    python -m benchmark.commissioning [--first 141] [--arms 20] [--parts measure]
+    python -m benchmark.commissioning [--first 141] [--arms 20] [--parts measure] [--camera]
     python -m benchmark.commissioning --first 5400 --parts spoilt
 
-Each seed, from the first on, is another arm. `spoilt` judges each twice, as it is and in a
+Each seed, from the first on, is another arm. `--camera` takes tags on the tool for its markers. `spoilt` judges each twice, as it is and in a
 laboratory in which something is wrong. All runs in one process; see docs/evidence/commissioning.md.
 """
 
@@ -33,6 +33,7 @@ from wam_power_ros.control.modes import Mode
 from wam_power_ros.in_process.environment import Environment
 
 CAMERAS = MocapSettings(rate=120.0, noise=3e-4, dropout=0.01)
+TAGS = MocapSettings(camera=True)
 WARMER = 0.1  # share by which each joint's friction has changed when the result is checked
 PARTS = ("measure", "spoilt")
 
@@ -72,9 +73,11 @@ def recorded(environment: Environment, plan: Excitation) -> tuple[Recording, str
     return made, "" if core.latched is None else core.latched.text, peak
 
 
-def moved(seed: int) -> tuple[World, Arm, Laboratory, str, np.ndarray]:
+def moved(
+    seed: int, eyes: MocapSettings = CAMERAS
+) -> tuple[World, Arm, Laboratory, str, np.ndarray]:
     """Let the arm of a seed move; its world and URDF's model, and see `recorded`."""
-    world = World(Markers, WorldSettings(unknown="lab"), seed, CAMERAS)
+    world = World(Markers, WorldSettings(unknown="lab"), seed, eyes)
     environment = Environment(world)
     environment.place("commission-quiet", world.home)
     world.release()
@@ -91,9 +94,9 @@ def analysed(arm: Arm, lab: Laboratory) -> Commissioned:
     return analyse(arm, lab.plan, lab.recorded, lab.payload, lab.gravity_added, flat=True)
 
 
-def measured(seed: int) -> Iterator[dict[str, Any]]:
+def measured(seed: int, eyes: MocapSettings = CAMERAS) -> Iterator[dict[str, Any]]:
     """How far what the arm of a seed finds is from the truth."""
-    world, arm, lab, fault, peak = moved(seed)
+    world, arm, lab, fault, peak = moved(seed, eyes)
     found, hidden, plan = analysed(arm, lab), world.hidden, lab.plan
     c, seen = found.arm.corrections, found.cameras
     assert seen is not None
@@ -152,14 +155,14 @@ def judged(arm: Arm, lab: Laboratory) -> tuple[dict[str, float], list[str], list
     return {name: round(float(x), 3) for name, x in figures.items()}, refused, notes(arm, found)
 
 
-def laboratories(seed: int) -> Iterator[dict[str, Any]]:
+def laboratories(seed: int, eyes: MocapSettings = CAMERAS) -> Iterator[dict[str, Any]]:
     """Verdicts on the arm of a seed, ordinary and in a laboratory that is spoilt.
 
     A note counts if it would not be there otherwise. That on the last zero always is, and counts
     where the body is not flat: nothing that is measured tells the two apart.
     """
     spoil = [*SPOILT][seed % len(SPOILT)]
-    _, arm, lab, fault, _ = moved(seed)
+    _, arm, lab, fault, _ = moved(seed, eyes)
     figures, refused, ordinary = judged(arm, lab)
     known = {note.quantity for note in ordinary}
     yield verdict(seed, "", figures, [*filter(None, [fault]), *refused], ordinary)
@@ -181,11 +184,12 @@ def verdict(
 
 def main() -> int:
     """Print one line of JSON for each result; returns 1 if a laboratory is judged wrongly."""
-    given, wrong = options(__doc__, first=141, arms=20, parts=[*PARTS]), 0
+    given = options(__doc__, first=141, arms=20, parts=[*PARTS], camera=False)
+    eyes, wrong = TAGS if given.camera else CAMERAS, 0
     for seed in range(given.first, given.first + given.arms):
         begun = time.monotonic()
         for part in given.parts:
-            for each in (measured if part == "measure" else laboratories)(seed):
+            for each in (measured if part == "measure" else laboratories)(seed, eyes):
                 print(json.dumps(each), flush=True)
                 wrong += each.get("wrong", False)
         print(f"# {time.monotonic() - begun:.0f} s", flush=True)
