@@ -4,8 +4,9 @@
     python -m benchmark.commissioning [--first 141] [--arms 20] [--parts measure] [--camera]
     python -m benchmark.commissioning --first 5400 --parts spoilt
 
-Each seed, from the first on, is another arm. `--camera` takes tags on the tool for its markers. `spoilt` judges each twice, as it is and in a
-laboratory in which something is wrong. All runs in one process; see docs/evidence/commissioning.md.
+Each seed, from the first on, is another arm. `--camera` films tags on the tool in place of markers.
+`spoilt` judges each twice, as it is and in a laboratory in which something is wrong. All runs in
+one process; see docs/evidence/commissioning.md.
 """
 
 from __future__ import annotations
