@@ -5,19 +5,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
-from conftest import ROOT, Probe, Processes, diagnosis
-from rclpy.lifecycle import TransitionCallbackReturn
-from rclpy.serialization import deserialize_message, serialize_message
+from conftest import ROOT, Probe, Process, Processes, diagnosis
+from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.nodes.torque_controller import TorqueController
 from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.ros.simulation_guard import STAND_IN
 from wam_power_ros.ros.stamps import time_message
@@ -30,62 +26,6 @@ TICK = 2_000_000  # [ns]
 GRAVITY = Arm((ROOT / "urdf/wam7.urdf").read_text(), NAMES).gravity(HOME)  # [N m]
 
 
-class ControllerHere:
-    """A controller in the test's own process, which hands it states and reads its torques."""
-
-    def __init__(self, node: TorqueController) -> None:
-        self.node = node
-        self.sent: list[Any] = []
-        self.refused: list[str] = []
-        kind = node._commands.msg_type
-        keep = lambda message: self.sent.append(deserialize_message(message, kind))  # noqa: E731
-        node._guard.publish = keep
-        node._report.refuse = lambda what, why: self.refused.append(f"{what} refused: {why}")
-        node._stamp_clock = SimpleNamespace(check=lambda *_: None)
-        self._number = self._stamp_ns = 0
-
-    def send(
-        self,
-        names: list[str] = NAMES,
-        q: np.ndarray = HOME,
-        qd: tuple[float, ...] = (),
-        number: int = 0,
-        again: bool = False,
-    ) -> str:
-        """Hand over a state, a tick after the last, or again, whatever time has passed since.
-
-        Returns:
-            The label of the newest torque, empty before any.
-        """
-        self._number += 1
-        self._stamp_ns += 0 if again else TICK
-        state = JointState(name=names, position=list(q), velocity=qd)
-        state.header.stamp = time_message(self._stamp_ns)
-        if self.node._watchdog.enabled:
-            self.node._watchdog.arrived_ns = self.node._sent_ns = time.monotonic_ns() - TICK
-        self.node._on_state(serialize_message(state), numbered(number or self._number))
-        return self.label
-
-    @property
-    def label(self) -> str:
-        """Label of the newest torque, empty before any."""
-        names = self.node._params.joint_names
-        return joint_messages.torque(self.sent[-1], names).label if self.sent else ""
-
-    def configure(self) -> bool:
-        """Whether the node can be configured."""
-        return self.node.trigger_configure() is TransitionCallbackReturn.SUCCESS
-
-    def activate(self) -> bool:
-        """Whether the node can be activated."""
-        return self.node.trigger_activate() is TransitionCallbackReturn.SUCCESS
-
-
-def numbered(number: int) -> dict[str, int]:
-    """What the middleware says of a publisher's message of a number."""
-    return {"publication_sequence_number": number}
-
-
 class PlayedArm:
     """An arm that never moves: publishes states and collects torques."""
 
@@ -93,16 +33,19 @@ class PlayedArm:
         self,
         probe: Probe,
         processes: Processes,
+        process: Process | None = None,
         **parameters: object,
     ) -> None:
         self.probe = probe
         quick = {"realtime_priority": 0, "state_timeout": 0.0}
-        self.process = processes.node(MODULE, *SIMULATED, **(quick | parameters))
+        self.process = process or processes.node(MODULE, *SIMULATED, **(quick | parameters))
         self.torques: list[joint_messages.TorqueReading] = []
         self.messages = probe.listen(
             Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND
         )
-        self.diagnostics = probe.diagnostics()
+        self.diagnostics = probe.listen(
+            DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
+        )
         self.stamp_ns = TICK
         simulated = parameters.get("use_sim_time", False)
         self.sent_ns, self._real_time = 0, bool(parameters.get("state_timeout")) and not simulated

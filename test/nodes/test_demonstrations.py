@@ -8,9 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bag_samples import demonstration
 from conftest import ROOT
 
 from wam_power_ros import installed
+from wam_power_ros.bags import reader
 from wam_power_ros.nodes.demonstrations import Demonstrations
 from wam_power_ros.nodes.learner import LearnerParams
 from wam_power_ros.nodes.simulated_arm import SimulatedArm
@@ -59,6 +61,20 @@ def test_what_cannot_be_read_is_left_out_and_the_others_keep_their_numbers(
     assert [record.getMessage() for record in caplog.records if nothing in record.getMessage()]
 
 
+def test_what_a_pause_cuts_off_is_logged_with_what_to_do(
+    demonstrations: Demonstrations, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    demonstrations.read(BAG)
+    assert "left out" not in caplog.text
+    _, once = reader.read_demonstration(BAG, PARAMS.joint_names)
+    back = np.concatenate([once, np.tile(once[-1], (200, 1)), once[::-1]])
+    twice = demonstration(tmp_path / "demo_twice", back, tuple(PARAMS.joint_names))
+    assert demonstrations.read(str(twice)).left_out
+    (record,) = [each for each in caplog.records if "left out" in each.getMessage()]
+    assert record.levelname == "WARNING" and str(twice) in record.getMessage()
+    assert "a pause of" in record.getMessage() and "of their own" in record.getMessage()
+
+
 @pytest.mark.parametrize("bags", [[], ["nothing"]])
 def test_a_session_without_a_usable_bag_is_refused(
     demonstrations: Demonstrations, bags: list[str]
@@ -85,3 +101,15 @@ def test_a_policy_has_the_springs_that_the_session_asks_for(
     _, _, (policy,) = demonstrations.candidates(preset("flip", springs=springs), [BAG])
     assert policy.basis.count == count
     assert np.linalg.eigvalsh(policy.stiffness).max() == pytest.approx(500.0 * count / 8)
+
+
+def test_a_movement_is_simulated_once_whatever_its_id(
+    demonstrations: Demonstrations, monkeypatch: pytest.MonkeyPatch, arm: SimulatedArm
+) -> None:
+    reports: list[str] = []
+    monkeypatch.setattr(arm, "_report", reports.append)
+    monkeypatch.setattr(arm, "_verdicts", {})
+    for number in (1, 2):
+        policy = demonstrations.fit(demonstrations.read(BAG), BAG, f"demonstration-{number}", 0)
+        arm.infeasible(policy)
+    assert len(reports) == 1

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The learner without an arm: what it refuses, and with what a session begins."""
+"""The learner without an arm: what it refuses before it calls any service."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +16,6 @@ from wam_power_ros.bags.reader import read_demonstration
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.demonstration import from_joint_samples
 from wam_power_ros.learning.policy import to_json
-from wam_power_ros.nodes.learner import Learner, SessionFailed
 from wam_power_ros.params.resources import share
 from wam_power_ros.practice.session import Session, read
 from wam_power_ros.practice.settings import preset
@@ -33,22 +32,18 @@ COBOT = Arm(
 ).identity()
 
 
-@pytest.fixture
-def learner(node_here: Callable[..., Learner]) -> Callable[..., Learner]:
-    """Makes the learner of a test."""
-    return lambda **parameters: node_here(Learner, "learner.yaml", **parameters)
-
-
 @pytest.mark.requirement("S-59")
 def test_a_learner_goes_on_with_no_session_of_another_arm(
-    tmp_path: Path, learner: Callable[..., Learner]
+    tmp_path: Path, processes: Processes
 ) -> None:
     folder = tmp_path / "session"
     policy = replace(demonstrated_policy(), arm=COBOT)
     Session.begin(folder, preset("flip"), 0, [policy]).close()
-    belongs = f"policy {policy.id} belongs to another arm: cobot7.*this arm is wam7"
-    with pytest.raises(SessionFailed, match=belongs):
-        learner(session=folder)._open()
+    ended = processes.node(LEARNER, "learner.yaml", session=folder)
+    assert ended.wait(120.0) == 2
+    said = processes.output(ended)
+    assert f"policy {policy.id} belongs to another arm: cobot7" in said
+    assert "this arm is wam7" in said
     Session.open(folder).close()  # nothing was written, no lock is held
 
 
@@ -61,11 +56,12 @@ def test_a_learner_goes_on_with_no_session_of_another_arm(
     ],
 )
 def test_a_learner_refuses_what_cannot_work_before_it_reads_a_bag_or_begins_a_session(
-    given: dict[str, object], says: str, tmp_path: Path, learner: Callable[..., Learner]
+    given: dict[str, object], says: str, tmp_path: Path, processes: Processes
 ) -> None:
     given |= {"session": tmp_path / "s", "demonstrations": "['no_bag', 'no_other']"}
-    with pytest.raises(ValueError, match=says):
-        learner(**given)._open()
+    ended = processes.node(LEARNER, "learner.yaml", **given)
+    assert ended.wait(120.0) == 2
+    assert says in processes.output(ended) and "no_bag" not in processes.output(ended)
     assert not (tmp_path / "s").exists()
 
 
@@ -100,14 +96,26 @@ def test_a_session_taken_up_under_lower_limits_sends_nothing_that_breaks_them(
     assert read(tmp_path / "s").records == ()
 
 
+def begun_session(processes: Processes, folder: Path, **params: object) -> Session:
+    """Session that a learner began, which waits for an arm and is stopped there."""
+    learner = processes.node(LEARNER, "learner.yaml", session=folder, **params)
+    end = time.monotonic() + 120.0
+    while not Session.exists(folder) and learner.poll() is None and time.monotonic() < end:
+        time.sleep(0.1)
+    processes.end(learner)
+    assert Session.exists(folder), processes.output(learner)
+    return read(folder)
+
+
 def test_a_session_begins_with_a_policy_that_was_learnt_elsewhere(
-    tmp_path: Path, learner: Callable[..., Learner]
+    tmp_path: Path, processes: Processes
 ) -> None:
     policy = demonstrated_policy()
     (tmp_path / "policy.json").write_text(to_json(policy))
     bag, folder = min((ROOT / "bags").glob("demo_*")), tmp_path / "session"
-    given = {"policy": tmp_path / "policy.json", "demonstrations": f"['{bag}']"}
-    begun, _ = learner(session=folder, **given)._open()
+    begun = begun_session(
+        processes, folder, policy=tmp_path / "policy.json", demonstrations=f"['{bag}']"
+    )
     assert begun.header.candidates == ["carried-over"]
     assert begun.header.demonstrations == [str(bag)]
     (carried,) = begun.policies
@@ -115,7 +123,7 @@ def test_a_session_begins_with_a_policy_that_was_learnt_elsewhere(
 
 
 def test_a_session_begins_with_the_policy_predicted_for_another_goal(
-    tmp_path: Path, learner: Callable[..., Learner]
+    tmp_path: Path, processes: Processes
 ) -> None:
     bags = sorted((ROOT / "bags").glob("reach_*"))
     arm = Arm(share("urdf/wam7.urdf").read_text(), JOINTS)
@@ -128,14 +136,15 @@ def test_a_session_begins_with_the_policy_predicted_for_another_goal(
         reproduced = Assessment(0.7, observation=seen, success=True)
         known.append(practice.learn_assessed(practice.next_trial(), reproduced))
         known.save_policy(policy)
-    begun, practice = learner(
-        session=tmp_path / "session",
+    begun = begun_session(
+        processes,
+        tmp_path / "session",
         task="reach",
         policy=tmp_path / "origin" / "policy.json",
         goal='"{\\"y\\": 0.3}"',
         demonstrations=[str(bag) for bag in bags],
-    )._open()
-    assert practice.task.targets == {**known.task.targets, "y": pytest.approx(0.3)}
+    )
+    assert begun.task.targets == {**known.task.targets, "y": pytest.approx(0.3)}
     (carried,) = begun.policies
     moved = carried.attractors - policy.attractors
     assert not moved[:-1].any()

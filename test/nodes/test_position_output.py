@@ -9,42 +9,83 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import Probe, Processes, lift
-from stand_ins import NAMES, Hardware
+from sensor_msgs.msg import JointState
 
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.ros import interface, joint_messages
 
+NAMES = [f"wam_j{i}" for i in range(1, 8)]
+FILES = ("torque_controller.yaml", "simulation.yaml")
 
-class PositionArm(Hardware):
+
+class PositionArm:
     """Stand-in and controller of an arm that takes positions, with what each says."""
 
-    def __init__(self, probe: Probe, processes: Processes, pace: str, output: str) -> None:
-        message = joint_messages.COMMAND_TYPES["multiarray" if output == "position" else output]
-        self.sent = probe.listen(message, interface.EFFORT_COMMANDS, interface.DEEP_IN)
-        servo = {"command_delay_ticks": 20, "servo_lag": 0.02, "listeners": "[probe]"}
-        super().__init__(probe, processes, pace, **servo, output=output)
-        self.control(output=output)
+    def __init__(
+        self, probe: Probe, processes: Processes, pace: str, output: str, kind: str = "multiarray"
+    ) -> None:
+        self.probe, self.processes = probe, processes
+        message = joint_messages.COMMAND_TYPES[kind if output == "position" else output]
+        topic = interface.EFFORT_COMMANDS
+        self.states = probe.listen(JointState, interface.JOINT_STATES, interface.STATE_RECORD)
+        self.sent = probe.listen(message, topic, interface.DEEP_IN)
+        lockstep = pace == "lockstep"
+        common = {"output": output, "command_type": kind}
+        stand_in = {"pace": pace, "command_delay_ticks": 20, "servo_lag": 0.02, **common}
+        stand_in["listeners"] = "[probe]"
+        self.driver = processes.node(
+            "hardware_sim.main",
+            *("wam_sim.yaml", "optitrack_sim.yaml"),
+            **{f"wam_sim:{name}": value for name, value in stand_in.items()},
+        )
+        probe.until(lambda: self.states, "the first state", 15.0)
+        self.controller = processes.node(
+            "wam_power_ros.nodes.torque_controller",
+            *FILES,
+            state_timeout=0.0 if lockstep else 0.01,
+            idle_service='""',
+            move_speed=1.0,
+            realtime_priority=0 if lockstep else 60,
+            **common,
+        )
 
-    def references(self, first: int = 0) -> list[joint_messages.TorqueReading]:
-        """Positions that were sent, from one on: to read them all takes long in real time."""
-        return [joint_messages.torque(message, NAMES, "wam_base") for message in self.sent[first:]]
+    def q(self, index: int = -1) -> np.ndarray:
+        """Reported posture [rad]."""
+        return np.array(self.states[index].position)
+
+    def references(self) -> list[joint_messages.TorqueReading]:
+        """Positions that were sent."""
+        return [joint_messages.torque(message, NAMES, "wam_base") for message in self.sent]
 
     def move(self, policy: Policy) -> None:
         """Begin a rollout, and wait until the arm moves in it."""
-        self.insist("move_to_start", policy)
+        self.probe.insist("move_to_start", policy)
         self.probe.ask("execute", policy)
-        start = self.state().q
-        self.probe.until(lambda: np.abs(self.state().q - start).max() > 0.02, "the rollout moves")
+        start = self.q()
+        self.probe.until(lambda: np.abs(self.q() - start).max() > 0.02, "the rollout moves")
 
 
-def test_a_rollout_by_poses_ends_as_by_torques(probe: Probe, processes: Processes) -> None:
-    arm = PositionArm(probe, processes, "lockstep", "pose")
+@pytest.mark.parametrize(
+    ("output", "kind"),
+    [  # positions in an array: below
+        ("position", "joint_state"),
+        ("trajectory", "multiarray"),
+        ("pose", "multiarray"),
+    ],
+)
+def test_a_rollout_by_positions_ends_as_by_torques_with_each_kind_of_message(
+    probe: Probe, processes: Processes, output: str, kind: str
+) -> None:
+    arm = PositionArm(probe, processes, "lockstep", output, kind)
     policy = lift("lifted")
-    arm.insist("move_to_start", policy)
+    probe.insist("move_to_start", policy)
     assert probe.answer(probe.ask("execute", policy)).success
     sent = np.array([each.tau for each in arm.references()])
     assert np.ptp(sent, axis=0).max() > 0.05
     assert np.abs(np.diff(sent, axis=0)).max() < 0.02
+    if output == "trajectory":
+        assert arm.sent[-1].points[0].time_from_start.nanosec == 2_000_000
+        assert arm.sent[-1].header.stamp.sec == 0
 
 
 @pytest.mark.alone
@@ -58,12 +99,12 @@ def test_an_interrupted_controller_and_a_dead_driver_leave_references_at_rest(
 ) -> None:
     arm = PositionArm(probe, processes, "real_time", "position")
     arm.move(lift("cut-short"))
-    count, begun = len(arm.sent), arm.references(-1)[0].tau
-    state = len(arm.messages)
-    process = arm.controller if ended == "controller" else arm.process
+    count, begun = len(arm.sent), arm.references()[-1].tau
+    state = len(arm.states)
+    process = arm.controller if ended == "controller" else arm.driver
     process.send_signal(signal.SIGINT if ended == "controller" else signal.SIGKILL)
     probe.spin(1.5)
-    sent = np.array([each.tau for each in arm.references(count - 1)])
+    sent = np.array([each.tau for each in arm.references()[count - 1 :]])
     steps = np.abs(np.diff(sent, axis=0)).max(axis=1)
     assert steps.max() < 0.02
     moved = np.flatnonzero(steps > 1e-6)
@@ -72,12 +113,12 @@ def test_an_interrupted_controller_and_a_dead_driver_leave_references_at_rest(
     assert figures["way [rad]"] < 0.3
     assert figures["messages until rest"] < 400
     if ended == "controller":
-        q = np.array([message.position for message in arm.messages[state:]])
+        q = np.array([message.position for message in arm.states[state:]])
         assert np.abs(q[-1] - sent[-1]).max() < 0.01
         still = np.abs(q - q[-1]).max(axis=1) < 0.002
         figures["states until the arm rests"] = int(np.flatnonzero(~still)[-1]) + 1
         figures["way of the arm [rad]"] = float(np.abs(q[-1] - q[0]).max())
     else:
-        assert arm.references(-1)[0].label == "fault"
+        assert arm.references()[-1].label == "fault"
     for name, value in figures.items():
         record_property(name, value)

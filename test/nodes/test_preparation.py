@@ -9,14 +9,14 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 import rclpy
 from conftest import ROOT, Probe, Processes, lift, python_path
-from played_arm import HOME, NAMES, ControllerHere, PlayedArm
+from played_arm import HOME, NAMES, PlayedArm
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
@@ -170,14 +170,17 @@ def test_a_killed_process_is_started_again_and_the_policy_in_force_stays(
 
 @pytest.mark.requirement("S-54")
 def test_a_robot_description_is_read_before_the_loop_runs_and_not_in_it(
-    probe: Probe, controller_here: Callable[..., ControllerHere]
+    probe: Probe, processes: Processes
 ) -> None:
-    topic, latched = interface.ROBOT_DESCRIPTION, interface.LATCHED
-    arm = controller_here(urdf='""')
-    descriptions = probe.publisher(String, topic, latched)
-    arm.node._on_description(String(data=(ROOT / "urdf/wam7.urdf").read_text()))
-    assert arm.configure()
+    descriptions = probe.publisher(
+        String, interface.ROBOT_DESCRIPTION, interface.LATCHED, readers=0
+    )
+    arm = PlayedArm(probe, processes, urdf='""')
+    probe.until(descriptions.get_subscription_count, "a reader")
+    descriptions.publish(String(data=(ROOT / "urdf/wam7.urdf").read_text()))
+    arm.activate()
     probe.until(lambda: not descriptions.get_subscription_count(), "no reader any more")
+    answered(arm)
 
 
 @pytest.mark.requirement("S-54")

@@ -3,24 +3,27 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable
 from dataclasses import replace
-from types import SimpleNamespace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
-from conftest import ROOT, Probe, Processes, lift
-from played_arm import HOME, NAMES, TICK, ControllerHere, PlayedArm
+from conftest import ROOT, Probe, Process, Processes, lift
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from played_arm import HOME, MODULE, NAMES, TICK, PlayedArm
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, String
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.policy import to_json
 from wam_power_ros.nodes.preparation_worker import POINTS_MAX
+from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.ros.diagnostics import LAST_STOP
 from wam_power_ros.ros.outcomes import Code, Ended
@@ -28,6 +31,12 @@ from wam_power_ros.ros.outcomes import Code, Ended
 ABORTED, CANCELED = GoalStatus.STATUS_ABORTED, GoalStatus.STATUS_CANCELED
 SUCCEEDED = GoalStatus.STATUS_SUCCEEDED
 JUMP = np.outer([0.0, 0.0, 0.0, 1.0, 1.0, 1.0], np.full(7, 0.3))  # [rad] in 20 ms
+COBOT = Arm(
+    share("urdf/cobot7.urdf").read_text(),
+    [f"cobot_joint{i}" for i in range(1, 8)],
+    "cobot_pan",
+    guarded=(),
+).identity()
 
 
 @pytest.mark.requirement("S-03")
@@ -46,6 +55,15 @@ def test_each_state_gets_one_torque_labelled_with_its_stamp(arm: PlayedArm) -> N
     np.testing.assert_allclose(tau, gravity, atol=1e-9)
 
 
+@pytest.mark.requirement("S-12")
+def test_names_in_any_order_beside_others_give_the_same_torque(arm: PlayedArm) -> None:
+    arm.send()
+    expected = arm.answer().tau
+    order = [3, 6, 0, 2, 5, 1, 4]
+    arm.send([*(NAMES[i] for i in order), "finger"], np.append(HOME[order], 9.0))
+    assert arm.answer().tau.tolist() == expected.tolist()
+
+
 @pytest.mark.requirement("S-03")
 def test_a_repeated_stamp_gets_the_same_torque_and_an_older_one_none(arm: PlayedArm) -> None:
     probe = arm.probe
@@ -62,57 +80,57 @@ def test_a_repeated_stamp_gets_the_same_torque_and_an_older_one_none(arm: Played
     arm.stamp_ns += 3 * TICK
 
 
+@pytest.mark.requirement("S-14")
+def test_states_without_velocity_get_torques_too(arm: PlayedArm) -> None:
+    arm.send()
+    expected = arm.answer().tau
+    for qd in (np.empty(0), np.full(7, math.nan)):
+        arm.send(qd=qd)
+        assert arm.answer().tau.tolist() == expected.tolist()
+
+
 def test_the_life_cycle_decides_whether_torques_are_sent_and_repeated_states_are_recent(
-    controller_here: Callable[..., ControllerHere],
+    probe: Probe, processes: Processes
 ) -> None:
-    arm = controller_here()
-    node, answers = arm.node, []
-    node._requests._replies = SimpleNamespace(
-        ended=lambda id, answer, end=None: answers.append(answer)
-    )
-    node._requests.begin("a", "move_to_start", lift("a"), time.time_ns(), "")
-    assert answers[-1].code is Code.NOT_ACTIVE
-    assert arm.configure()
-    assert arm.send() == ""
-    node._watchdog.arrived_ns -= 1_100_000_000
-    assert not arm.activate()  # the last state is too old
+    arm = PlayedArm(probe, processes, autostart=False)
+
+    def change(transition: int) -> bool:
+        arm.send()
+        request = ChangeState.Request(transition=Transition(id=transition))
+        return probe.call(ChangeState, "/torque_controller/change_state", request).success
+
+    execute = probe.ask("execute", lift("trial-0001"))
+    assert probe.answer(execute).code is Code.NOT_ACTIVE and execute.status == ABORTED
+    logged = lambda: processes.output(arm.process)  # noqa: E731
+    waiting = "waiting for ros2 lifecycle set /torque_controller"
+    probe.until(lambda: f"{waiting} configure" in logged(), "what it waits for")
+    assert change(Transition.TRANSITION_CONFIGURE)
+    probe.spin(1.2)
+    assert not arm.read()
+    request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_ACTIVATE))
+    refused = probe.call(ChangeState, "/torque_controller/change_state", request)
+    assert not refused.success  # the last state is too old
+    assert change(Transition.TRANSITION_ACTIVATE)
     arm.send()
-    assert arm.activate()
-    assert arm.send() == "hold"
-    node.trigger_deactivate()
-    count = len(arm.sent)
-    assert arm.send() == arm.label == "inactive" and len(arm.sent) == count
-    node.trigger_cleanup()
-    assert arm.configure()
+    assert arm.answer().label == "hold"
+    assert change(Transition.TRANSITION_DEACTIVATE)
+    probe.until(lambda: arm.read()[-1].label == "inactive", "a last torque")
+    count = len(arm.torques)
+    for _ in range(20):
+        arm.send()
+    probe.spin(0.2)
+    assert len(arm.read()) == count
+    probe.until(lambda: f"{waiting} activate" in logged(), "what it waits for after that")
+    modes = [line.rpartition("mode ")[2] for line in logged().splitlines() if ": mode " in line]
+    assert modes == ["unconfigured", "inactive", "hold", "inactive"]
+    assert change(Transition.TRANSITION_CLEANUP)
+    assert change(Transition.TRANSITION_CONFIGURE)
     arm.send()
-    node._watchdog.arrived_ns -= 1_100_000_000
-    arm.send(again=True)  # a stand-in in lockstep waits for a torque before it steps
-    assert arm.activate()
-
-
-def test_states_description_and_commands_that_do_not_match_are_named(
-    probe: Probe, controller_here: Callable[..., ControllerHere]
-) -> None:
-    probe.node.create_publisher(Float64MultiArray, "/joint_states", 10)
-    probe.node.create_publisher(String, "/robot_description", 1)
-    commands = "/effort_controller/commands"
-    probe.node.create_subscription(JointState, commands, lambda _: None, 1)
-    arm = controller_here(urdf='""', simulation=False, state_timeout=0.006)
-
-    def refused(attempt: Callable[[], bool], *parts: str) -> None:
-        def said() -> bool:  # the driver may not have been discovered at the first attempt
-            assert not attempt()
-            return all(part in arm.refused[-1] for part in parts)
-
-        probe.until(said, str(parts))
-
-    refused(arm.configure, "node 'probe' publishes std_msgs/msg/String (reliable, volatile)")
-    arm.node._on_description(String(data=(ROOT / "urdf/wam7.urdf").read_text()))
-    assert arm.configure()
-    kinds = "publishes std_msgs/msg/Float64MultiArray", "not sensor_msgs/msg/JointState (at least"
-    refused(arm.activate, *kinds)
-    text = f"'probe' subscribes to {commands} as sensor_msgs/msg/JointState"
-    refused(lambda: arm.send() == "" and arm.activate(), text)
+    end = time.monotonic() + 1.5
+    while time.monotonic() < end:  # a stand-in in lockstep waits for a torque before it steps
+        arm.again(NAMES, HOME, np.zeros(7))
+        probe.spin(0.05)
+    assert probe.call(ChangeState, "/torque_controller/change_state", request).success
 
 
 @pytest.mark.requirement("S-41")
@@ -133,26 +151,62 @@ def test_without_lockstep_a_short_silence_is_bridged_and_forgiven(
 
 @pytest.mark.requirement("S-04")
 def test_a_driver_may_name_joints_otherwise_take_another_message_and_add_gravity_itself(
-    controller_here: Callable[..., ControllerHere],
+    probe: Probe, processes: Processes
 ) -> None:
-    names = [f"q{i}" for i in range(1, 8)]
-    given = {"command_type": "joint_state", "command_topic": "/joint_torque_commands"}
-    arm = controller_here(
-        joint_names=f"[{', '.join(names)}]", driver_compensates_gravity=True, **given
+    topic, names = "/joint_torque_commands", [f"q{i}" for i in range(1, 8)]
+    commands = probe.listen(JointState, topic, interface.COMMAND)
+    arm = PlayedArm(
+        probe,
+        processes,
+        joint_names=f"[{', '.join(names)}]",
+        command_type="joint_state",
+        command_topic=topic,
+        driver_compensates_gravity=True,
     )
-    assert arm.configure()
-    arm.send(names)
-    assert arm.activate()
-    assert arm.send(names) == "hold"
-    assert isinstance(arm.sent[-1], JointState)
-    assert arm.node._commands.topic_name == "/joint_torque_commands"
-    np.testing.assert_allclose(joint_messages.torque(arm.sent[-1], names).tau, 0.0, atol=1e-9)
+
+    def commanded() -> bool:
+        arm.send(names)
+        probe.spin(0.05)
+        return bool(commands) and commands[-1].header.frame_id == "hold"
+
+    probe.until(commanded, "a command as a joint state")
+    reading = joint_messages.torque(commands[-1], names)
+    assert reading.stamp_ns is not None
+    np.testing.assert_allclose(reading.tau, 0.0, atol=1e-9)
+
+
+def test_teaching_and_stopping_are_a_service_call_away(arm: PlayedArm) -> None:
+    probe = arm.probe
+    on = SetBool.Request(data=True)
+    assert probe.call(SetBool, interface.GRAVITY_COMPENSATION, on).success
+    arm.send()
+    assert arm.answer().label == "gravity_compensation"
+    assert probe.answer(probe.ask("execute", lift("trial-0001")), arm.send).code is Code.BUSY
+    assert probe.call(Trigger, interface.STOP).success
+    arm.send()
+    assert arm.answer().label == "hold"
+
+
+def test_each_request_is_answered_by_its_id_and_one_at_a_time(arm: PlayedArm) -> None:
+    probe = arm.probe
+    first = probe.ask("move_to_start", lift("first"))
+    arm.diagnosis(lambda values: values["mode"] == "move_to_start", "the move")
+    second = probe.ask("move_to_start", lift("second"))
+    assert probe.answer(second).code is Code.BUSY and second.status == ABORTED
+    assert probe.answer(first, arm.send).code is Code.DONE and first.status == SUCCEEDED
+    assert (first.stages, second.stages) == (["moving"], [])
+
+
+def points(count: int) -> JointTrajectory:
+    """A movement of so many points, which are not looked at."""
+    return JointTrajectory(joint_names=NAMES, points=[JointTrajectoryPoint()] * count)
 
 
 STILL = joint_messages.JointMovement(np.linspace(0.0, 0.1, 6), np.tile(HOME, (6, 1)))
 GOOD = to_json(lift("good"))
 WRONG = {  # of each kind: what is asked for, with what, code, and what is named
     "a policy that is none": ("execute", {"policy": "{"}, Code.REFUSED, "policy text"),
+    "not a number": ("execute", {"policy": GOOD.replace("300.0", "NaN", 1)}, Code.REFUSED, "NaN"),
     "too stiff": ("execute", {"policy": GOOD.replace("300.0", "9e9")}, Code.REFUSED, "stiff"),
     "another id than its policy": (
         "execute",
@@ -160,11 +214,23 @@ WRONG = {  # of each kind: what is asked for, with what, code, and what is named
         Code.REFUSED,
         "trial-0002",
     ),
+    "a policy of another arm": (
+        "move_to_start",
+        {"policy": replace(lift("theirs"), arm=COBOT)},
+        Code.REFUSED,
+        "belongs to another arm: cobot7",
+    ),
     "a start elsewhere": (
         "execute",
         {"policy": replace(lift("away"), q_start=HOME + 0.3)},
         Code.NOT_AT_START,
         "away",
+    ),
+    "a joint too few": (
+        "replay",
+        {"movement": joint_messages.movement_message(NAMES[:6], STILL._replace(q=STILL.q[:, :6]))},
+        Code.REFUSED,
+        "wam_j7",
     ),
     "another joint": (
         "replay",
@@ -172,13 +238,8 @@ WRONG = {  # of each kind: what is asked for, with what, code, and what is named
         Code.REFUSED,
         "wam_j7",
     ),
-    "too many points": (
-        "replay",
-        {"movement": JointTrajectory(points=[JointTrajectoryPoint()] * (POINTS_MAX + 1))},
-        Code.REFUSED,
-        "at most",
-    ),
-    "no point": ("replay", {"movement": JointTrajectory()}, Code.REFUSED, "no point"),
+    "too many points": ("replay", {"movement": points(POINTS_MAX + 1)}, Code.REFUSED, "at most"),
+    "no point": ("replay", {"movement": points(0)}, Code.REFUSED, "no point"),
     "a jump": (
         "replay",
         {"movement": joint_messages.movement_message(NAMES, STILL._replace(q=STILL.q + JUMP))},
@@ -222,15 +283,16 @@ def test_a_goal_that_a_person_stops_names_the_stop_and_one_that_knows_of_none_do
     arm.diagnosis(lambda d: d[LAST_STOP] == stopped.stop, "the stop")
     arm.settle()
     movement = joint_messages.movement_message(NAMES, STILL)
-    for do, goal in (
-        ("execute", {"policy": lift("trial-0001")}),
-        ("move_to_start", {"policy": lift("trial-0001")}),
-        ("replay", {"movement": movement}),
-    ):
-        sent = probe.ask(do, known_stop="another", **goal)
-        late = probe.answer(sent, arm.send)
-        assert (late.code, late.stop, sent.status) == (Code.STOPPED, stopped.stop, ABORTED)
-        assert not sent.stages
+    for known in ("none", "another"):
+        for do, goal in (
+            ("execute", {"policy": lift("trial-0001")}),
+            ("move_to_start", {"policy": lift("trial-0001")}),
+            ("replay", {"movement": movement}),
+        ):
+            sent = probe.ask(do, known_stop=known, **goal)
+            late = probe.answer(sent, arm.send)
+            assert (late.code, late.stop, sent.status) == (Code.STOPPED, stopped.stop, ABORTED)
+            assert not sent.stages
     go_on = probe.ask("move_to_start", lift("trial-0001"), known_stop=stopped.stop)
     assert probe.answer(go_on, arm.send).code is Code.DONE
 
@@ -266,6 +328,31 @@ def test_a_cancel_stops_the_arm_and_ends_the_goal_and_a_late_one_does_nothing(
     assert probe.answer(again, arm.send).code is Code.DONE
 
 
+def test_in_simulated_time_states_may_stay_away(probe: Probe, processes: Processes) -> None:
+    probe.publisher(Clock, interface.CLOCK, interface.CLOCK_QOS, readers=0)
+    arm = PlayedArm(probe, processes, state_timeout=0.006, use_sim_time=True)
+    arm.activate()
+    count = len(arm.read())
+    probe.spin(0.5)
+    assert len(arm.read()) == count
+    arm.send()
+    assert arm.answer().label == "hold"
+
+
+def test_a_recorded_movement_is_replayed(arm: PlayedArm) -> None:
+    replay = arm.probe.replay(joint_messages.movement_message(NAMES, STILL))
+    labels = set()
+
+    def played() -> None:
+        arm.send()
+        labels.add(arm.answer().label)
+
+    answer = arm.probe.answer(replay, played)
+    assert answer.success
+    assert "rms" in answer.text
+    assert "replay" in labels
+
+
 def test_a_movement_on_the_topic_is_played_whatever_its_frame_and_a_bad_one_logged(
     arm: PlayedArm, shared_nodes: tuple[Probe, Processes]
 ) -> None:
@@ -290,3 +377,14 @@ def test_a_movement_on_the_topic_is_played_whatever_its_frame_and_a_bad_one_logg
 
         probe.until(played, "the replay")
         probe.until(lambda: arm.send() or arm.answer().label == "hold", "its end")
+
+
+@pytest.mark.requirement("S-18")
+def test_a_parameter_that_no_real_arm_may_have_stops_the_node_and_is_named(
+    processes: Processes, tmp_path: Path
+) -> None:
+    file = tmp_path / "incomplete.yaml"
+    file.write_text("torque_controller: {ros__parameters: {autostart: true}}")
+    process: Process = processes.node(MODULE, file)
+    assert process.wait(60.0) == 2
+    assert "autostart = True" in processes.output(process)

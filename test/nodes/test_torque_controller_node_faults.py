@@ -4,16 +4,17 @@
 from __future__ import annotations
 
 import math
+import os
 import signal
 import time
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import Probe, Processes, diagnosis, lift
+from conftest import ROOT, Probe, Processes, diagnosis, lift
 from lifecycle_msgs.msg import Transition
-from played_arm import GRAVITY, HOME, NAMES, TICK, ControllerHere, PlayedArm
+from lifecycle_msgs.srv import ChangeState
+from played_arm import GRAVITY, HOME, NAMES, SIMULATED, PlayedArm
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
@@ -22,11 +23,8 @@ from std_srvs.srv import SetBool, Trigger
 from wam_power_interfaces.msg import Policy as PolicyMessage
 from wam_power_ros.faults import FaultKind
 from wam_power_ros.learning.policy import to_json
-from wam_power_ros.nodes import torque_controller
-from wam_power_ros.nodes.torque_controller import ENABLE_TIMEOUT_NS
-from wam_power_ros.ros import interface, joint_messages, node_runner, pose_messages
+from wam_power_ros.ros import interface, pose_messages
 from wam_power_ros.ros.outcomes import Code, Ended
-from wam_power_ros.ros.scheduling import Granted
 
 DRIVER = """
 from rclpy.node import Node
@@ -44,7 +42,8 @@ raise SystemExit(node_runner.run(make))
 def change(arm: PlayedArm, transition: int) -> bool:
     """Whether a transition of the life cycle succeeds, after a state."""
     arm.send()
-    return arm.probe.change(transition)
+    request = ChangeState.Request(transition=Transition(id=transition))
+    return arm.probe.call(ChangeState, "torque_controller/change_state", request).success
 
 
 def commander(probe: Probe) -> Publisher:
@@ -57,6 +56,27 @@ def faulted(arm: PlayedArm) -> dict[str, str]:
 
 
 @pytest.mark.requirement("S-11")
+def test_a_bad_state_is_refused_counted_named_and_never_becomes_a_torque(arm: PlayedArm) -> None:
+    refused = lambda d: int(d.get("refused: joint state", "0"))  # noqa: E731
+    before = refused(arm.diagnosis(lambda d: True, "a report"))
+    for number, (names, q, qd, named) in enumerate(
+        [
+            (NAMES[:6], HOME[:6], np.zeros(6), "wam_j7"),
+            (NAMES, np.append(HOME[:6], math.nan), np.zeros(7), "position"),
+            (NAMES, HOME, np.full(7, math.inf), "velocity"),
+        ],
+        start=before + 1,
+    ):
+        count = len(arm.read())
+        arm.send(names, q, qd)
+        report = arm.diagnosis(lambda d: refused(d) == number, "the refusal")  # noqa: B023
+        assert named in report["last refusal"]
+        assert len(arm.read()) == count
+        arm.settle()
+        assert np.isfinite(arm.read()[-1].tau).all()
+
+
+@pytest.mark.requirement("S-11")
 def test_five_states_refused_within_fifty_are_a_fault_whatever_is_wrong_with_each(
     arm: PlayedArm,
 ) -> None:
@@ -66,11 +86,9 @@ def test_five_states_refused_within_fifty_are_a_fault_whatever_is_wrong_with_eac
         (NAMES, np.append(HOME[:6], math.nan)),
         (NAMES, np.append(HOME[:6], 1e9)),  # accepted by the reader, refused by the controller
     ):
-        count = len(arm.read())
         arm.send(names, q)
         arm.send()
         assert arm.answer().label == "hold"
-        assert len(arm.read()) == count + 1  # the refused one has no torque
     arm.send([*NAMES, "wam_j1"], np.append(HOME, 0.0))
     arm.send()
     assert arm.answer().label == "fault"
@@ -119,8 +137,12 @@ def test_lost_states_bring_gravity_alone_then_a_fault_and_the_driver_to_idle(
     )
     report = arm.diagnosis(lambda d: d["mode"] == "fault", "the fault is reported")
     assert (report["level"], report["fault kind"]) == ("2", FaultKind.STATES_LOST.value)
-    assert f"fault ({FaultKind.STATES_LOST.value}): " in processes.output(arm.process)
-    probe.until(held, "a person resets, and the arm is held again")
+    logged = lambda: processes.output(arm.process)  # noqa: E731
+    probe.until(lambda: f"fault ({FaultKind.STATES_LOST.value}): " in logged(), "its log")
+    assert "[ERROR]" in next(line for line in logged().splitlines() if "fault (" in line)
+    resets = logged().count("the fault was reset")
+    reset_logged = lambda: logged().count("the fault was reset") > resets  # noqa: E731
+    probe.until(lambda: held() and reset_logged(), "a person resets, and the arm is held again")
     idled.clear()
     probe.until(lambda: idled, "the driver is asked to idle once more")
 
@@ -184,7 +206,21 @@ def test_a_fault_outlives_the_life_cycle(arm: PlayedArm) -> None:
 
 
 @pytest.mark.requirement("S-05")
-def test_an_ended_controller_waits_until_a_busy_driver_has_the_torque_that_carries_the_arm(
+def test_an_ended_controller_leaves_the_torque_that_carries_the_arm(
+    probe: Probe, processes: Processes
+) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+    assert processes.end(arm.process, signal.SIGTERM) == 0
+    probe.spin(0.3)
+    last = arm.read()[-1]
+    assert last.label == "inactive"
+    np.testing.assert_allclose(last.tau, GRAVITY, atol=1e-9)
+    assert "Traceback" not in processes.output(arm.process)
+
+
+@pytest.mark.requirement("S-05")
+def test_an_ended_controller_waits_until_a_busy_driver_has_the_last_torque(
     probe: Probe, processes: Processes
 ) -> None:
     driver = processes.script(DRIVER)
@@ -203,39 +239,38 @@ def test_an_ended_controller_waits_until_a_busy_driver_has_the_torque_that_carri
     driver.send_signal(signal.SIGCONT)
     probe.until(lambda: heard("inactive"), "the last torque at the driver")
     probe.until(lambda: arm.process.poll() == 0, "the controller's end")
-    assert arm.read()[-1].label == "inactive"
-    np.testing.assert_allclose(arm.read()[-1].tau, GRAVITY, atol=1e-9)
-    assert "Traceback" not in processes.output(arm.process)
 
 
 @pytest.mark.requirement("S-30")
-def test_a_released_or_silent_switch_ends_teaching(
-    controller_here: Callable[..., ControllerHere],
-) -> None:
-    arm = controller_here(hold_to_run=True)
-    node = arm.node
-    assert arm.configure()
-    arm.send()
-    assert arm.activate()
+def test_a_released_or_silent_switch_ends_teaching(probe: Probe, processes: Processes) -> None:
+    arm = PlayedArm(probe, processes, hold_to_run=True)
+    arm.activate()
+    switch = probe.publisher(Bool, interface.ENABLE, interface.ENABLE_OUT)
     on = SetBool.Request(data=True)
-    for silent in (False, True):
-        for _ in range(400):  # until the torque that holds the arm is known
-            assert arm.send() == "hold"
-        refusal = node._on_gravity_compensation(on, SetBool.Response())
-        assert not refusal.success and "enabling switch" in refusal.message
-        node._on_enable(Bool(data=True))
+    refusal = probe.call(SetBool, interface.GRAVITY_COMPENSATION, on)
+    assert not refusal.success and "enabling switch" in refusal.message
+
+    def teaching() -> bool:
+        switch.publish(Bool(data=True))
+        probe.spin(0.005)
         arm.send()
-        assert node._on_gravity_compensation(on, SetBool.Response()).success
-        assert arm.send() == "gravity_compensation"
-        if silent:
-            time.sleep(ENABLE_TIMEOUT_NS * 1e-9)
-        else:
-            node._on_enable(Bool(data=False))
-        assert arm.send() == "fault"
-        assert "enabling switch" in node._controller.latched.text
-        for _ in range(400):
-            arm.send()
-        node._reset(node._controller, Trigger.Request())
+        arm.answer()
+        return probe.call(SetBool, interface.GRAVITY_COMPENSATION, on).success
+
+    def ended() -> bool:
+        arm.send()
+        return arm.answer().label == "fault"
+
+    for silent in (False, True):
+        probe.until(teaching, "teaching begins")
+        arm.diagnostics.clear()
+        switch.publish(Bool(data=True))
+        probe.spin(0.2 if silent else 0.005)
+        if not silent:
+            switch.publish(Bool(data=False))
+        probe.until(ended, "the fault")
+        arm.diagnosis(lambda d: "enabling switch" in d["message"], "the report")
+        arm.reset()
 
 
 @pytest.mark.requirement("S-52")
@@ -276,41 +311,74 @@ def test_a_controller_that_was_stopped_faults_and_does_not_have_the_driver_idled
     assert not idled or max(pauses) > 0.05  # a busy machine has delayed the test
 
 
+BROKEN = """
+import sys
+from wam_power_ros.nodes import torque_controller
+
+class Broken(torque_controller.TorqueController):
+    def __init__(self):
+        super().__init__()
+        self._requests.begin = lambda *request: {}["a mistake in the code"]
+
+    def _on_stop(self, request, response):
+        self._read = None  # every state from now on
+
+torque_controller.TorqueController = Broken
+sys.exit(torque_controller.main())
+"""
+
+
 @pytest.mark.requirement("S-49")
 def test_without_real_time_rights_an_arm_is_not_activated_unless_allowed(
-    controller_here: Callable[..., ControllerHere],
+    probe: Probe, processes: Processes
 ) -> None:
-    arm = controller_here(allow_no_realtime=False)
-    assert arm.configure()
-    for granted in (Granted("refused", "granted"), Granted("granted", "refused")):
-        arm.node._granted = granted
+    arm = PlayedArm(probe, processes, realtime_priority=0, allow_no_realtime=False)
+
+    def refused() -> bool:
         arm.send()
-        assert not arm.activate()
-        said = "activation refused: no real-time scheduling (SCHED_FIFO"
-        assert arm.refused.pop().startswith(said)
-    arm.node._granted = Granted("granted", "granted")
-    assert arm.activate()
+        probe.spin(0.02)
+        return "SCHED_FIFO" in diagnosis(arm.diagnostics, "torque_controller").get(
+            "last refusal", ""
+        )
+
+    probe.until(refused, "the refusal is reported")
+    assert not arm.read()
 
 
 @pytest.mark.requirement("S-50")
 @pytest.mark.parametrize("allowed", [True, False])
 def test_an_overload_is_a_warning_and_a_larger_one_a_fault(
-    controller_here: Callable[..., ControllerHere], allowed: bool
+    probe: Probe, processes: Processes, allowed: bool
 ) -> None:
-    arm = controller_here(allow_no_realtime=allowed, state_timeout=10.0)
-    assert arm.configure()
-    arm.node._granted = Granted("granted", "granted")
-    arm.send()
-    assert arm.activate()
-    now_ns, statistics = time.monotonic_ns(), arm.node._statistics
-    statistics.report()
-    for periods, warned in ((1, False), (3, True)):  # from each state to the next
-        for _ in range(200):
-            now_ns += periods * TICK
-            statistics.add(now_ns, now_ns)
-        arm.node._publish_report()
-        assert ("of the periods of a second missed" in arm.node._figures()[1]) == warned
-    assert (arm.node._controller.latched is None) == allowed
+    arm = PlayedArm(
+        probe,
+        processes,
+        realtime_priority=60,
+        state_timeout=10.0,  # on a slow machine states are late, not lost
+        allow_no_realtime=allowed,
+        idle_service='""',
+    )
+    status = lambda: diagnosis(arm.diagnostics, "torque_controller")  # noqa: E731
+
+    def begun() -> bool:
+        arm.send()
+        probe.spin(0.002)
+        return bool(arm.read())
+
+    if not allowed and os.geteuid():
+        pytest.skip("real-time scheduling is not permitted here")
+    probe.until(begun, "the controller is active")
+
+    def late() -> bool:  # every state 6 to 10 ms after the last: two of three periods are missed
+        arm.send()
+        probe.spin(0.006)
+        text = status().get("message", "")
+        if status().get("mode") == "fault" and "periods" not in text:  # a delay of a busy machine
+            probe.call(Trigger, interface.RESET)
+        return "of the periods of a second missed" in text
+
+    probe.until(late, "the overload is reported")
+    assert status()["mode"] == ("hold" if allowed else "fault")
 
 
 @pytest.mark.requirement("S-51")
@@ -333,49 +401,30 @@ def test_a_clock_that_jumps_is_a_fault_in_which_torques_go_on(arm: PlayedArm) ->
 
 @pytest.mark.requirement("S-02")
 def test_a_callback_that_fails_is_a_fault_and_not_the_end_of_the_node(
-    controller_here: Callable[..., ControllerHere], monkeypatch: pytest.MonkeyPatch
+    probe: Probe, processes: Processes
 ) -> None:
-    spun: list[Callable[..., None]] = []  # as the process of the node spins it
-    monkeypatch.setattr(node_runner, "run", lambda _, spin: spun.append(spin))
-    torque_controller.main()
-    arm = controller_here()
-    node = arm.node
-    assert arm.configure()
-    arm.send()
-    assert arm.activate()
+    config = ["--ros-args"]
+    for file in SIMULATED:
+        config += ["--params-file", str(ROOT / "config" / file)]
+    quick = ["-p", "realtime_priority:=0", "-p", "state_timeout:=0.0"]
+    arm = PlayedArm(probe, processes, processes.script(BROKEN, *config, *quick))
+    arm.activate()
 
-    def mistake(*_: object) -> None:
-        raise KeyError("a mistake in the code")
-
-    def spin() -> None:
-        end = time.monotonic() + 60.0
-        spun[0](node, lambda: arm.label == "fault" or time.monotonic() > end)
-
-    def fail_in_a_callback() -> None:
-        timer = node.create_timer(0.01, mistake)
-        spin()
-        node.destroy_timer(timer)
-
-    def fail_between_callbacks() -> None:
-        poll, node._preparation.poll = node._preparation.poll, mistake
-        spin()
-        node._preparation.poll = poll
-
-    def fail_in_a_state() -> None:
-        read, node._read = node._read, mistake
+    def failure() -> dict[str, str]:
         arm.send()
-        node._read = read
+        probe.spin(0.01)
+        report = diagnosis(arm.diagnostics, "torque_controller")
+        return report if report.get("mode") == "fault" else {}
 
-    for fail in (fail_in_a_callback, fail_between_callbacks, fail_in_a_state):
-        for _ in range(400):
-            assert arm.send() == "hold"
-        fail()
-        assert arm.label == "fault"
-        np.testing.assert_allclose(joint_messages.torque(arm.sent[-1], NAMES).tau, GRAVITY)
-        assert "a callback failed: KeyError" in node._controller.latched.text
-        for _ in range(400):
-            arm.send()
-        node._reset(node._controller, Trigger.Request())
+    for act in (
+        lambda: probe.ask("execute", lift("good")),
+        lambda: arm.reset() or arm.diagnostics.clear() or probe.begin(Trigger, interface.STOP),
+    ):
+        act()
+        assert "a callback failed" in probe.until(failure, "the fault is reported")["message"]
+        probe.until(lambda: arm.read()[-1].label == "fault", "the arm is carried")
+        np.testing.assert_allclose(arm.read()[-1].tau, GRAVITY, atol=1e-9)
+        assert arm.process.poll() is None
 
 
 @pytest.mark.requirement("S-101")
