@@ -21,7 +21,6 @@ import numpy as np
 
 from benchmark.terminal import options
 from hardware_sim.scenes.flip import wrist_flick
-from hardware_sim.sensors import MocapSettings
 from hardware_sim.wam import PERIOD_NS
 from hardware_sim.world import JointSample, World
 from reproduction.studies.flip_sessions import stand_in, teach
@@ -38,8 +37,8 @@ CONDITIONS: dict[str, dict[str, Any]] = {
     "joint friction doubled": {"friction_share": 2.0},
     "2 ms more delay": {"command_delay_ticks": 3},
     "torque constants, sd 5 %": {"torque_scale_sd": 0.05},
-    "30 Hz motion capture": {"mocap": MocapSettings(rate=30.0)},
-    "120 Hz motion capture": {"mocap": MocapSettings(rate=120.0)},
+    "30 Hz motion capture": {"mocap": {"rate": 30.0}},
+    "120 Hz motion capture": {"mocap": {"rate": 120.0}},
 }
 SEED = 3000  # first seed; seeds from 1000 on were used to choose the bounds
 SESSION_ROLLOUTS = 24  # rollouts of a session with one demonstration

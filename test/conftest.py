@@ -284,7 +284,7 @@ class Probe:
         self._executor.shutdown()
         for node in (*self._others, self.node):
             node.destroy_node()
-        rclpy.shutdown(context=self.context)
+        rclpy.try_shutdown(context=self.context)  # a signal may have ended it
 
 
 @pytest.fixture

@@ -60,17 +60,17 @@ def stand_in(
     seed: int,
     *,
     believed_pan: float = 1.0,
-    camera: bool = False,
+    mocap: Mapping[str, Any] | None = None,
     home: Sequence[float] | None = None,
     **world: Any,  # noqa: ANN401 - checked by WorldSettings
 ) -> Environment:
     """Environment with sensors and motors of the stand-in, in its normal or another condition.
 
-    A `camera` with tags on the pancake takes the place of motion capture. The controller's model
-    has `believed_pan` times the mass of the pan. Demonstrations begin at `home` [rad], None for
-    that of the scene; `world` are fields of `WorldSettings`.
+    The controller's model has `believed_pan` times the mass of the pan. Demonstrations begin at
+    `home` [rad], None for that of the scene; `mocap` are fields of `MocapSettings`, `world` of
+    `WorldSettings`.
     """
-    eyes = MocapSettings(camera=camera)
+    eyes = MocapSettings(**(mocap or {}))
     world_ = World(scene_type("flip"), WorldSettings(**world), seed, eyes)
     if home is not None:
         world_.scene.home = np.array(home)

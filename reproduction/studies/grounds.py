@@ -41,7 +41,7 @@ TURNED = {  # the arm stands turned about the vertical: joint 1 begins elsewhere
     for angle in (-90, -45, 30, 90)
 }
 # Not on the usual grounds: seen by a camera with tags, and turned.
-OTHER = {"camera with tags": {"condition": {"camera": True}}, **TURNED}
+OTHER = {"camera with tags": {"condition": {"mocap": {"camera": True}}}, **TURNED}
 # Arguments of `flip_sessions.session` by ground; one demonstration of a novice unless it says more.
 # The worlds of the last two are drawn from the seed, one for the session or one for each rollout.
 GROUNDS: Mapping[str, Mapping[str, Any]] = {

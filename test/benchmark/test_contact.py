@@ -6,6 +6,7 @@ from __future__ import annotations
 import pytest
 
 from benchmark.contact import CONDITIONS
+from hardware_sim.sensors import MocapSettings
 from reproduction.studies.flip_sessions import stand_in
 
 
@@ -13,4 +14,4 @@ from reproduction.studies.flip_sessions import stand_in
 def test_every_condition_is_one_of_the_stand_in(condition: str) -> None:
     world = stand_in(0, **CONDITIONS[condition]).world
     mocap = CONDITIONS[condition].get("mocap")
-    assert mocap is None or world._mocap._settings == mocap
+    assert mocap is None or world._mocap._settings == MocapSettings(**mocap)
