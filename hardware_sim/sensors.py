@@ -9,7 +9,8 @@ from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+from typing_extensions import Self
 
 from hardware_sim.motors import joint_motion, motor_motion
 from hardware_sim.wam import ENCODER_COUNTS, VELOCITY_CUTOFF
@@ -79,6 +80,12 @@ class MocapSettings(BaseModel):
     lost: Literal["omit", "repeat", "zero"] = "omit"
     single_marker: bool = False
     camera: bool = False
+
+    @model_validator(mode="after")
+    def _tags_or_marker(self) -> Self:
+        if self.camera and self.single_marker:
+            raise ValueError("camera = True films tags on a flat body: single_marker must be false")
+        return self
 
 
 class MocapFrame(NamedTuple):

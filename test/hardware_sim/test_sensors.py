@@ -89,6 +89,8 @@ def test_frames_and_markers_are_lost_at_the_configured_rates() -> None:
 
 def test_a_camera_sees_either_side_of_a_disc_and_nothing_of_one_that_is_edge_on() -> None:
     pytest.importorskip("cv2")
+    with pytest.raises(ValueError, match="single_marker must be false"):
+        MocapSettings(camera=True, single_marker=True)
     mocap = Mocap(MocapSettings(camera=True, latency=0.0))
     mocap.restart(1, np.random.default_rng(0))
     place, twist = np.array([0.8, -0.2, 0.5]), np.array([0.5, 0.0, 1.0, 0.0, 7.0, 0.0])
