@@ -64,6 +64,11 @@ class Simulation:
         cameras, on_frame = None, lambda *_: None
         if self.optitrack is not None:
             cameras, on_frame = self.optitrack.params, self.optitrack.publish
+            if cameras.camera and not params.lockstep:
+                raise ValueError(
+                    "camera = True of optitrack_sim needs pace = lockstep of wam_sim: to draw an "
+                    "image takes longer than a state may be late"
+                )
         world = World.of(params, cameras)
         self._watch.check()  # discovery went on while the world was built
         self.wam.attach(world, on_frame)

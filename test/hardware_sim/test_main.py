@@ -126,3 +126,13 @@ def test_a_torque_waits_only_while_nothing_moves_and_nothing_is_requested() -> N
 
     longest = round(IDLE_TIME / 0.002)
     assert idle(longest + 1, False) and not idle(longest, False) and not idle(longest + 1, True)
+
+
+def test_a_camera_whose_images_are_drawn_is_refused_in_real_time(processes: Processes) -> None:
+    process = processes.node(
+        "hardware_sim.main",
+        *("wam_sim.yaml", "optitrack_sim.yaml"),
+        **{"wam_sim:pace": "real_time", "optitrack_sim:camera": True},
+    )
+    assert process.wait(60.0) == 2
+    assert "camera = True of optitrack_sim needs pace = lockstep" in processes.output(process)
