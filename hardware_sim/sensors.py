@@ -6,7 +6,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -16,6 +16,9 @@ from hardware_sim.motors import joint_motion, motor_motion
 from hardware_sim.wam import ENCODER_COUNTS, VELOCITY_CUTOFF
 from wam_power_ros import rotations
 from wam_power_ros.tracking.marker_fit import LAYOUT
+
+if TYPE_CHECKING:
+    from hardware_sim.tag_film import Camera
 
 _COUNTS_PER_RAD = ENCODER_COUNTS / math.tau  # of a motor's encoder
 _COUNT = math.tau / ENCODER_COUNTS  # [rad]
@@ -112,18 +115,23 @@ class Mocap:
         self._period_ns = round(1e9 / settings.rate)
         self._latency_ns = round(settings.latency * 1e9)
         self._rng = np.random.default_rng(0)
-        self._camera = None
-        if settings.camera:
-            from hardware_sim.tag_film import Camera  # needs OpenCV
-
-            self._camera = Camera()
+        self._camera: Camera | None = None
         self._waiting: list[MocapFrame] = []
         self._last: MocapFrame | None = None  # last frame that was not lost
         self._next_ns = 0
 
+    def aim(self, place: np.ndarray) -> None:
+        """Set the camera up, if there is one, to look above a place (3,) [m]."""
+        if self._settings.camera:
+            from hardware_sim.tag_film import Camera  # needs OpenCV
+
+            self._camera = Camera(place)
+
     def restart(self, now_ns: int, rng: np.random.Generator) -> None:
         """Restart the frame clock: from now on, phase and noise depend on `rng` alone."""
         self._rng = rng
+        if self._camera is not None:
+            self._camera.forget()
         self._waiting = [frame for frame in self._waiting if frame.stamp_ns < now_ns]
         self._next_ns = now_ns + 5_000_000 + int(rng.uniform(0.0, self._period_ns))
 

@@ -27,22 +27,26 @@ MOMENTS = EXPOSURE * np.array([-0.4, 0.0, 0.4])  # at which its light is taken [
 TAGS = "36h11", (0, 1), 0.09, (0.0, 0.0, 0.004, 0.0, 0.0, 0.0, 1.0,
                                 0.0, 0.0, -0.004, 1.0, 0.0, 0.0, 0.0)  # fmt: skip
 VIEW = np.array([0.35, 0.3, 1.2])  # [m] of the camera from where it looks
-ABOVE = np.array([0.0, 0.0, 0.25])  # [m] of that place from the first of the body
+ABOVE = np.array([0.0, 0.0, 0.25])  # [m] of that place above the tool
 
 
 class Camera:
     """A calibrated camera beside the arm, and the detector that sees the tags in its images.
 
-    It looks above the place where the body is first.
+    It looks above a place [m], where the body is at rest. Shape (3,).
     """
 
-    def __init__(self) -> None:
+    def __init__(self, place: np.ndarray) -> None:
         self._film, self._detector = Film(*TAGS), TagDetector(*TAGS)
         away = VIEW / np.linalg.norm(VIEW)
         right = np.cross([0.0, 0.0, 1.0], away)
         right /= np.linalg.norm(right)
         self._turn = np.column_stack([right, np.cross(right, away), -away])  # optical axes
-        self._place: np.ndarray | None = None
+        self._place = place + ABOVE + VIEW
+
+    def forget(self) -> None:
+        """Forget the last pose, which else tells which of two is true."""
+        self._detector = TagDetector(*TAGS)
 
     def pose(
         self,
@@ -57,8 +61,6 @@ class Camera:
         Raises:
             ValueError: No tag is seen, or the pose is not known.
         """
-        if self._place is None:
-            self._place = position + ABOVE + VIEW
         turn = self._turn.T
         seen = turn @ (position - self._place), turn @ rotation
         moving = None if twist is None else np.concatenate([turn @ twist[:3], turn @ twist[3:]])
@@ -70,14 +72,7 @@ class Camera:
 
 
 class Film:
-    """Draws tags of a body as the camera sees them.
-
-    Args:
-        family: Family of the AprilTags, such as "36h11".
-        tags: Numbers of the tags on the body.
-        size: Edge of their black squares [m].
-        poses: Seven numbers for each tag: position [m] and quaternion xyzw in the body.
-    """
+    """Draws tags of a body as the camera sees them; arguments as of `TagDetector`."""
 
     def __init__(
         self, family: str, tags: Sequence[int], size: float, poses: Sequence[float]

@@ -99,6 +99,7 @@ class World:
         self._build()
         self.time_ns = self._period_ns
         self.reset("start", self.scene.home if settings.home is None else np.array(settings.home))
+        self._mocap.aim(self._tool_position.copy())
         self.release()
 
     @classmethod
