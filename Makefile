@@ -54,7 +54,7 @@ $(INSTALLED): requirements.txt setup.py setup.cfg wam_power_ros/_kernel.c
 	@$(CONSTRAIN)
 	@echo 'Installing into $(VENV), only once; this takes a minute or two.'
 	@$(BIN)/python -m pip install --quiet --upgrade pip  # an old pip takes minutes to resolve the versions
-	@PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --no-compile --use-pep517 -c $(VENV)/constraints.txt -e '.[$(EXTRAS)]'  # Python compiles what it imports
+	@PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --no-compile -c $(VENV)/constraints.txt -e '.[$(EXTRAS)]'  # Python compiles what it imports
 	@$(BIN)/python -c 'import mujoco, pinocchio, rclpy' || { \
 	    echo 'A system library is missing, see above. For libgomp.so.1: apt install libgomp1'; exit 1; }
 	@touch $@
@@ -91,7 +91,7 @@ format: $(READY)
 # colcon runs with the Python of .venv, because the installed executables start with the Python that built them. It does not
 # look for packages inside of a package, so it is given both folders.
 build: $(READY)
-	@$(BIN)/python -c 'import colcon, colcon_ros' 2>/dev/null || $(BIN)/python -m pip install --quiet --use-pep517 \
+	@$(BIN)/python -c 'import colcon, colcon_ros' 2>/dev/null || $(BIN)/python -m pip install --quiet \
 	    -c $(VENV)/constraints.txt -e '.[build]'
 	$(BIN)/python -m colcon build --base-paths $(BUILT) --packages-up-to wam_power_ros
 
