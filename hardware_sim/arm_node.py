@@ -150,7 +150,8 @@ class ArmSim(Node):
             self._states.publish(self._others(self.stamp_ns, still, still, still))
         if self._velocities is not None:  # nameless, as Barrett's own node sends them
             qd = self.world.joint_state().qd
-            self._velocities.publish(joint_messages.nameless_velocities(self.stamp_ns, qd))
+            nameless = joint_messages.JointStateWriter(())
+            self._velocities.publish(nameless(self.stamp_ns, (), qd, ()))
         self._states.publish(message)
         self.counters["states published"] += 1
         if self.params.lockstep:

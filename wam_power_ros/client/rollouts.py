@@ -8,6 +8,7 @@ repeated from the start of the trial.
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -175,23 +176,19 @@ class Rollouts:
             ServiceError: A service did not appear.
             ValueError: A path is not valid.
         """
-        starts = 0
-        while True:
-            starts += 1
+        for start in itertools.count(1):
             try:
                 reset = self._prepare(policy, Resetting(ready, put_back, rest_time))
-                if self._settings.record_rollouts:
-                    self._begin_bag(policy.id)
+                self._begin_bag(policy.id)
                 executed = self._collect(policy, duration, self._execute(policy))
                 return replace(executed, reset=reset)
             except NotBegunError as error:  # the trial is not counted
                 self._log.warning(f"{policy.id} is started again: {error}")
-                if starts == STARTS_MAX:
+                if start == STARTS_MAX:
                     raise
             except EndedByPersonError as error:
                 self.awaited = _nothing
-                if self._settings.record_rollouts:
-                    error.bag = self._end_bag()
+                error.bag = self._end_bag()
                 raise
 
     def until(
@@ -249,6 +246,8 @@ class Rollouts:
         return answer or NO_ANSWER
 
     def _begin_bag(self, policy_id: str) -> None:
+        if not self._settings.record_rollouts:
+            return
         answer = self._call(interface.RECORD, True)
         if not answer.success and self._end_bag():  # of a killed learner
             answer = self._call(interface.RECORD, True)
@@ -257,6 +256,8 @@ class Rollouts:
 
     def _end_bag(self) -> str:
         """End the recording; returns the name of the bag, empty without one."""
+        if not self._settings.record_rollouts:
+            return ""
         answer = self._call(interface.RECORD, False)
         return FilePath(answer.text).name if answer.success else ""
 
@@ -272,8 +273,7 @@ class Rollouts:
         """
         end = time.monotonic() + self._settings.service_timeout
         while True:
-            timeout = self._settings.rollout_timeout
-            answer, result = self._ask(self._execution, policy, timeout)
+            answer, result = self._ask(self._execution, policy, self._settings.rollout_timeout)
             if self._await_switch(answer, f"for {policy.id}"):
                 continue
             if _start_ns(result):
@@ -367,9 +367,8 @@ class Rollouts:
         message = movement_message(self._joint_names, JointMovement(move.t, move.q))
         while True:
             goal = self._replays.send(movement=message, known_stop=self._known())
-            answer, _ = self._end_of(
-                goal, f"a movement of the {self._body}", self._settings.patience
-            )
+            moved = f"a movement of the {self._body}"
+            answer, _ = self._end_of(goal, moved, self._settings.patience)
             if not self._await_switch(answer, f"to put the {self._body} back"):
                 break
         if not answer.success:
@@ -386,14 +385,10 @@ class Rollouts:
                 raise NotBegunError(f"the scene is not reset: {answer.said}")
             if not self._body:
                 return
-            self._resetting = again = Resetting(ready, lambda state: "wait")
+            again = self._resetting = Resetting(ready, lambda state: "wait")
+            what = lambda again=again: f"the {self._body} to be ready: {again.missing}"  # noqa: E731
             try:
-                self.until(
-                    lambda: again.done,  # noqa: B023 - called at once
-                    lambda: f"the {self._body} to be ready: {again.missing}",  # noqa: B023
-                    READY_TIMEOUT,
-                )
-                return
+                return self.until(lambda again=again: again.done, what, READY_TIMEOUT)
             except RolloutError:
                 if time.monotonic() > end:
                     raise
@@ -419,9 +414,8 @@ class Rollouts:
                 end = time.monotonic() + self._settings.patience
                 continue
             if time.monotonic() > end or answer.code is Code.REFUSED:
-                raise RolloutError(
-                    f"the arm cannot move to the start of {policy.id}: {answer.said}"
-                )
+                text = f"the arm cannot move to the start of {policy.id}: {answer.said}"
+                raise RolloutError(text)
             if answer.code is Code.FAULT:
                 self._call(interface.RESET)
             else:
@@ -454,7 +448,7 @@ class Rollouts:
             there = lambda: (it := self._body_path()) and it.start_ns == end.start_ns  # noqa: E731
             self.until(there, what, timeout)
             body = BodyPath(policy.id, *self._body_path()[1:])
-        bag = self._end_bag() if self._settings.record_rollouts else ""
+        bag = self._end_bag()
         if self._node.count_publishers(self._truth_topic):
 
             def known() -> bool:

@@ -17,7 +17,7 @@ from wam_power_ros.faults import Fault
 from wam_power_ros.nodes.preparation import Preparation
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.diagnostics import FAULT_KIND, component
+from wam_power_ros.ros.diagnostics import FAULT_KIND, LAST_STOP, component
 from wam_power_ros.ros.scheduling import Granted
 
 UNEXPLAINED = "unexplained torque"  # key of the diagnostics
@@ -35,6 +35,7 @@ class Condition:
     active: bool
     missing_state: str | None  # why the joint states do not suffice to hold the arm, else None
     granted: Granted
+    last_stop: str = ""  # id of the last stop by a person
 
     @property
     def mode(self) -> str:
@@ -119,6 +120,7 @@ class ControllerReport:
             "policy": (core and core.policy_id) or "",
             FAULT_KIND: now.fault.kind.value if core and now.fault else "",
             **figures,
+            LAST_STOP: now.last_stop,
             **({} if core is None else core.counters),
             UNEXPLAINED: self._unexplained(core),
             **{f"refused: {name}": count for name, count in self._refused.items()},
@@ -130,8 +132,8 @@ class ControllerReport:
         level, text = self._summary(now, overload)
         self._refused_since_report = False
         stamp_ns = self._node.get_clock().now().nanoseconds
-        name, device = component(self._node, "loop"), self._params.hardware_id
-        self._preparation.report(stamp_ns, name, device, level, text, values)
+        of = {"name": component(self._node, "loop"), "hardware_id": self._params.hardware_id}
+        self._preparation.report(stamp_ns, values, **of, level=level, text=text)
 
     def _unexplained(self, core: Controller | None) -> str:
         if self._params.output != "torque":

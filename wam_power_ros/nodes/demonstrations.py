@@ -25,7 +25,6 @@ class Demonstrations:
     def __init__(
         self, kind: type[Task], arm: SimulatedArm, joint_names: Sequence[str], log: Logger
     ) -> None:
-        """Read and fit for a task and an arm."""
         self._kind, self._arm, self._joint_names, self._log = kind, arm, joint_names, log
 
     def candidates(
@@ -61,16 +60,13 @@ class Demonstrations:
                 "wam-power learn --session ... --bags ..."
             )
         used = [number for group in candidates for number in group]
-        return (
-            [bags[number - 1] for number in used],
-            [read[number] for number in used],
-            list(candidates.values()),
-        )
+        named = [bags[number - 1] for number in used]
+        return named, [read[number] for number in used], list(candidates.values())
 
     def read(self, path: str) -> Demonstration:
         """Read the movement in a bag; if there is none, a ValueError names the bag and reason."""
+        identity = self._arm.identity
         try:
-            identity = self._arm.identity
             bag = Bag(path)
             states = read_states(bag, self._joint_names, arm=identity)
             for found in states.remarks:

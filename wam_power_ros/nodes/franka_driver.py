@@ -8,11 +8,6 @@ The robot's errors are cleared, which moves nothing; torques wait until the cont
 
 from __future__ import annotations
 
-if __name__ == "__main__":  # before the other imports, which a signal may interrupt
-    from wam_power_ros.entry import start
-
-    raise SystemExit(start("wam_power_ros.nodes.franka_driver"))
-
 import os
 import time
 from collections.abc import Callable
@@ -24,7 +19,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from wam_power_ros.nodes import franka_errors
-from wam_power_ros.params.franka_driver_params import FrankaDriverParams
+from wam_power_ros.params.driver_params import FrankaDriverParams
 from wam_power_ros.ros import interface, joint_messages, node_runner, scheduling
 from wam_power_ros.ros.diagnostics import Diagnostics
 

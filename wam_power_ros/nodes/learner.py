@@ -8,16 +8,13 @@ demonstration, or pause to record one: this is on disk before it is answered.
 
 from __future__ import annotations
 
-if __name__ == "__main__":  # before the other imports, which a signal may interrupt
-    from wam_power_ros.entry import start
-
-    raise SystemExit(start("wam_power_ros.nodes.learner"))
-
+import itertools
 import math
 import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -34,18 +31,13 @@ from wam_power_interfaces import srv
 from wam_power_ros import installed, plain_json
 from wam_power_ros.arm_identity import refusal, remark
 from wam_power_ros.client.link import Link
-from wam_power_ros.client.rollouts import (
-    EndedByPersonError,
-    Executed,
-    Rollouts,
-    RolloutSettings,
-)
+from wam_power_ros.client.rollouts import EndedByPersonError, Executed, Rollouts, RolloutSettings
 from wam_power_ros.durable_files import explained
 from wam_power_ros.learning.policy import Policy, with_id
 from wam_power_ros.nodes.demonstrations import Demonstrations
 from wam_power_ros.nodes.markers import Markers
 from wam_power_ros.nodes.simulated_arm import SimulatedArm
-from wam_power_ros.params.node_params import Names, Params
+from wam_power_ros.params.node_params import Names, Params, plain
 from wam_power_ros.params.torque_controller_params import require_same_joints
 from wam_power_ros.practice.new_goal import context_for, policy_for
 from wam_power_ros.practice.practice import GO_ON, RATING_MAX, Practice
@@ -54,11 +46,7 @@ from wam_power_ros.practice.session_log import KIND_NAMES, Event, Line, Pause, R
 from wam_power_ros.practice.settings import SessionSettings, preset
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.diagnostics import LEARNER_STATE, Diagnostics
-from wam_power_ros.ros.node_runner import (
-    end,
-    interrupt_on_signals,
-    started,
-)
+from wam_power_ros.ros.node_runner import end, interrupt_on_signals, started
 from wam_power_ros.ros.outcomes import Answer, Code, ServiceError, fill
 from wam_power_ros.tasks.rated import assessed
 from wam_power_ros.tasks.task import Assessment, Pose, Task
@@ -74,9 +62,8 @@ class LearnerParams(Params, RolloutSettings):
     urdf: str  # path, or a file of our share folder
     tool_frame: str
     base_frame: str
-    controller: tuple[str, ...] = Field(
-        min_length=1, max_length=20
-    )  # parameter files of the controller, for the simulation
+    # Parameter files of the controller, for the simulation
+    controller: tuple[str, ...] = Field(min_length=1, max_length=20)
     session: str  # folder
     demonstrations: tuple[str, ...] = Field(max_length=1000)  # bags; not needed to resume
     policy: str  # file of a learnt policy to begin with, instead of their fit; empty: none
@@ -127,10 +114,9 @@ class Learner(Node):
         self._under_way = False
         self._awaits_rating = False
         self._rating: Assessment | None = None  # of the rollout that awaits it
-        rating = self.params.rating
         for kind, name, answer in (
-            (Trigger, interface.LEARNER_REWARD, self._rated(rating)),
-            (Trigger, interface.LEARNER_PUNISH, self._rated(-rating)),
+            (Trigger, interface.LEARNER_REWARD, partial(self._on_reward, params.rating)),
+            (Trigger, interface.LEARNER_PUNISH, partial(self._on_reward, -params.rating)),
             (srv.Pause, interface.LEARNER_PAUSE, self._on_pause),
             (srv.Rate, interface.LEARNER_RATE, self._on_rate),
             (srv.AddDemonstration, interface.ADD_DEMONSTRATION, self._on_demonstration),
@@ -185,17 +171,11 @@ class Learner(Node):
         response.under_way = under_way
         return fill(response, answer)
 
-    def _rated(
-        self, amount: float
-    ) -> Callable[[Trigger.Request, Trigger.Response], Trigger.Response]:
-        """Service callback that rates the last finished rollout, or answers why it cannot."""
-
-        def serve(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-            return self._append(
-                response, lambda practice: practice.rate(amount, clock={"at": time.time()})
-            )
-
-        return serve
+    def _on_reward(
+        self, amount: float, _: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        rate = lambda practice: practice.rate(amount, clock={"at": time.time()})  # noqa: E731
+        return self._append(response, rate)
 
     def _on_rate(self, request: srv.Rate.Request, response: srv.Rate.Response) -> srv.Rate.Response:
         answer = Answer(Code.REFUSED, "no rollout waits for a rating")
@@ -230,12 +210,11 @@ class Learner(Node):
             if not bag:
                 raise ValueError("the request names no bag")
             taken = [candidate.id for candidate in practice.candidates]
-            number = len(taken) + 1
-            while f"demonstration-{number}" in taken:
-                number += 1
+            numbers = itertools.count(len(taken) + 1)
+            id = next(id for n in numbers if (id := f"demonstration-{n}") not in taken)
             read = self._demonstrations.read(bag)
             springs = practice.settings.practice.springs
-            policy = self._demonstrations.fit(read, bag, f"demonstration-{number}", springs)
+            policy = self._demonstrations.fit(read, bag, id, springs)
             return practice.add_demonstration(policy, bag, clock={"at": time.time()})
 
         return self._append(response, make)
@@ -262,23 +241,18 @@ class Learner(Node):
                 finally:
                     with self._lock:
                         self._practice = None
-        best = practice.best
-        self.get_logger().info(
-            f"session finished: {practice.stopped}. {'' if best is None else best.why}"
-        )
+        why = practice.best.why if practice.best else ""
+        self.get_logger().info(f"session finished: {practice.stopped}. {why}")
 
     def _compare(self) -> None:
         """Ask the controller for its parameters: policies are planned with them."""
-        known = self._arm.parameters
+        known = {name: plain(value) for name, value in self._arm.parameters.items()}
         values = self._link.parameters(CONTROLLER, list(known), COMPARE_TIMEOUT)
         if not values:  # renamed, or secured
             self.get_logger().info(f"{CONTROLLER} does not tell its parameters: not compared")
-        found = map(parameter_value_to_python, values)
-        other = [
-            f"{name} {plain(there)}, here {plain(known[name])}"
-            for name, there in zip(known, found, strict=False)
-            if plain(there) != plain(known[name])
-        ]
+        found = map(plain, map(parameter_value_to_python, values))
+        pairs = zip(known.items(), found, strict=False)
+        other = [f"{name} {there}, here {own}" for (name, own), there in pairs if there != own]
         if other:
             raise SessionFailed(
                 f"{CONTROLLER} was started with another set-up than this node: {'; '.join(other)}. "
@@ -342,9 +316,9 @@ class Learner(Node):
 
     def _task_type(self) -> type[Task]:
         """Task of the session if it exists, else of the parameters."""
-        folder, name = FilePath(self.params.session), self.params.task
+        folder = FilePath(self.params.session)
+        own = installed.import_task(self.params.task)  # a session may be a stranger's
         begun = read(folder).header.settings.task if Session.exists(folder) else ""
-        own = installed.import_task(name)  # of the parameters: a session may be a stranger's
         return installed.task_type(begun or own)
 
     def _settings(self) -> SessionSettings:
@@ -377,9 +351,8 @@ class Learner(Node):
                 if params.goal:
                     context, carried = self._for_goal(FilePath(params.policy).parent)
                 candidates = [with_id(replace(carried, arm=self._arm.identity), "carried-over")]
-            session = Session.begin(
-                folder, settings, params.seed, candidates, context=context, demonstrations=bags
-            )
+            given = {"context": context, "demonstrations": bags}
+            session = Session.begin(folder, settings, params.seed, candidates, **given)
         practice = session.practice(self._arm)
         self.get_logger().info(f"session {folder}: {len(session.records)} rollouts on record")
         return session, practice
@@ -411,15 +384,15 @@ class Learner(Node):
                 f"{trial.id} ({trial.purpose}) was not sent: with the present limits it would end "
                 f"in a fault: {fault.text}"
             )
-        arm, q_start = self._arm.kinematics, trial.policy.q_start
-        tool = Pose(*arm.tool_pose(q_start))
-        self._markers.plan(trial.policy, tool.position)
+        arm, policy = self._arm.kinematics, trial.policy
+        tool = Pose(*arm.tool_pose(policy.q_start))
+        self._markers.plan(policy, tool.position)
         try:
             executed = self._rollouts.execute(
-                trial.policy,
-                trial.policy.basis.duration + task.settle_time,
+                policy,
+                policy.basis.duration + task.settle_time,
                 lambda state: task.ready(state, tool),
-                lambda state: task.reset(state, arm, q_start),
+                lambda state: task.reset(state, arm, policy.q_start),
                 task.rest_time,
             )
             self._rating = None
@@ -456,11 +429,6 @@ def _time(line: Line) -> float:
     """When a line was written [s of wall time]."""
     clock = line.clock
     return float(clock["at"] if "at" in clock else clock.get("begun", 0.0) + clock.get("took", 0.0))
-
-
-def plain(value: Any) -> Any:  # noqa: ANN401 - a number, a text or some
-    """Value of a parameter as a number, a text or a list."""
-    return value if isinstance(value, (bool, int, float, str)) else list(value or ())
 
 
 def _line(record: Record) -> str:

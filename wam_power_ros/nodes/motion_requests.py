@@ -119,16 +119,16 @@ class MotionRequests:
         if mode is Mode.HOLD and not core.at_rest:
             return
         self._note_release(core)
-        if core.latched is not None and self._by_person:
-            answer = self._stopped(core.latched.text)
-        elif core.latched is not None:
-            answer = Answer(Code.FAULT, f"failed: {core.latched.text}")
-        else:
-            answer = Answer(Code.STOPPED, f"failed: mode is {mode.value}")
         if self._do == "move_to_start" and core.ready:
             answer = Answer(Code.DONE)
         elif self._do == "replay" and mode is Mode.HOLD:
             answer = Answer(Code.DONE, self._summary(core))
+        elif core.latched is None:
+            answer = Answer(Code.STOPPED, f"failed: mode is {mode.value}")
+        elif self._by_person:
+            answer = self._stopped(core.latched.text)
+        else:
+            answer = Answer(Code.FAULT, f"failed: {core.latched.text}")
         self._end(answer)
 
     def stop(self, core: Controller | None) -> None:

@@ -46,15 +46,13 @@ class SimulatedArm:
         """
         urdf = robot_description(urdf)
         setup = overlay.of_files([share(file) for file in controller])
-        controller_params = TorqueControllerParams.of_setup(setup)
+        params = TorqueControllerParams.of_setup(setup)
         own = TorqueControllerParams.model_fields.keys() - ELSEWHERE
         self.parameters = {name: setup["torque_controller"][name] for name in sorted(own)}
-        corrections = controller_params.corrections
-        base, limits = controller_params.base_frame, controller_params.position_limits
-        self.kinematics = Arm(urdf, joint_names, tool_frame, (), corrections, base, limits)
+        parts = params.corrections, params.base_frame, params.position_limits
+        self.kinematics = Arm(urdf, joint_names, tool_frame, (), *parts)
         self.identity = self.kinematics.identity()
-        self._controller = controller_params.controller(urdf)
-        self.region = controller_params.region
+        self._controller, self.region = params.controller(urdf), params.region
         self._report = report
         # movement and number of overruns -> fault that ends it, None if it is feasible
         self._verdicts: dict[tuple[str, int], Fault | None] = {}

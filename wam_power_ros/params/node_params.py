@@ -62,14 +62,8 @@ class Params(BaseModel):
         for file in () if cls.file else parameter_file.given(sys.argv):
             parameter_file.read(file)
         given = node.get_parameters_by_prefix("").items()
-        values = {
-            name: parameter.value
-            if isinstance(parameter.value, (bool, int, float, str))
-            else tuple(parameter.value or ())
-            for name, parameter in given
-            if not name.startswith(parameter_file.ROS_PARAMETERS)
-        }
-        params = cls._checked(node.get_name(), values)
+        values = {k: plain(() if it.value is None else it.value) for k, it in given}
+        params = cls.of_values(node.get_name(), values)
         cls._describe(node)
         return params
 
@@ -95,7 +89,7 @@ class Params(BaseModel):
             common = sections.get(parameter_file.ALL_NODES, {})
             foreign |= common.keys()
             passed |= common | sections.get(name, {})
-        given = {each: _plain(node.get_parameter_or(each).value) for each in setup[kind]}
+        given = {each: plain(node.get_parameter_or(each).value) for each in setup[kind]}
         words = {k: v for k, v in given.items() if v is not None and v != passed.get(k)}
         setup = overlay.of_files(files, namespace, name, kind, words)
         for each in foreign - setup[kind].keys():
@@ -104,7 +98,7 @@ class Params(BaseModel):
         for each, value in setup[kind].items():
             if not node.has_parameter(each):
                 node.declare_parameter(each, value)
-            elif _plain(node.get_parameter(each).value) == passed.get(each):
+            elif plain(node.get_parameter(each).value) == passed.get(each):
                 node.set_parameters([Parameter(each, value=value)])
 
     @classmethod
@@ -140,11 +134,10 @@ class Params(BaseModel):
 
         def on_set(given: Sequence[Parameter[Any]]) -> SetParametersResult:
             nonlocal known
-            own = {each.name: each.value for each in given if each.name in type(self).settable}
-            own = {k: v if isinstance(v, (str, int, float)) else tuple(v) for k, v in own.items()}
+            own = {it.name: plain(it.value) for it in given if it.name in type(self).settable}
             try:
                 values = known.model_dump(exclude=type(self).constants) | own
-                accept(changed := self._checked(node.get_name(), values))
+                accept(changed := self.of_values(node.get_name(), values))
             except ValueError as error:
                 return SetParametersResult(successful=False, reason=str(error))
             known = changed
@@ -162,12 +155,11 @@ class Params(BaseModel):
     def of_values(cls: type[P], owner: str, values: Mapping[str, object]) -> P:
         """Check values from YAML for a node; parameters that ROS itself defines are ignored."""
         own = {
-            name: value
+            name: tuple(value) if isinstance(value, list) else value
             for name, value in values.items()
             if not name.startswith(parameter_file.ROS_PARAMETERS)
         }
-        lists = {name: tuple(value) for name, value in own.items() if isinstance(value, list)}
-        return cls._checked(owner, own | lists)
+        return cls._checked(owner, own)
 
     @classmethod
     def _checked(cls: type[P], owner: str, values: Mapping[str, object]) -> P:
@@ -201,7 +193,7 @@ class Params(BaseModel):
         return f"{key} = {shown}: {rule}{reason}"
 
 
-def _plain(value: object) -> object:
+def plain(value: object) -> object:
     """A list for any sequence but text, to compare values of ROS and of YAML."""
     return value if value is None or isinstance(value, (str, int, float)) else list(value)
 

@@ -231,6 +231,13 @@ class TorqueControllerParams(Params, MotionSettings):
         """What was measured on this arm."""
         return Corrections.of_parameters(self.model_dump())
 
+    def arm(self, urdf: str) -> Arm:
+        """Build the model of the arm of a URDF; a ValueError names joints and frames it lacks."""
+        guarded = guarded_points(self.guarded_names, self.guarded_links, self.guarded_points)
+        names, tool = self.model_joint_names, self.tool_frame
+        base, allowed = self.base_frame, self.position_limits
+        return Arm(urdf, names, tool, guarded, self.corrections, base, allowed)
+
     def controller(self, urdf: str, latched: Fault | None = None) -> Controller:
         """Build the controller for the arm of a URDF, with a fault that is still latched.
 
@@ -240,10 +247,7 @@ class TorqueControllerParams(Params, MotionSettings):
         """
         from wam_power_ros.control.reference_output import controller_of
 
-        guarded = guarded_points(self.guarded_names, self.guarded_links, self.guarded_points)
-        names, tool = self.model_joint_names, self.tool_frame
-        base, allowed = self.base_frame, self.position_limits
-        arm = Arm(urdf, names, tool, guarded, self.corrections, base, allowed)
+        arm = self.arm(urdf)
         limits = limits_of(
             arm,
             torque=self.torque_share * arm.tau_max,

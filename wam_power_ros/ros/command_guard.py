@@ -6,7 +6,6 @@ from __future__ import annotations
 import time
 from collections import deque
 
-from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
@@ -61,13 +60,6 @@ class CommandGuard:
         if self._subscription is not None:
             self._own.append(command)
         self._publisher.publish(command)
-
-    def wait_until_received(self, timeout: float) -> None:
-        """Wait until the reliable readers have the last command, at most `timeout` [s].
-
-        What a busy reader does not have when this process ends may be lost.
-        """
-        self._publisher.wait_for_all_acked(Duration(seconds=timeout))
 
     def intruder(self) -> str | None:
         """Text for a fault if publishers have appeared since the last call, else None."""

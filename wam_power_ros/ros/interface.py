@@ -30,8 +30,6 @@ CLOCK = "/clock"
 LOG = "/rosout"
 ENABLE = "controller/enable"
 
-REPLAY = "controller/replay"  # a movement to follow, for who wants no answer
-
 # Actions
 EXECUTE_POLICY = "controller/execute_policy"
 MOVE_TO_START = "controller/move_to_start"
@@ -62,11 +60,7 @@ _RESERVED = {SCENE, "end_effector", "end"}
 
 
 def body_topic(body: str, leaf: str) -> str:
-    """Topic or service of a tracked body, such as `ball/state`.
-
-    Args:
-        body: Name of the body; empty for a task without one, which has `scene/truth`.
-        leaf: One of `BODY_LEAVES`.
+    """Topic or service of a tracked body, such as `ball/state`; without one, `scene/truth`.
 
     Raises:
         ValueError: When there is no such topic, or the name of the body is not acceptable.
@@ -100,7 +94,8 @@ def frame(namespace: str, name: str) -> str:
     return f"{namespace}/{name}".lstrip("/")
 
 
-def _qos(depth: int, reliability: str = "RELIABLE", durability: str = "VOLATILE") -> QoSProfile:
+def qos(depth: int, reliability: str = "RELIABLE", durability: str = "VOLATILE") -> QoSProfile:
+    """QoS that keeps the last `depth` messages; policies by their names in rclpy."""
     return QoSProfile(
         depth=depth,
         reliability=ReliabilityPolicy[reliability],
@@ -109,25 +104,24 @@ def _qos(depth: int, reliability: str = "RELIABLE", durability: str = "VOLATILE"
 
 
 # QoS: publish reliable, subscribe best effort, except for latched topics
-STATE_OUT = _qos(10)
-STATE_IN = _qos(10, "BEST_EFFORT")
-COMMAND = _qos(1)
+STATE_OUT = qos(10)
+STATE_IN = qos(10, "BEST_EFFORT")
+COMMAND = qos(1)
 # For readers that must lose nothing while they write to a disk: four seconds at 500 Hz.
 # Lockstep waits for the controller alone, so states and torques are kept for a recorder.
-DEEP = _qos(2000)
-DEEP_IN = _qos(2000, "BEST_EFFORT")
-STATE_RECORD = _qos(2000, "BEST_AVAILABLE")
-MOCAP = _qos(500)  # a path needs every frame: two seconds at 240 Hz
-MOCAP_BEST_EFFORT = _qos(500, "BEST_EFFORT")
-LATCHED = _qos(1, durability="TRANSIENT_LOCAL")
-FIXED = _qos(100, durability="TRANSIENT_LOCAL")  # of /tf_static, as tf2 subscribes
-REPLAYS = _qos(10)
-DIAGNOSTICS_QOS = _qos(10)
-LOG_QOS = _qos(1000, durability="TRANSIENT_LOCAL")
-CLOCK_QOS = _qos(1, "BEST_EFFORT")
-ENABLE_OUT, ENABLE_IN = _qos(1), _qos(1, "BEST_EFFORT")
+DEEP = qos(2000)
+DEEP_IN = qos(2000, "BEST_EFFORT")
+STATE_RECORD = qos(2000, "BEST_AVAILABLE")
+MOCAP = qos(500)  # a path needs every frame: two seconds at 240 Hz
+MOCAP_BEST_EFFORT = qos(500, "BEST_EFFORT")
+LATCHED = qos(1, durability="TRANSIENT_LOCAL")
+FIXED = qos(100, durability="TRANSIENT_LOCAL")  # of /tf_static, as tf2 subscribes
+DIAGNOSTICS_QOS = qos(10)
+LOG_QOS = qos(1000, durability="TRANSIENT_LOCAL")
+CLOCK_QOS = qos(1, "BEST_EFFORT")
+ENABLE_OUT, ENABLE_IN = qos(1), qos(1, "BEST_EFFORT")
 # A request to idle that is delayed by a cut network would drop an arm that is held again by then.
-IDLE_QOS = _qos(1)
+IDLE_QOS = qos(1)
 IDLE_QOS.lifespan = Duration(seconds=0.2)
 
 

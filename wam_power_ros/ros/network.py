@@ -137,6 +137,22 @@ def wider_reach(environment: Mapping[str, str]) -> str | None:
     return None
 
 
+def exposed(environment: Mapping[str, str]) -> str | None:
+    """Reason why others on the network can command this arm; None if they cannot.
+
+    What each node may do where SROS2 is enforced is in `security/policy.xml`.
+    """
+    get, reason = environment.get, wider_reach(environment)
+    enforced = get("ROS_SECURITY_ENABLE") == "true" and get("ROS_SECURITY_STRATEGY") == "Enforce"
+    if enforced or get(RANGE) == "OFF" or reason is None:
+        return None
+    return (
+        f"anybody on the network can command this arm: {reason}, security not enforced. Remove "
+        f"that setting and set {RANGE}=LOCALHOST to bind sockets to this machine's "
+        "loopback interface, or enforce security: see SECURITY.md"
+    )
+
+
 def ports_in_use() -> set[int]:
     """UDP ports (IPv4) to which any process of this network namespace has bound a socket."""
     _, *lines = Path("/proc/self/net/udp").read_text().splitlines()

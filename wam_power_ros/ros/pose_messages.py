@@ -107,16 +107,16 @@ def markers(message: PointCloud2) -> MarkersReading:
     for name in "xyz":
         if name not in fields or fields[name].datatype != PointField.FLOAT32:
             raise ValueError(f"point cloud fields {sorted(fields)} must hold float32 x, y and z")
-    layout = np.dtype(
-        {
-            "names": list("xyz"),
-            "formats": [(">" if message.is_bigendian else "<") + "f4"] * 3,
-            "offsets": [fields[name].offset for name in "xyz"],
-            "itemsize": message.point_step,
-        }
-    )
-    cloud = np.frombuffer(bytes(message.data), dtype=layout)
+    formats = [(">" if message.is_bigendian else "<") + "f4"] * 3
+    layout = {"names": list("xyz"), "formats": formats, "itemsize": message.point_step}
+    layout["offsets"] = [fields[name].offset for name in "xyz"]
+    cloud = np.frombuffer(bytes(message.data), dtype=np.dtype(layout))
     points = np.column_stack([cloud[name] for name in "xyz"]).astype(float)  # (m, 3)
+    return of_markers(message, points)
+
+
+def of_markers(message: object, points: np.ndarray) -> MarkersReading:
+    """Markers at points (m, 3) [m] in a message with a header, see `markers`."""
     finite = np.isfinite(points).all(axis=1)
     return MarkersReading(sensor_stamp(message), message.header.frame_id, points[finite])
 
@@ -154,14 +154,14 @@ def odometry(message: Odometry) -> StateReading:
         ValueError: When the stamp is not set, a value is not finite, or the quaternion is not of
             unit length (1e-3).
     """
-    reading = pose(PoseStamped(header=message.header, pose=message.pose.pose))
+    placed = reading(message, message.pose.pose)
     linear, angular = message.twist.twist.linear, message.twist.twist.angular
     twist = np.array([[linear.x, linear.y, linear.z], [angular.x, angular.y, angular.z]])
     if not np.isfinite(twist).all():
         raise ValueError(f"twist {twist.tolist()} must be finite")
-    velocity, angular_velocity = twist @ rotations.matrix(reading.quat_xyzw).T
+    velocity, angular_velocity = twist @ rotations.matrix(placed.quat_xyzw).T
     variance = float(message.pose.covariance[0])
-    return StateReading(*reading, velocity, angular_velocity, variance)
+    return StateReading(*placed, velocity, angular_velocity, variance)
 
 
 class PathReading(NamedTuple):
@@ -213,9 +213,8 @@ def ground_truth_message(truth: TruthReading) -> GroundTruth:
     """Message about the ground truth of a rollout."""
     message = GroundTruth(policy_id=truth.policy_id)
     message.header.stamp = time_message(truth.end_ns)
-    message.values = [
-        KeyValue(key=key, value=json.dumps(value)) for key, value in truth.values.items()
-    ]
+    texts = {key: json.dumps(value) for key, value in truth.values.items()}
+    message.values = [KeyValue(key=key, value=text) for key, text in texts.items()]
     return message
 
 

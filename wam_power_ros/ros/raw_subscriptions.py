@@ -3,20 +3,19 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import NamedTuple
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rosbags.interfaces import Qos
 
 from wam_power_ros.bags import layout
 from wam_power_ros.ros import endpoints, interface
+from wam_power_ros.ros.body_sources import message_class
 from wam_power_ros.ros.interface import is_latched, is_reliable
 
 DISCOVERY_PERIOD = 0.25  # [s] between looks at the graph
@@ -62,18 +61,13 @@ class RawTopics:
         """Resolved names of the topics."""
         return list(self._topics)
 
-    def msgtype(self, name: str) -> str:
-        """Message type of a subscribed topic."""
-        return self._subscribed[name].msgtype
-
-    def offered(self, name: str) -> list[Qos]:
-        """QoS of the publishers of a subscribed topic, for the metadata of a bag."""
-        infos = self._node.get_publishers_info_by_topic(name)
-        known = self._subscribed[name]
-        return [
-            layout.qos(is_reliable(info), is_latched(info), info.qos_profile.depth)
-            for info in infos
-        ] or [layout.qos(known.reliable, known.latched)]
+    def layout_of(self, name: str) -> tuple[str, list[Qos]]:
+        """Message type of a subscribed topic and QoS of its publishers, for a bag."""
+        known, infos = self._subscribed[name], self._node.get_publishers_info_by_topic(name)
+        offered = [(is_reliable(it), is_latched(it), it.qos_profile.depth) for it in infos]
+        return known.msgtype, [
+            layout.qos(*each) for each in offered or [(known.reliable, known.latched)]
+        ]
 
     def discover(self) -> None:
         """Subscribe to every topic that has a publisher."""
@@ -117,21 +111,16 @@ class RawTopics:
                 return
             self._node.destroy_subscription(known.subscription)  # a new publisher offers less
         elif msgtype not in layout.TYPES.fielddefs:
-            self._node.get_logger().error(
-                f"{name}: cannot record message type {msgtype}", once=True
-            )
+            text = f"{name}: cannot record message type {msgtype}"
+            self._node.get_logger().error(text, once=True)
             return
-        qos = QoSProfile(
-            depth=interface.STATE_RECORD.depth,
-            reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-            durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+        qos = interface.qos(
+            interface.STATE_RECORD.depth,
+            "RELIABLE" if reliable else "BEST_EFFORT",
+            "TRANSIENT_LOCAL" if latched else "VOLATILE",
         )
-        package, _, message = msgtype.split("/")
+        kind, receive = message_class(msgtype), partial(self._on_message, name)
         subscription = self._node.create_subscription(
-            getattr(importlib.import_module(f"{package}.msg"), message),
-            self._topics[name],
-            partial(self._on_message, name),
-            qos,
-            raw=True,
+            kind, self._topics[name], receive, qos, raw=True
         )
         self._subscribed[name] = _Subscribed(msgtype, reliable, latched, subscription)

@@ -19,11 +19,13 @@ def described(name: str) -> str:
 class SimulationGuard:
     """Looks who publishes the joint states that a controller in simulation answers.
 
-    A stand-in is recognised by the name of its node, as `hardware_sim.driver_watch` does.
+    A stand-in is recognised by the name of its node, as `hardware_sim.driver_watch` does. An arm,
+    whose controller is not `simulated`, needs no guard.
     """
 
-    def __init__(self, node: Node, topic: str) -> None:
+    def __init__(self, node: Node, topic: str, simulated: bool = True) -> None:
         self._node, self._topic = node, node.resolve_topic_name(topic)
+        self._simulated = simulated
         self._clock = node.resolve_topic_name(interface.CLOCK)
         self._unnamed = False  # at the last call of `intruder`
 
@@ -37,16 +39,18 @@ class SimulationGuard:
             f"it answers the stand-in {STAND_IN!r} only; for an arm set simulation: false"
         )
 
-    def other_clock(self, simulated: bool) -> str:
+    def other_clock(self, lockstep: bool) -> str:
         """Say that stand-in and controller follow different clocks; empty if they do not."""
+        if not self._simulated:
+            return ""
         published = bool(self._node.count_publishers(self._clock))
-        if published and not simulated:
+        if published and not lockstep:
             return (
                 f"the stand-in runs in lockstep and publishes {self._clock}, this controller in "
                 "real time: set use_sim_time: true for all nodes, or pace: real_time for the "
                 "stand-in"
             )
-        if simulated and self._node.get_parameter("use_sim_time").value and not published:
+        if lockstep and self._node.get_parameter("use_sim_time").value and not published:
             return (
                 f"no node publishes {self._clock}, and this controller follows simulated time: set "
                 "pace: lockstep for the stand-in, or use_sim_time: false for all nodes"
@@ -62,5 +66,7 @@ class SimulationGuard:
         return None if self._unnamed and not unnamed else self.stranger()
 
     def _stranger(self) -> str | None:
+        if not self._simulated:
+            return None
         names = {each.node_name for each in self._node.get_publishers_info_by_topic(self._topic)}
         return min(names - {STAND_IN}, default=None)
