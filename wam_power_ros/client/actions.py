@@ -75,19 +75,15 @@ class Action:
     """Client of one action."""
 
     def __init__(self, link: Link, kind: Any, name: str) -> None:  # noqa: ANN401 - any action
-        self._link, self._kind, self._name = link, kind, name
+        self._link, self._kind = link, kind
+        self._name = link.node.resolve_topic_name(name)
         self._client = ActionClient(link.node, kind, name)
         self._goals: list[Goal] = []
-        self._ready_since: float | None = None
 
     @property
     def offered(self) -> bool:
         """Whether a server is there and has had the time to discover this client."""
-        if not (self._link.node.context.ok() and self._client.server_is_ready()):
-            self._ready_since = None
-            return False
-        self._ready_since = self._ready_since or time.monotonic()
-        return time.monotonic() - self._ready_since >= DISCOVERY
+        return self._link.discovered(self._name, self._client.server_is_ready)
 
     @property
     def settled(self) -> bool:
@@ -100,10 +96,8 @@ class Action:
         Raises:
             ServiceError: No server appears.
         """
-        link, timeout = self._link, self._link.appear_timeout
-        name = link.node.resolve_topic_name(self._name)
-        if not link.until(lambda: self.offered, f"action {name}", timeout + DISCOVERY):
-            raise ServiceError(f"{name} did not appear in {timeout:.0f} s")
+        link, name = self._link, self._name
+        link.await_server("action", name, self._client.server_is_ready)
         self._goals = [each for each in self._goals if each.answer is None]
         request = self._kind.Goal(**goal)
         send = lambda: self._client.send_goal_async(request, goal_uuid=goal_id())  # noqa: E731

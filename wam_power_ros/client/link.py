@@ -207,15 +207,24 @@ class Link:
 
     def offers(self, name: str) -> bool:
         """Whether a service, of which there is a client, is available now."""
-        if self._ended or not self._clients[name].service_is_ready():
-            self._ready_times.pop(name, None)
-            return False
-        self._ready_times.setdefault(name, time.monotonic())
-        return True
+        return self._ready(self._full(name), self._clients[name].service_is_ready) is not None
 
-    def _discovered(self, name: str) -> bool:
-        """Whether a service is available and has had the time to discover its client."""
-        return self.offers(name) and time.monotonic() - self._ready_times[name] >= DISCOVERY
+    def _ready(self, name: str, ready: Callable[[], bool]) -> float | None:
+        """Time for which a server has been seen ready [s of wall time]; None if it is not."""
+        if self._ended or not self.node.context.ok() or not ready():
+            self._ready_times.pop(name, None)
+            return None
+        return time.monotonic() - self._ready_times.setdefault(name, time.monotonic())
+
+    def discovered(self, name: str, ready: Callable[[], bool]) -> bool:
+        """Whether a server is ready and has had the time to discover its client."""
+        return (self._ready(name, ready) or 0.0) >= DISCOVERY
+
+    def await_server(self, what: str, name: str, ready: Callable[[], bool]) -> None:
+        """Wait until a server is `discovered`; a ServiceError says that it does not appear."""
+        there, timeout = lambda: self.discovered(name, ready), self.appear_timeout
+        if not self.until(there, f"{what} {name}", timeout + DISCOVERY):
+            raise ServiceError(f"{name} did not appear in {timeout:.0f} s")
 
     def _full(self, name: str) -> str:
         """Name of a service with its namespace, for messages."""
@@ -228,9 +237,7 @@ class Link:
             ServiceError: The service does not appear in time.
         """
         self.prepare(name, data=data)
-        full, timeout = self._full(name), self.appear_timeout
-        if not self.until(lambda: self._discovered(name), f"service {full}", timeout + DISCOVERY):
-            raise ServiceError(f"{full} did not appear in {timeout:.0f} s")
+        self.await_server("service", self._full(name), self._clients[name].service_is_ready)
         _, request = _request(data)
         future = self._clients[name].call_async(request)
         future.add_done_callback(self.notify)

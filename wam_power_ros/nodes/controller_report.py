@@ -78,12 +78,8 @@ class ControllerReport:
     def log_changes(self, now: Condition) -> None:
         """Log every change of mode, fault, awaited input, and whether the model carries the arm."""
         excess = "" if now.core is None else now.core.unexplained.excess()
-        values = {
-            "mode": now.mode,
-            "fault": now.fault,
-            "waiting": self._awaited(now),
-            "unexplained": bool(excess),  # not its size, which varies
-        }
+        values = {"mode": now.mode, "fault": now.fault, "waiting": self._awaited(now)}
+        values["unexplained"] = bool(excess)  # not its size, which varies
         changed = {key: value for key, value in values.items() if value != self._logged.get(key)}
         self._logged = values
         if isinstance(fault := changed.get("fault"), Fault):
@@ -115,6 +111,9 @@ class ControllerReport:
     def publish(self, now: Condition, figures: Mapping[str, str], overload: str) -> None:
         """Publish the figures of the last second; `overload` is a warning, empty for none."""
         core = now.core
+        unexplained = "" if core is None else core.unexplained.excess()
+        if self._params.output != "torque":
+            unexplained = f"not checked: the arm takes {self._params.output}"
         values = {
             "mode": now.mode,
             "policy": (core and core.policy_id) or "",
@@ -122,7 +121,7 @@ class ControllerReport:
             **figures,
             LAST_STOP: now.last_stop,
             **({} if core is None else core.counters),
-            UNEXPLAINED: self._unexplained(core),
+            UNEXPLAINED: unexplained,
             **{f"refused: {name}": count for name, count in self._refused.items()},
             "real-time scheduling": now.granted.scheduling,
             "locked memory": now.granted.memory,
@@ -134,11 +133,6 @@ class ControllerReport:
         stamp_ns = self._node.get_clock().now().nanoseconds
         of = {"name": component(self._node, "loop"), "hardware_id": self._params.hardware_id}
         self._preparation.report(stamp_ns, values, **of, level=level, text=text)
-
-    def _unexplained(self, core: Controller | None) -> str:
-        if self._params.output != "torque":
-            return f"not checked: the arm takes {self._params.output}"
-        return "" if core is None else core.unexplained.excess()
 
     def _summary(self, now: Condition, overload: str) -> tuple[str, str]:
         """Level and text of the diagnostics."""

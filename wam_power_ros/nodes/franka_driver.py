@@ -58,9 +58,8 @@ class FrankaDriver(Node):
         self.fault, self._refused, self._stopped, self._rates = "", 0, False, []
         self._write = joint_messages.JointStateWriter(params.joint_names)
         self._states = self.create_publisher(JointState, params.state_topic, interface.STATE_OUT)
-        self.create_subscription(
-            Float64MultiArray, params.command_topic, self._on_torque, interface.COMMAND
-        )
+        command = params.command_topic, self._on_torque, interface.COMMAND
+        self.create_subscription(Float64MultiArray, *command)
         self._diagnostics = Diagnostics(self, "robot", params.address)
         self._granted = scheduling.request(params.realtime_priority)
 

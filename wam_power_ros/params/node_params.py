@@ -82,8 +82,8 @@ class Params(BaseModel):
         setup = overlay.of_files(files, namespace, name, kind)
         passed: dict[str, Any] = {"use_sim_time": False}  # by ROS, from the files
         foreign: set[str] = set()
-        for other in overlay.STAND_INS if kind in overlay.STAND_INS else ():
-            foreign |= setup[other].keys()
+        if kind in overlay.STAND_INS:
+            foreign = {each for other in overlay.STAND_INS for each in setup[other]}
         for file in files:
             sections = parameter_file.of_nodes(file, namespace)
             common = sections.get(parameter_file.ALL_NODES, {})
@@ -93,7 +93,7 @@ class Params(BaseModel):
         words = {k: v for k, v in given.items() if v is not None and v != passed.get(k)}
         setup = overlay.of_files(files, namespace, name, kind, words)
         for each in foreign - setup[kind].keys():
-            if node.has_parameter(each) and not each.startswith(parameter_file.ROS_PARAMETERS):
+            if node.has_parameter(each) and not parameter_file.of_ros(each):
                 node.undeclare_parameter(each)
         for each, value in setup[kind].items():
             if not node.has_parameter(each):
@@ -157,7 +157,7 @@ class Params(BaseModel):
         own = {
             name: tuple(value) if isinstance(value, list) else value
             for name, value in values.items()
-            if not name.startswith(parameter_file.ROS_PARAMETERS)
+            if not parameter_file.of_ros(name)
         }
         return cls._checked(owner, own)
 

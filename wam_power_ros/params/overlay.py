@@ -12,7 +12,6 @@ import difflib
 import itertools
 import reprlib
 from collections.abc import Mapping, Sequence
-from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -86,9 +85,8 @@ class Setup(dict[str, dict[str, Any]]):
             return Arm(urdf, names, tool, guarded, corrections, base, limits)
         except ValueError as error:
             where = "model_joint_names, base_frame, tool_frame, position_limits, guarded_links"
-            raise ValueError(
-                f"{controller['urdf']}: {error} (torque_controller: urdf, {where})"
-            ) from None
+            text = f"{controller['urdf']}: {error} (torque_controller: urdf, {where})"
+            raise ValueError(text) from None
 
     def changed(self, changes: Mapping[str, Mapping[str, Any]]) -> Setup:
         """Set-up with other values of some parameters, by node."""
@@ -98,9 +96,8 @@ class Setup(dict[str, dict[str, Any]]):
 def known() -> list[str]:
     """Names of the set-ups in config/."""
     stems = sorted(file.stem for file in share("config").glob("*.yaml"))
-    return [
-        s for s in stems if "." not in s and s not in (*NODES, SIMULATION, LOCKSTEP)
-    ]  # no NAME.TASK
+    others = (*NODES, SIMULATION, LOCKSTEP)
+    return [stem for stem in stems if "." not in stem and stem not in others]  # no NAME.TASK
 
 
 def find(name: str) -> Path:
@@ -113,16 +110,15 @@ def find(name: str) -> Path:
     if given.suffix == ".yaml" and given.is_file():
         return given.resolve()
     if name not in known():
-        hint = installed.did_you_mean(name, known())
-        raise ValueError(
-            f"no set-up {name!r}: give the path of a .yaml file or one of {known()}{hint}"
-        )
+        advice = f"give the path of a .yaml file or one of {known()}"
+        raise ValueError(f"no set-up {name!r}: {advice}{installed.did_you_mean(name, known())}")
     return share(f"config/{name}.yaml")
 
 
 def summary(name: str) -> str:
     """First sentence of the comment at the top of a set-up in config/."""
-    comment = takewhile(lambda line: line.startswith("#"), find(name).read_text().splitlines())
+    lines = find(name).read_text().splitlines()
+    comment = itertools.takewhile(lambda line: line.startswith("#"), lines)
     return " ".join(line.strip("# ") for line in comment).partition(". ")[0].rstrip(".")
 
 
@@ -305,7 +301,11 @@ def _sections(
     every = {name: values for node in own.values() for name, values in node.items()}
     _check(file, "every node", common, every)
     sections: Parameters = {
-        node: {name: value for name, value in common.items() if name in own[node] or _of_ros(name)}
+        node: {
+            name: value
+            for name, value in common.items()
+            if name in own[node] or parameter_file.of_ros(name)
+        }
         for node in NODES
     }
     for name, values in found.items():
@@ -319,17 +319,16 @@ def _sections(
     for topic, other in itertools.permutations(("pose_topic", "markers_topic")):
         if tracker.get(topic) and other not in tracker:
             tracker[other] = ""  # a source replaces that of a file before
-    return {node: _for_ros(values, own[node]) for node, values in sections.items() if values}
-
-
-def _of_ros(name: object) -> bool:
-    """Whether ROS itself defines a parameter."""
-    return str(name).startswith(parameter_file.ROS_PARAMETERS)
+    return {
+        node: {name: _of_kind(value, own[node].get(name, value)) for name, value in values.items()}
+        for node, values in sections.items()
+        if values
+    }
 
 
 def _check(file: Path, node: str, values: Mapping[str, Any], own: Mapping[str, Any]) -> None:
     for name, value in values.items():
-        if _of_ros(name):
+        if parameter_file.of_ros(name):
             continue
         if name not in own:
             near = difflib.get_close_matches(str(name), own, n=1)
@@ -337,8 +336,9 @@ def _check(file: Path, node: str, values: Mapping[str, Any], own: Mapping[str, A
             raise ValueError(f"{file}: {node} has no parameter {name!r}{hint}")
         if not _same_kind(value, default := own[name]):
             shown = reprlib.repr(value)  # the value may be a whole file
-            like = f"one like {default!r}"
-            raise ValueError(f"{file}: {name} of {node} is {shown}; allowed is {like}")
+            raise ValueError(
+                f"{file}: {name} of {node} is {shown}; allowed is one like {default!r}"
+            )
 
 
 def _same_kind(value: object, default: object) -> bool:
@@ -350,15 +350,11 @@ def _same_kind(value: object, default: object) -> bool:
     return type(value) is type(default) or (type(value) is int and type(default) is float)
 
 
-def _for_ros(values: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
-    """Values of the kinds of the own file, as ROS tells a whole number from a float.
+def _of_kind(value: Any, default: Any) -> Any:  # noqa: ANN401 - of any kind
+    """Value of the kind of a default, as ROS tells a whole number from a float.
 
     A list of both, or an empty one, ends a node before it can say which parameter it is.
     """
-    return {name: _of_kind(value, own.get(name, value)) for name, value in values.items()}
-
-
-def _of_kind(value: Any, default: Any) -> Any:  # noqa: ANN401 - of any kind
     if isinstance(value, list):
         return [_of_kind(item, default[0]) for item in value] or [""]
     return float(value) if isinstance(default, float) else value
@@ -403,10 +399,7 @@ def _derived(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Parameters:
             "velocity": "empty" if arm["velocity_topic"] else "filled",
             "effort": {"torque": "filled", "none": "empty"}.get(arm["effort"], arm["effort"]),
         },
-        "optitrack_sim": {
-            **{name: mocap[name] for name in cameras},
-            "frame": mocap["mocap_frame"],
-        },
+        "optitrack_sim": {name: mocap[name] for name in cameras} | {"frame": mocap["mocap_frame"]},
     }
     if mocap["latency_offset"]:  # stamps are later than the exposure
         derived["optitrack_sim"] |= {"stamps": "receipt", "latency": mocap["latency_offset"]}

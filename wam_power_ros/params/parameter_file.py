@@ -18,7 +18,7 @@ import yaml
 
 from wam_power_ros import plain_yaml
 
-ROS_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")  # prefixes
+_OF_ROS = ("use_sim_time", "start_type_description_service", "qos_overrides.")  # prefixes
 ALL_NODES = "**"  # name, without namespace, of the section of all nodes: `/**`
 _TAG = "tag:yaml.org,2002:"
 _INT = re.compile(r"[-+]?(0|[1-9][0-9]*)$")
@@ -147,3 +147,8 @@ def given(arguments: Sequence[str]) -> list[Path]:
     """Files of the options `--params-file` among the arguments of a process."""
     pairs = itertools.pairwise(arguments)
     return [Path(value) for option, value in pairs if option == "--params-file"]
+
+
+def of_ros(name: object) -> bool:
+    """Whether ROS itself defines a parameter."""
+    return str(name).startswith(_OF_ROS)
