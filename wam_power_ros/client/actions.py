@@ -59,11 +59,7 @@ class Goal:
         return self.answer is not None
 
     def done(self, timeout: float = TIMEOUT) -> Any:  # noqa: ANN401 - result of the action
-        """Wait for the end and return the result.
-
-        Raises:
-            ServiceError: It was refused, or has not ended in `timeout` [s of wall time].
-        """
+        """Return the result, or raise a ServiceError if refused or not ended in `timeout` [s]."""
         self._link.until(lambda: self.ended, f"the end of {self.what}", timeout)
         answer = self.answer or NO_ANSWER
         if not answer.success:
@@ -91,11 +87,7 @@ class Action:
         return all(goal.accepted or goal.ended for goal in self._goals)
 
     def send(self, **goal: object) -> Goal:
-        """Send a goal and wait until it is accepted or counts as lost.
-
-        Raises:
-            ServiceError: No server appears.
-        """
+        """Send a goal, wait until it is accepted or lost; a ServiceError if no server appears."""
         link, name = self._link, self._name
         link.await_server("action", name, self._client.server_is_ready)
         self._goals = [each for each in self._goals if each.answer is None]

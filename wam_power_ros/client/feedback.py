@@ -38,8 +38,7 @@ class Feedback:
     def give(self, kind: str, bag: Path | None = None, value: float | None = None) -> Answer:
         """Give feedback: of `SERVICES`, a "demonstration", or "rate" with a value from 0 to 1.
 
-        Raises:
-            ServiceError: The learner does not appear or does not answer.
+        A ServiceError if the learner does not appear or does not answer.
         """
         if kind == "demonstration":
             data = AddDemonstration.Request(bag=str(bag.resolve()))

@@ -231,11 +231,7 @@ class Link:
         return str(self.node.resolve_service_name(name))
 
     def begin(self, name: str, data: Data = None) -> Future:
-        """Send a request; returns the future of the response.
-
-        Raises:
-            ServiceError: The service does not appear in time.
-        """
+        """Send a request; returns the future of the response. A ServiceError if nobody serves."""
         self.prepare(name, data=data)
         self.await_server("service", self._full(name), self._clients[name].service_is_ready)
         _, request = _request(data)
@@ -244,14 +240,10 @@ class Link:
         return future
 
     def call(self, name: str, data: Data = None, timeout: float = TIMEOUT) -> Answer | None:
-        """Call a service.
+        """Call a service; the answer may be a refusal, and is None if none came in time.
 
-        Returns:
-            The answer, which may be a refusal; None if none came. The request may have been done
-            even so: the answer is lost if the node is restarted while it works on the request.
-
-        Raises:
-            ServiceError: The service does not appear in time.
+        The request may have been done even so: the answer is lost if the node is restarted while it
+        works on the request. A ServiceError if the service does not appear.
         """
         future = self.begin(name, data)
         if not self.until(future.done, f"answer of {self._full(name)}", timeout):
@@ -265,8 +257,7 @@ class Link:
     def insist(self, name: str, data: Data = None) -> Answer:
         """Call a service until it succeeds; a node that has just started may lack inputs.
 
-        Raises:
-            ServiceError: It does not appear, does not answer or still refuses after TIMEOUT.
+        A ServiceError if it does not appear, does not answer or still refuses after TIMEOUT.
         """
         end = time.monotonic() + TIMEOUT
         while True:
@@ -292,12 +283,6 @@ class Link:
         future.add_done_callback(self.notify)
         self.until(future.done, timeout=timeout)
         return list(future.result().values) if future.done() else []
-
-
-def unanswered(node: Node, name: str, qos: QoSProfile) -> Callable[[], object]:
-    """Function that requests a Trigger without waiting for the answer, for a node of its own."""
-    client = node.create_client(Trigger, name, qos_profile=qos)
-    return lambda: client.call_async(Trigger.Request())
 
 
 def _request(data: Data) -> tuple[type, object]:

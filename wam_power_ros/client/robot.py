@@ -94,11 +94,7 @@ class Robot:
         return ControllerReports(self.link)
 
     def state(self) -> RobotState:
-        """Wait for the next state of the driver.
-
-        Raises:
-            ValueError: The state is not valid.
-        """
+        """Wait for the next state of the driver; a ValueError if it is not valid."""
         self._take()  # an old state
         deadline = time.monotonic() + TIMEOUT
         while (message := self._take()) is None:

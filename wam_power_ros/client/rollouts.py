@@ -194,13 +194,10 @@ class Rollouts:
     def until(
         self, condition: Callable[[], object], what: str | Callable[[], str], timeout: float
     ) -> None:
-        """Wait until a condition holds, see `Link.until`.
+        """Wait until a condition holds, see `Link.until`; a RolloutError after the timeout.
 
         While simulated time advances, the timeout must have passed in it, too, but `TIMEOUTS_MAX`
         of them suffice: a busy machine is not an error, but an idle simulation is slow.
-
-        Raises:
-            RolloutError: It did not come true within `timeout` [s of wall time].
         """
         clock = self._node.get_clock()
         begun = last = clock.now()
@@ -226,11 +223,7 @@ class Rollouts:
         return "" if self._known_stop is None else self._known_stop or "none"
 
     def _end_of(self, goal: Goal, what: str, timeout: float) -> tuple[Answer, Any]:
-        """Outcome and result of a goal; of code UNKNOWN and None if it was lost.
-
-        Raises:
-            EndedByPersonError: A person has ended what was requested, or did not let it begin.
-        """
+        """Outcome and result of a goal, UNKNOWN and None if it was lost; or EndedByPersonError."""
         self.until(lambda: goal.ended, f"the end of {goal.what} of {what}", timeout)
         answer = goal.answer or NO_ANSWER
         if answer.stop:
@@ -264,12 +257,9 @@ class Rollouts:
     # One rollout
 
     def _execute(self, policy: Policy) -> ExecutePolicy.Result:
-        """Execute the policy, to the end.
+        """Execute the policy, to the end; waits without limit for the enabling switch to be held.
 
-        Waits without limit for a person to hold the enabling switch.
-
-        Raises:
-            NotBegunError: The controller had a fault before, or did not answer.
+        A NotBegunError if the controller had a fault before, or did not answer.
         """
         end = time.monotonic() + self._settings.service_timeout
         while True:

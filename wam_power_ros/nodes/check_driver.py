@@ -8,6 +8,7 @@ only with consent, and none that could move the arm. The modules in `conformance
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import sys
 import time
@@ -247,25 +248,23 @@ class CheckDriver(Node):
 
     def _torque_order(self) -> Row:
         """Row about the order of the driver, asked for its parameters if it is a forwarder."""
-        params = self._arm_params
-        expected = "effort" if params.output == "torque" else "position"
-        for driver in self._drivers():
-            values = self.link.parameters(driver, ("joints", "interface_name"), DISCOVERY_TIMEOUT)
+        params, driver, found = self._arm_params, "the driver", ((), "")
+        for name in self._drivers():
+            values = self.link.parameters(name, ("joints", "interface_name"), DISCOVERY_TIMEOUT)
             if len(values) == 2:
-                joints, interface = values[0].string_array_value, values[1].string_value
-                names = params.joint_names
-                return topic_checks.torque_order(driver, joints, interface, names, expected)
-        return topic_checks.torque_order("the driver", (), "", params.joint_names, expected)
+                driver, found = name, (values[0].string_array_value, values[1].string_value)
+                break
+        expected = "effort" if params.output == "torque" else "position"
+        return topic_checks.torque_order(driver, *found, params.joint_names, expected)
 
     def _pose_frames(self) -> Row:
         """Row about the frames of a driver of poses, asked for its parameters."""
         expected = self._arm_params.base_frame, self._arm_params.tool_frame
-        for driver in self._drivers():
-            for names in FRAME_PARAMETERS:
-                values = self.link.parameters(driver, names, DISCOVERY_TIMEOUT)
-                frames = [value.string_value for value in values]
-                if len(frames) == 2 and all(frames):
-                    return topic_checks.pose_frames(driver, frames, expected)
+        for driver, names in itertools.product(self._drivers(), FRAME_PARAMETERS):
+            values = self.link.parameters(driver, names, DISCOVERY_TIMEOUT)
+            frames = [value.string_value for value in values]
+            if len(frames) == 2 and all(frames):
+                return topic_checks.pose_frames(driver, frames, expected)
         return topic_checks.pose_frames("the driver", (), expected)
 
     def _drivers(self) -> list[str]:

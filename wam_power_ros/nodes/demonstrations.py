@@ -30,11 +30,7 @@ class Demonstrations:
     def candidates(
         self, settings: SessionSettings, bags: Sequence[str]
     ) -> tuple[list[str], list[Demonstration], list[Policy]]:
-        """Usable bags, their demonstrations, and the policies that are fitted to them.
-
-        Raises:
-            ValueError: Nothing can be learnt from any of them.
-        """
+        """Usable bags, their demonstrations and policies; a ValueError if nothing can be learnt."""
         if not bags:
             raise ValueError("a new session needs demonstrations: name at least one bag")
         read: dict[int, Demonstration] = {}

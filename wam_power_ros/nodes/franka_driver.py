@@ -41,8 +41,7 @@ ERRORS = (  # no class is above all, but RuntimeError, which ROS raises, too
 class FrankaDriver(Node):
     """Passes the newest torque on to the robot while there is one, and the robot's states to ROS.
 
-    Attributes:
-        fault: Why the robot was stopped, and what clears it; empty while nothing did.
+    `fault` says why the robot was stopped, and what clears it; empty while nothing did.
     """
 
     def __init__(self) -> None:

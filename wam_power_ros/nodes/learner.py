@@ -46,7 +46,7 @@ from wam_power_ros.practice.session_log import KIND_NAMES, Event, Line, Pause, R
 from wam_power_ros.practice.settings import SessionSettings, preset
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.diagnostics import LEARNER_STATE, Diagnostics
-from wam_power_ros.ros.node_runner import end, interrupt_on_signals, started
+from wam_power_ros.ros.node_runner import end, init, interrupt_on_signals
 from wam_power_ros.ros.outcomes import Answer, Code, ServiceError, fill
 from wam_power_ros.tasks.rated import assessed
 from wam_power_ros.tasks.task import Assessment, Pose, Task
@@ -224,9 +224,8 @@ class Learner(Node):
     def practise(self) -> None:
         """Begin or resume the session of the parameters, and run it to its end.
 
-        Raises:
-            SessionFailed, ServiceError: It cannot go on.
-            ValueError, OSError: Its folder or a parameter is not valid.
+        SessionFailed or ServiceError if it cannot go on, ValueError or OSError for its folder or a
+        parameter.
         """
         with self._link:
             session, practice = self._open()
@@ -441,7 +440,8 @@ def main() -> int:
     node = None
     interrupt_on_signals()
     try:
-        node = started(Learner)
+        init()
+        node = Learner()
         node.practise()
     except (SessionFailed, ServiceError, ValueError, OSError) as error:
         log = node.get_logger() if node else rclpy.logging.get_logger("learner")

@@ -31,9 +31,8 @@ def attempt(core: Controller | None, request: Callable[[Controller], None]) -> A
 class MotionRequests:
     """Requests for rollouts, moves to the start and replays.
 
-    Attributes:
-        last_stop: Id of the last act by which a person ended a movement or took the arm, its time
-            [ns of wall time]; "" before the first.
+    `last_stop` is the id of the last act by which a person ended a movement or took the arm, its
+    time [ns of wall time]; "" before the first.
     """
 
     def __init__(

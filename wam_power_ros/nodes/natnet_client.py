@@ -28,11 +28,7 @@ LATENCY_MAX = 0.5  # of Motive; more is no latency [s]
 
 
 def clock_frequency(server: str, port: int) -> float:
-    """Ticks per second of the server's clock, 0 if it states none, as before NatNet 3.
-
-    Raises:
-        OSError: There is no answer.
-    """
+    """Ticks per second of the server's clock, 0 before NatNet 3; an OSError if none answers."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
         asking.settimeout(ANSWER_MAX)
         asking.sendto(PING, (server, port))

@@ -41,17 +41,14 @@ Arrays = dict[str, np.ndarray] | None
 class Preparation:
     """Starts the process, restarts it when it has ended, and never waits for it.
 
+    `poll` calls `on_request` with the id of a request, what to do, the policy or movement that it
+    is about, when it was sent [ns], and the last stop that its sender knows; `on_cancel` with the
+    id of one that is cancelled; `on_refusal` with the reason why one was refused; `on_lost` with
+    the id of one that the process had not read when it ended, and the reason.
+
     Attributes:
         starts: Number of processes started so far.
         pid: Id of the process started last.
-
-    Args:
-        on_request: Called by `poll` with the id of a request, what to do, the policy or movement
-            that it is about, when it was sent [ns], and the last stop that its sender knows.
-        on_cancel: Called by `poll` with the id of a request that its sender cancels.
-        on_refusal: Called by `poll` with the reason why the process has refused a request.
-        on_lost: Called by `poll` with the id of a request that the process had not read when it
-            ended, and the reason.
     """
 
     def __init__(

@@ -55,11 +55,7 @@ END_TIMEOUT = 10.0
 
 
 class PreparationWorker(Node):
-    """Node of the process.
-
-    Attributes:
-        ended: True once the torque controller has ended or closed its end of the channel.
-    """
+    """Node of the process; `ended` once the controller has, or has closed the channel."""
 
     def __init__(self, channel: Channel) -> None:
         super().__init__(NAME)

@@ -23,8 +23,7 @@ ELSEWHERE |= {"idle_service", "urdf", "base_frame", "state_timeout", "hold_to_ru
 class SimulatedArm:
     """Simulates policies for the practice (`practice.ArmModel`); keeps the results.
 
-    Attributes:
-        parameters: Parameters of the controller that it simulates, by name.
+    `parameters` are those of the controller that it simulates, by name.
     """
 
     def __init__(
@@ -35,14 +34,11 @@ class SimulatedArm:
         controller: Sequence[str],
         report: Callable[[str], object],
     ) -> None:
-        """Read the arm and the parameters of its controller.
+        """Read the arm and the parameters of its controller; a ValueError if one is not valid.
 
         Args:
             urdf: Path of the URDF, or a file of our share folder.
             controller: Files of the controller's parameters, later ones over earlier ones.
-
-        Raises:
-            ValueError: A parameter is not valid.
         """
         urdf = robot_description(urdf)
         setup = overlay.of_files([share(file) for file in controller])

@@ -107,16 +107,16 @@ class Params(BaseModel):
         from rcl_interfaces.msg import ParameterDescriptor
 
         comments = parameter_file.comments(share(f"config/{cls.file}")) if cls.file else {}
+        properties = cls.model_json_schema()["properties"]
         for name in cls.model_fields.keys() - cls.constants:
-            field = cls.model_fields[name]
-            sentences = (comments.get(name), field.description and f"Range: {field.description}")
-            given = node.get_parameter(name)
+            about = properties[name].get("description")
+            sentences = (comments.get(name), about and f"Range: {about}")
             descriptor = ParameterDescriptor(
-                type=given.type_.value,
+                type=node.get_parameter(name).type_.value,
                 description=". ".join(filter(None, sentences)),
                 additional_constraints=AT_REST if name in cls.settable else AT_START,
                 read_only=name not in cls.settable,
-                **_range(field.metadata, given.value),
+                **_range(properties[name]),
             )
             node.set_descriptor(name, descriptor)
         clock = ParameterDescriptor(
@@ -198,20 +198,15 @@ def plain(value: object) -> object:
     return value if value is None or isinstance(value, (str, int, float)) else list(value)
 
 
-def _range(rules: Sequence[object], value: object) -> dict[str, list[Any]]:
-    """Range of a number from its rules, as a field of a descriptor; empty for other values."""
+def _range(schema: Mapping[str, Any]) -> dict[str, list[Any]]:
+    """Range of a number, as a field of a descriptor; empty for other values."""
     from rcl_interfaces.msg import FloatingPointRange, IntegerRange
 
-    bounds = {
-        name: bound
-        for rule in rules
-        for name in ("gt", "ge", "lt", "le")
-        if (bound := getattr(rule, name, None)) is not None
-    }
-    low, high = bounds.get("gt", bounds.get("ge")), bounds.get("lt", bounds.get("le"))
-    if low is None or high is None or type(value) not in (int, float):
+    low = schema.get("minimum", schema.get("exclusiveMinimum"))
+    high = schema.get("maximum", schema.get("exclusiveMaximum"))
+    if low is None or high is None:
         return {}
-    if type(value) is int:
+    if schema["type"] == "integer":
         return {"integer_range": [IntegerRange(from_value=int(low), to_value=int(high))]}
     limits = FloatingPointRange(from_value=float(low), to_value=float(high))
     return {"floating_point_range": [limits]}

@@ -64,11 +64,7 @@ class Setup(dict[str, dict[str, Any]]):
         return names
 
     def arm(self) -> Arm | None:
-        """Build the model of the arm; None without a URDF file.
-
-        Raises:
-            ValueError: The URDF lacks joints or links that the set-up names.
-        """
+        """Model of the arm, None without a URDF; a ValueError names joints and links it lacks."""
         from wam_power_ros.control.arm import Arm, guarded_points
         from wam_power_ros.control.corrections import Corrections
 
@@ -103,8 +99,7 @@ def known() -> list[str]:
 def find(name: str) -> Path:
     """Return the file of a set-up: config/NAME.yaml, or the path itself.
 
-    Raises:
-        ValueError: There is no such file; the message lists the set-ups in config/.
+    A ValueError that there is no such file lists the set-ups in config/.
     """
     given = Path(name).expanduser()
     if given.suffix == ".yaml" and given.is_file():

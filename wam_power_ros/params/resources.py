@@ -20,8 +20,7 @@ _LEVELS = 4  # folders above a xacro file in which packages are looked for
 def share(relative: str) -> Path:
     """Return the existing path of a file or folder that comes with the package.
 
-    Raises:
-        FileNotFoundError: There is no such file or folder; the message lists the searched folders.
+    A FileNotFoundError lists the searched folders.
     """
     package = Path(__file__).resolve().parents[1]
     checkout = package.parent

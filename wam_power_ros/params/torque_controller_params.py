@@ -57,11 +57,9 @@ ON_AN_ARM = {
 
 
 def require_same_joints(joint_names: Sequence[str], model_joint_names: Sequence[str]) -> None:
-    """Refuse names of the driver that are not those of the model's joints, one by one.
+    """Refuse, by a ValueError, names of the driver that are not those of the model, one by one.
 
-    Raises:
-        ValueError: Their numbers differ, or a name stands at another joint of the model that has
-            the same name: the driver's joints would be taken for each other.
+    A name that stands at another joint of the model is one: joints would be taken for each other.
     """
     if len(model_joint_names) != len(joint_names):
         raise ValueError(
@@ -157,11 +155,7 @@ class TorqueControllerParams(Params, MotionSettings):
 
     @classmethod
     def of(cls, node: Node) -> Self:
-        """Read the parameters as `Params.of`; simulated time would disable a real arm's watchdog.
-
-        Raises:
-            ValueError: As for `Params.of`, or a real arm has simulated time.
-        """
+        """As `Params.of`; simulated time is refused, which would disable a real arm's watchdog."""
         params = super().of(node)
         if not params.simulation and node.get_parameter("use_sim_time").value:
             raise ValueError(
@@ -223,9 +217,7 @@ class TorqueControllerParams(Params, MotionSettings):
     def controller(self, urdf: str, latched: Fault | None = None) -> Controller:
         """Build the controller for the arm of a URDF, with a fault that is still latched.
 
-        Raises:
-            ValueError: The URDF does not have the joints and frames that these parameters name, or
-                limits contradict each other.
+        A ValueError names joints and frames that the URDF lacks, or contradicting limits.
         """
         from wam_power_ros.control.reference_output import controller_of
 

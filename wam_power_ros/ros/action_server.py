@@ -21,10 +21,7 @@ Begin = Callable[[str, Any], Answer | None]
 
 
 class Action:
-    """Server of one action.
-
-    Attributes:
-        under_way: Ids of the goals that have not ended, oldest first.
+    """Server of one action; `under_way` has its goals that have not ended by id, oldest first.
 
     Args:
         begin: Called with the id and the goal; returns the answer that ends it, or None if `finish`

@@ -27,11 +27,7 @@ Message: TypeAlias = Any  # of one of many types
 
 
 def message_class(name: str) -> type:
-    """Class of messages such as `nav_msgs/msg/Odometry`.
-
-    Raises:
-        ValueError: Its package is not installed; the message says how to install it.
-    """
+    """Class of messages of a type; a ValueError says how to install its package."""
     if text := missing_package(name):
         raise ValueError(text)
     package, _, kind = name.split("/")
@@ -94,18 +90,10 @@ def bare(frame: str) -> str:
 
 
 class BodySource:
-    """The topic of one body, or of markers: its messages as arrays in the mocap_frame.
-
-    Attributes:
-        topic: Topic, resolved.
-    """
+    """The resolved `topic` of a body, or of markers: messages as arrays in the mocap_frame."""
 
     def __init__(self, node: Node, params: BodyTrackerParams) -> None:
-        """Prepare to read; the caller subscribes.
-
-        Raises:
-            ValueError: The package of the message type is not installed.
-        """
+        """Prepare to read; the caller subscribes. A ValueError names a missing package."""
         self.topic = node.resolve_topic_name(params.topic)
         self.kind = message_class(params.source_type)
         self._read = SOURCES[params.source_type]

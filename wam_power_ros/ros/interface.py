@@ -62,8 +62,7 @@ _RESERVED = {SCENE, "end_effector", "end"}
 def body_topic(body: str, leaf: str) -> str:
     """Topic or service of a tracked body, such as `ball/state`; without one, `scene/truth`.
 
-    Raises:
-        ValueError: When there is no such topic, or the name of the body is not acceptable.
+    A ValueError if there is no such topic, or the name of the body is not acceptable.
     """
     leaves = BODY_LEAVES if body else SCENE_LEAVES
     if leaf not in leaves:
@@ -72,11 +71,7 @@ def body_topic(body: str, leaf: str) -> str:
 
 
 def rollout_topic(body: str) -> str:
-    """Topic of a tracked body's path through a rollout, such as `rollout/ball`.
-
-    Raises:
-        ValueError: When the name of the body is not acceptable.
-    """
+    """Topic of a body's path in a rollout, as `rollout/ball`; a ValueError as for `body_topic`."""
     return f"rollout/{_checked(body)}"
 
 

@@ -74,11 +74,7 @@ class JointStateReader:
         return self.reading(nanoseconds(message.header.stamp), q, qd)
 
     def reading(self, stamp_ns: int, q: np.ndarray, qd: np.ndarray | None) -> JointReading:
-        """Check and order the numbers of a message that has the joint names of the last one.
-
-        Raises:
-            ValueError: When a value is not acceptable.
-        """
+        """Check and order the numbers of a message that has the joint names of the last one."""
         if self._index is not None:
             q = q[self._index]
             qd = None if qd is None else qd[self._index]
@@ -163,9 +159,7 @@ class JointMovement(NamedTuple):
 def movement(message: JointTrajectory, joint_names: Sequence[str]) -> JointMovement:
     """Read times and positions of a movement, matched by joint name.
 
-    Raises:
-        ValueError: When joints are missing or doubled, a length does not fit or a value is not
-            finite.
+    A ValueError if joints are missing or doubled, a length is wrong or a value not finite.
     """
     index = JointStateReader(joint_names).lookup(message.joint_names)
     if index is None or not message.points:
@@ -242,9 +236,7 @@ class TorqueWriter:
 def torque(message: Command, joint_names: Sequence[str], base_frame: str = "") -> TorqueReading:
     """Read a command as a driver does; the last point of a trajectory.
 
-    Raises:
-        ValueError: When the length, the names or the frame of a pose are wrong, or a value is not
-            finite.
+    A ValueError if length, names or the frame of a pose are wrong, or a value is not finite.
     """
     if isinstance(message, PoseStamped):
         frame, _, label = message.header.frame_id.partition(" ")

@@ -81,11 +81,7 @@ def unconfined_middleware() -> str | None:
 
 
 def check(environment: Mapping[str, str]) -> None:
-    """Refuse variables that ROS and Fast DDS ignore without a word.
-
-    Raises:
-        VariableError: The range of discovery is none, or a profile does not exist.
-    """
+    """Refuse, by a VariableError, variables that ROS and Fast DDS ignore without a word."""
     get = environment.get
     if (given := get(RANGE) or RANGES[0]) not in RANGES:
         raise VariableError(f"{RANGE}={given} is not one of {', '.join(RANGES)}: correct it")
@@ -97,8 +93,7 @@ def check(environment: Mapping[str, str]) -> None:
 def confine(environment: MutableMapping[str, str]) -> None:
     """Set the variables that select transports: on loopback unless the environment asks for more.
 
-    Args:
-        environment: Variables of a process that has not initialised rclpy yet; changed.
+    It is that of a process that has not initialised rclpy yet, and is changed.
     """
     own = profile()
     if environment.pop("ROS_LOCALHOST_ONLY", "0") == "1":  # overrules the range, for all interfaces

@@ -74,8 +74,7 @@ NO_ANSWER = Answer(Code.UNKNOWN, "no answer")
 class ServiceError(RuntimeError):
     """A service or an action did not appear, did not answer or refused; the message names it.
 
-    Attributes:
-        answer: Refusal; None without an answer.
+    `answer` is the refusal; None without an answer.
     """
 
     def __init__(self, text: str, answer: Answer | None = None) -> None:
@@ -120,11 +119,7 @@ class Ended:
 
     @classmethod
     def of(cls, end: RolloutEnd) -> Ended:
-        """Read a message.
-
-        Raises:
-            ValueError: The kind of the fault is unknown.
-        """
+        """Read a message; a ValueError if the kind of the fault is unknown."""
         fault = Fault(FaultKind(end.fault), end.text) if end.fault else None
         start_ns = nanoseconds(end.header.stamp)
         return cls(end.policy_id, start_ns, fault, end.region, end.stop)

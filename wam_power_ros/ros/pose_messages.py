@@ -72,9 +72,8 @@ def pose(message: PoseStamped) -> PoseReading:
 def reading(message: object, pose: object) -> PoseReading:
     """Read a Pose in a message with a header; the quaternion comes back normalised.
 
-    Raises:
-        ValueError: When the stamp is not set, a value is not finite, or the quaternion is not of
-            unit length (1e-3).
+    A ValueError if the stamp is not set, a value is not finite, or the quaternion is not of unit
+    length (1e-3).
     """
     return _checked(message, sensor_stamp(message), *_pose_arrays(pose))
 
@@ -100,8 +99,7 @@ def _checked(
 def markers(message: PointCloud2) -> MarkersReading:
     """Read unlabelled markers.
 
-    Raises:
-        ValueError: When the stamp is not set, float32 x, y or z is missing, or a length is wrong.
+    A ValueError if the stamp is not set, float32 x, y or z is missing, or a length is wrong.
     """
     fields = {field.name: field for field in message.fields}
     for name in "xyz":
@@ -148,12 +146,7 @@ def odometry_message(state: StateReading, child_frame: str) -> Odometry:
 
 
 def odometry(message: Odometry) -> StateReading:
-    """Read a state, its twist rotated into the frame of the pose.
-
-    Raises:
-        ValueError: When the stamp is not set, a value is not finite, or the quaternion is not of
-            unit length (1e-3).
-    """
+    """Read a state, its twist rotated into the frame of the pose; a ValueError as for `reading`."""
     placed = reading(message, message.pose.pose)
     linear, angular = message.twist.twist.linear, message.twist.twist.angular
     twist = np.array([[linear.x, linear.y, linear.z], [angular.x, angular.y, angular.z]])
@@ -188,8 +181,7 @@ def path_message(path: EndEffectorPath | BodyPath, start_ns: int, frame: str) ->
 def path(message: Path) -> PathReading:
     """Read a rollout's path; its values are checked by `EndEffectorPath` and `BodyPath`.
 
-    Raises:
-        ValueError: When the stamp is not set, or those of the poses do not increase.
+    A ValueError if the stamp is not set, or those of the poses do not increase.
     """
     start_ns = sensor_stamp(message)
     t = np.array([(nanoseconds(item.header.stamp) - start_ns) * 1e-9 for item in message.poses])
@@ -219,11 +211,7 @@ def ground_truth_message(truth: TruthReading) -> GroundTruth:
 
 
 def ground_truth(message: GroundTruth) -> TruthReading:
-    """Read a message about the ground truth of a rollout.
-
-    Raises:
-        ValueError: When a value is not JSON.
-    """
+    """Read the ground truth of a rollout; a ValueError if a value is not JSON."""
     what = "a value of the ground truth"
     values = {each.key: plain_json.parse(each.value, what) for each in message.values}
     return TruthReading(message.policy_id, nanoseconds(message.header.stamp), values)

@@ -31,8 +31,7 @@ class Message(NamedTuple):
 class Channel:
     """One end of a connection between two processes; `pair` makes both ends.
 
-    Args:
-        end: Socket; if it is non-blocking, so are `send` and `receive`.
+    If its socket is non-blocking, so are `send` and `receive`.
     """
 
     def __init__(self, end: socket.socket) -> None:

@@ -42,11 +42,9 @@ class RawTopics:
         topics: Mapping[str, Sequence[str]],
         on_message: Callable[[str, bytes], None],
     ) -> None:
-        """Subscribe to topics.
+        """Subscribe to topics with their expected types, none for that of the first publisher.
 
-        Args:
-            topics: Expected message types by topic, none for any: that of the first publisher.
-            on_message: Gets the resolved topic and the bytes of each message.
+        `on_message` gets the resolved topic and the bytes of each message.
         """
         self._node, self._on_message = node, on_message
         self._topics = {node.resolve_topic_name(topic): topic for topic in topics}
