@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from wam_power_ros.ros.simulation_guard import SimulationGuard
+from wam_power_ros.ros.guards import SimulationGuard
 
 
 @pytest.mark.parametrize(

@@ -227,7 +227,6 @@ class Link:
             raise ServiceError(f"{name} did not appear in {timeout:.0f} s")
 
     def _full(self, name: str) -> str:
-        """Name of a service with its namespace, for messages."""
         return str(self.node.resolve_service_name(name))
 
     def begin(self, name: str, data: Data = None) -> Future:
@@ -286,7 +285,6 @@ class Link:
 
 
 def _request(data: Data) -> tuple[type, object]:
-    """Type and request of a service with such data."""
     if data is None:
         return Trigger, Trigger.Request()
     if isinstance(data, Transition):

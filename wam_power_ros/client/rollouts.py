@@ -172,8 +172,7 @@ class Rollouts:
 
         Raises:
             EndedByPersonError: A person has ended it, or a movement or wait before it.
-            RolloutError: It could not be begun, or its end did not come in time.
-            ServiceError: A service did not appear.
+            ServiceError: It could not be begun, or its end did not come in time.
             ValueError: A path is not valid.
         """
         for start in itertools.count(1):

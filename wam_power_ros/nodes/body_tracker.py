@@ -181,7 +181,6 @@ class BodyTracker(Node):
             self._publish_path()
 
     def _publish_path(self) -> None:
-        """Publish the path of the pending rollout."""
         rollout, self._pending = self._pending, None
         name = f"rollout-{rollout.start_ns}"
         path = self._tracker.path(name, rollout.start_ns, rollout.end_ns)
@@ -202,16 +201,16 @@ class BodyTracker(Node):
         self._problem = text
         self.get_logger().error(text)
 
-    def _find_unmatched(self) -> None:
-        kinds, topic = (endpoints.type_name(self._source.kind),), self._source.topic
-        found = "; ".join(endpoints.unmatched_publishers(self, topic, kinds, self._qos))
-        if found and found != self._unmatched:
-            self.get_logger().error(found)
-        self._unmatched = found
-
     def _report(self) -> None:
-        tracker = self._tracker
-        self._find_unmatched()
+        tracker, types, topic = (
+            self._tracker,
+            (endpoints.type_name(self._source.kind),),
+            self._source.topic,
+        )
+        unmatched = "; ".join(endpoints.unmatched_publishers(self, topic, types, self._qos))
+        if unmatched and unmatched != self._unmatched:
+            self.get_logger().error(unmatched)
+        self._unmatched = unmatched
         level, text = LEVELS.get(tracker.validity, "error"), tracker.validity.value
         offset, offset_max = self._clock_offset.seconds, self._params.clock_offset_max
         if not tracker.latest_ns:
@@ -219,12 +218,12 @@ class BodyTracker(Node):
         elif abs(offset) > 0.5 * offset_max:
             level = "error" if abs(offset) > offset_max else "warn"
             text = late_stamps(offset)
-        if self._unmatched:
-            level, text = "warn" if level == "ok" else "error", self._unmatched
+        if unmatched:
+            level, text = "warn" if level == "ok" else "error", unmatched
         values = {
             **tracker.counts,
             "clock offset [s]": f"{offset:.4f}",
-            "unmatched publishers": self._unmatched,
+            "unmatched publishers": unmatched,
             "last problem": self._problem,
         }
         self._diagnostics.publish(level, text, values)

@@ -42,10 +42,10 @@ from wam_power_ros.params.resources import robot_description
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.ros import endpoints, interface, joint_messages, node_runner, scheduling
 from wam_power_ros.ros.body_sources import BodySource
+from wam_power_ros.ros.guards import Info, StateGuard, with_info
 from wam_power_ros.ros.interface import is_latched, is_reliable
 from wam_power_ros.ros.pose_messages import MarkersReading
 from wam_power_ros.ros.stamps import nanoseconds
-from wam_power_ros.ros.state_guard import Info, StateGuard, with_info
 
 Input = tuple[str, tuple[str, ...], QoSProfile]  # topic, expected type, and QoS
 OWN_NODES = {"torque_controller", "demonstration_recorder", "check_driver"}  # not to be checked
@@ -268,7 +268,6 @@ class CheckDriver(Node):
         return topic_checks.pose_frames("the driver", (), expected)
 
     def _drivers(self) -> list[str]:
-        """Names of the other nodes that receive commands."""
         topic = self.resolve_topic_name(self._arm_params.command_topic)
         return [
             f"{info.node_namespace.rstrip('/')}/{info.node_name}"

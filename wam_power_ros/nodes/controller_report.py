@@ -135,7 +135,6 @@ class ControllerReport:
         self._preparation.report(stamp_ns, values, **of, level=level, text=text)
 
     def _summary(self, now: Condition, overload: str) -> tuple[str, str]:
-        """Level and text of the diagnostics."""
         if now.core is not None and now.core.mode is Mode.FAULT:
             return "error", now.fault.text if now.fault else "fault"
         if not now.active or now.missing_state:

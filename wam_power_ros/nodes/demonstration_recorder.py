@@ -231,7 +231,6 @@ class DemonstrationRecorder(Node):
 
     @property
     def _notes(self) -> dict[str, str]:
-        """Notes for the metadata that are known before the recording."""
         return {
             "joint_names": json.dumps(self._params.joint_names),
             **({"arm": self._arm} if self._arm else {}),

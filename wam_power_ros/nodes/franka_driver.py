@@ -160,7 +160,6 @@ class FrankaDriver(Node):
             self._control = None
 
     def _report(self) -> None:
-        """Publish what the robot does, once a second."""
         if time.monotonic() - self._reported < 1.0:
             return
         self._reported, rates = time.monotonic(), self._rates or [0.0]

@@ -357,7 +357,6 @@ class Learner(Node):
         return session, practice
 
     def _for_goal(self, origin: FilePath) -> tuple[dict[str, Any], Policy]:
-        """Context with the goal of the parameters, and the policy predicted for it."""
         goal = plain_json.parse(self.params.goal, "goal")
         known = read(origin)
         settings, of = known.header.settings, (known.task, known.policies, known.records)

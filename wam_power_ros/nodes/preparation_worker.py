@@ -105,7 +105,6 @@ class PreparationWorker(Node):
                 self._arrived.trigger()
 
     def _handle_messages(self) -> None:
-        """Handle all messages from the torque controller."""
         while self._inbox:
             message = self._inbox.popleft()
             if message is None:
@@ -134,8 +133,7 @@ class PreparationWorker(Node):
             self._ends.publish(more["end"])
         self._asked.pop(id, None)
         for action in self._actions:
-            if id in action.under_way:
-                action.finish(id, Answer(**{**answer, "code": Code(answer["code"])}), **more)
+            action.finish(id, Answer(**{**answer, "code": Code(answer["code"])}), **more)
 
     def _do_path(self, id: str, start_ns: int, frame: str, **arrays: np.ndarray) -> None:
         self._path = pose_messages.path_message(EndEffectorPath(id, **arrays), start_ns, frame)

@@ -44,11 +44,9 @@ from wam_power_ros.ros import (
     node_runner,
     scheduling,
 )
-from wam_power_ros.ros.command_guard import CommandGuard
+from wam_power_ros.ros.guards import CommandGuard, Info, SimulationGuard, StateGuard, with_info
 from wam_power_ros.ros.loop_statistics import LoopStatistics
 from wam_power_ros.ros.outcomes import Answer, Code, fill
-from wam_power_ros.ros.simulation_guard import SimulationGuard
-from wam_power_ros.ros.state_guard import Info, StateGuard, with_info
 
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 STATE_AGE_MAX_NS = 1_000_000_000  # [ns] of the last joint state at activation
@@ -469,7 +467,6 @@ class TorqueController(LifecycleNode):
         self._urdf = message.data
 
     def _active_controller(self) -> Controller | None:
-        """The controller while it is active, else None."""
         return self._controller if self._active else None
 
     def _on_cancel(self, id: str) -> None:

@@ -53,9 +53,8 @@ class Params(BaseModel):
     def of(cls: type[P], node: Node) -> P:
         """Read the parameters of `node` and make them read-only.
 
-        Raises:
-            ValueError: Keys are unknown, of a wrong type, out of range, or missing without
-                defaults; the message names them. Or a file of `--params-file` is malformed.
+        A ValueError names keys that are unknown, missing, of a wrong type or out of range, and a
+        file of `--params-file` that is malformed.
         """
         if cls.file:
             cls._complete(node)

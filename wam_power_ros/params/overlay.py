@@ -37,13 +37,6 @@ NODES = (
     "optitrack_sim",
 )
 STAND_INS = ("wam_sim", "optitrack_sim")
-WITH_BODY = (
-    "pancake_tracker",
-    "tag_camera",
-    "natnet_client",
-    "demonstration_recorder",
-    "optitrack_sim",
-)  # that of the task
 SOURCES = ("torque_controller", "pancake_tracker")  # the others' parameters are derived from theirs
 REGION = "guarded_region"  # parameter of the controller; a simulated scene has the same one
 SIMULATION = "simulation"  # file in config/ with what a simulation changes
@@ -147,12 +140,11 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
         first = _derived(*(own[source] for source in SOURCES))
     parameters = _folded(own, _over(own, first), [(None, {"pancake_tracker": of_task}), *given])
     parameters["learner"] |= {"task": task} if task else {}
-    for node in WITH_BODY if task else ():
-        if (body := {"body": parameters[node]["body"]}) != of_task:
-            where = f"{body} of {node} contradicts task {task!r}, {of_task}: choose another --task"
-            raise ValueError(f"{where}, or omit it in {', '.join(map(str, files))}")
     base = parameters["torque_controller"]["base_frame"]
     for node, values in parameters.items():
+        if task and (body := {"body": values.get("body", of_task["body"])}) != of_task:
+            where = f"{body} of {node} contradicts task {task!r}, {of_task}: choose another --task"
+            raise ValueError(f"{where}, or omit it in {', '.join(map(str, files))}")
         if (own_base := values.get("base_frame", base)) != base:
             text = f"base_frame {own_base!r} of {node} is not that of torque_controller, {base!r}"
             raise ValueError(f"{text}: give it there, the other nodes have it from there")
@@ -275,7 +267,6 @@ _Plain.add_representer(list, lambda to, items: to.represent_sequence(_SEQ, items
 
 
 def _read(file: Path, namespace: str = "") -> Parameters:
-    """Read the parameters by node from one file, see `parameter_file.of_nodes`."""
     found = parameter_file.of_nodes(file, namespace)
     for values in found.values():  # the URDF path may be relative to the set-up file
         if values.get("urdf") and (urdf := file.parent / str(values["urdf"])).is_file():

@@ -78,11 +78,8 @@ Loader.add_implicit_resolver(_TAG + "float", _FLOAT, list("-+.0123456789"))
 def read(file: Path, loader: type = Loader) -> dict[str, dict[str, Any]]:
     """Read the parameters by node from one file; names of nodes include their namespace.
 
-    A file that ROS itself is to read needs the loader `PlainLoader`.
-
-    Raises:
-        ValueError: The file is not a regular file, too large, not YAML, or does not contain
-            parameters by node. The message names the file and, for a duplicate key, both lines.
+    A file that ROS itself is to read needs the loader `PlainLoader`. A ValueError names the file
+    that cannot be read and, for a duplicate key, both lines.
     """
     nodes = plain_yaml.read(file, loader)
     try:
@@ -112,10 +109,8 @@ def _mapping(value: object, where: str) -> dict[Any, Any]:
 def of_nodes(file: Path, namespace: str = "") -> dict[str, dict[str, Any]]:
     """Read the parameters by name of the node, without its namespace; ALL_NODES for all.
 
-    With a namespace, such as `/left` or `/`, those of its nodes alone.
-
-    Raises:
-        ValueError: As for `read`, or the file has a node in two namespaces and none is given.
+    With a namespace, such as `/left` or `/`, those of its nodes alone. A ValueError as for `read`,
+    or if the file has a node in two namespaces and none is given.
     """
     found: dict[str, dict[str, Any]] = {}
     for path, values in read(file).items():

@@ -39,10 +39,7 @@ def robot_description(urdf: str) -> str:
     Its path is absolute, from ~, as for `share`, or of a sourced package: package://NAME/FILE.
     Packages that the file names are those of the sourced workspaces, and folders with a
     package.xml beside the file or above it: a vendor's description without ROS.
-
-    Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: A xacro file cannot be expanded; the message says what is missing.
+    A FileNotFoundError if there is none; a ValueError says what a xacro file lacks.
     """
     file = _in_package(urdf) if urdf.startswith(PACKAGE_URL) else share(os.path.expanduser(urdf))
     if file.suffix == ".xacro":

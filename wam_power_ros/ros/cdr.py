@@ -33,11 +33,7 @@ class StateReader:
         self._layout: _Layout | None = None  # of the last message with our joints
 
     def __call__(self, data: bytes) -> JointReading | None:
-        """Read one message like `JointStateReader`.
-
-        Raises:
-            ValueError: When that raises it, or the bytes are not a JointState.
-        """
+        """Read one message like `JointStateReader`; bytes that are none are a ValueError."""
         numbers = None if self._layout is None else self._layout.numbers(data)
         if numbers is not None:
             return self._reader.reading(*numbers)

@@ -110,7 +110,6 @@ def _lock_file(domain: int | str) -> Path:
 
 
 def _locked(path: Path, operation: int = fcntl.LOCK_EX) -> IO[str]:
-    """Open and lock a file."""
     try:
         file = path.open("a")
         if os.fstat(file.fileno()).st_uid == os.getuid():

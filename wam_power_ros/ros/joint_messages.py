@@ -51,14 +51,9 @@ class JointStateReader:
         self._index: np.ndarray | None = None
 
     def __call__(self, message: JointState) -> JointReading | None:
-        """Read one message.
+        """Read one message; None when it holds none of our joints (another device's).
 
-        Returns:
-            The reading, or None when the message holds none of our joints (another device's).
-
-        Raises:
-            ValueError: When some of our joints are missing or doubled, or a length or value is not
-                acceptable.
+        A ValueError if some of our joints are missing or doubled, or a length or value is wrong.
         """
         names = message.name
         if names != self._last_names:
@@ -87,22 +82,15 @@ class JointStateReader:
         return JointReading(checked_stamp(stamp_ns), q, qd)
 
     def velocity(self, message: JointState) -> np.ndarray | None:
-        """Read a message of a separate velocity topic; without names, values are in our order.
+        """Velocities (nj,) [rad/s] of a separate topic; without names, values are in our order.
 
-        Returns:
-            Velocities (nj,) [rad/s], or None when the message holds none of our joints.
-
-        Raises:
-            ValueError: As for a joint state.
+        None when the message holds none of our joints; a ValueError as for a joint state.
         """
-        names = message.name
-        if not names:
-            qd = _joint_values("velocity", message.velocity, len(self.joint_names))
-        else:
-            index = self.lookup(names)
-            if index is None:
-                return None
-            qd = _joint_values("velocity", message.velocity, len(names))[index]
+        index = self.lookup(message.name) if message.name else slice(None)
+        if index is None:
+            return None
+        size = len(message.name) or len(self.joint_names)
+        qd = _joint_values("velocity", message.velocity, size)[index]
         if not np.isfinite(qd).all():
             raise ValueError(f"velocity {qd.tolist()} must be finite")
         return qd

@@ -7,9 +7,7 @@ answers (tested from another network namespace). A profile of Fast DDS binds the
 sets up discovery as LOCALHOST does and needs SYSTEM_DEFAULT, because under LOCALHOST rmw_fastrtps
 adds its own transports on every interface.
 
-Fast DDS 2.14 also has shared memory, which is left out: a process that stood still for a second,
-beside others that come and are killed, can stay deaf to one sender for good, although both run on
-(5 of 331 times; with UDP alone, 0 of 307).
+Shared memory of Fast DDS is left out: docs/decisions/06-udp-only.md.
 
 rclpy is imported only where it is asked which middleware it has loaded: `domain` needs none.
 """

@@ -97,13 +97,9 @@ def run(
 ) -> int:
     """Run a node until SIGINT or SIGTERM, after which it can still send.
 
-    Args:
-        make_node: Makes the node; raises ValueError for invalid parameters. If the node has a
-            method `close`, it is called at the end, to finish files and send the last command.
-        spin: Dispatches callbacks until the function it is given returns True.
-
-    Returns:
-        Exit status: 0 after a signal, 2 when the parameters were refused.
+    Its method `close`, if it has one, is called at the end, to finish files and send the last
+    command. Returns the exit status: 0 after a signal, 2 if `make_node` refused the parameters by
+    a ValueError.
     """
     received: list[int] = []
     for number in SIGNALS:

@@ -40,11 +40,10 @@ class Channel:
     def send(
         self, values: Mapping[str, object], arrays: Mapping[str, np.ndarray] | None = None
     ) -> io.FileIO | None:
-        """Send a message.
+        """Send a message; returns the shared memory of its arrays, None without any.
 
-        Returns:
-            Shared memory of the arrays, None without any. If the caller keeps it until the receiver
-            has released the arrays, the memory is freed in this process, not in the receiver.
+        If the caller keeps it until the receiver has released the arrays, the memory is freed in
+        this process, not in the receiver.
 
         Raises:
             BlockingIOError: The other process has not read the messages before.
