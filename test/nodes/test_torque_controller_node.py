@@ -353,6 +353,32 @@ def test_a_recorded_movement_is_replayed(arm: PlayedArm) -> None:
     assert "replay" in labels
 
 
+def test_a_movement_on_the_topic_is_played_whatever_its_frame_and_a_bad_one_logged(
+    arm: PlayedArm, shared_nodes: tuple[Probe, Processes]
+) -> None:
+    probe, processes = shared_nodes
+    logged = lambda: processes.output(arm.process).count("movement refused: joints ['wam_j7']")  # noqa: E731
+    before = logged()
+    movements = probe.publisher(JointTrajectory, interface.REPLAY, interface.REPLAYS)
+    movements.publish(joint_messages.movement_message(NAMES[:6], STILL._replace(q=STILL.q[:, :6])))
+    probe.until(lambda: logged() > before, "its log")
+    assert "refused: request" in arm.diagnosis(lambda d: True, "a report")
+    waypoint = joint_messages.movement_message(NAMES, STILL._replace(t=STILL.t[:1], q=STILL.q[:1]))
+    still = joint_messages.movement_message(NAMES, STILL)
+    for frame_id, movement in (("", still), ("world", waypoint)):
+        movement.header.frame_id = frame_id
+        before = len(arm.read())
+        movements.publish(movement)
+
+        def played() -> bool:
+            arm.send()
+            arm.answer()
+            return "replay" in {torque.label for torque in arm.read()[before:]}  # noqa: B023
+
+        probe.until(played, "the replay")
+        probe.until(lambda: arm.send() or arm.answer().label == "hold", "its end")
+
+
 @pytest.mark.requirement("S-18")
 def test_a_parameter_that_no_real_arm_may_have_stops_the_node_and_is_named(
     processes: Processes, tmp_path: Path

@@ -284,6 +284,12 @@ class Link:
         return list(future.result().values) if future.done() else []
 
 
+def unanswered(node: Node, name: str, qos: QoSProfile) -> Callable[[], object]:
+    """Function that requests a Trigger without waiting for the answer, for a node of its own."""
+    client = node.create_client(Trigger, name, qos_profile=qos)
+    return lambda: client.call_async(Trigger.Request())
+
+
 def _request(data: Data) -> tuple[type, object]:
     if data is None:
         return Trigger, Trigger.Request()

@@ -13,10 +13,10 @@ import math
 import sys
 import threading
 from collections import defaultdict, deque
-from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
-from typing import Any
+from typing import Any, TypeAlias
+from uuid import uuid4
 
 import numpy as np
 from control_msgs.action import FollowJointTrajectory
@@ -28,6 +28,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.logging import get_logger
 from rclpy.node import Node
+from trajectory_msgs.msg import JointTrajectory
 
 from wam_power_interfaces.action import ExecutePolicy, MoveToStart, Replay
 from wam_power_interfaces.msg import Policy, RolloutEnd
@@ -48,6 +49,7 @@ from wam_power_ros.ros.process_channel import Channel, Message
 from wam_power_ros.ros.stamps import sent_ns, time_message
 
 POINTS_MAX = 200_000  # of a movement, where the 600 s that may be replayed have 60 000
+Goal: TypeAlias = Any  # of any of the actions
 TEXT_MAX = 2000  # characters of a refusal
 STAGE = "moving"  # of a request, once the arm moves
 # [s] Fast DDS may wait in its own end for ever, on one core, while another participant leaves.
@@ -86,6 +88,8 @@ class PreparationWorker(Node):
                 (FollowJointTrajectory, interface.FOLLOW_TRAJECTORY, "replay", followed),
             )
         ]
+        topic, qos = interface.REPLAY, interface.REPLAYS
+        self.create_subscription(JointTrajectory, topic, self._on_movement, qos)
         # Not Executor.wake(), after which the executor waits again without calling anything.
         self._arrived = self.create_guard_condition(self._handle_messages)
         threading.Thread(target=self._listen, daemon=True).start()
@@ -157,30 +161,36 @@ class PreparationWorker(Node):
 
     # From the network
 
-    def _begin(self, do: str, id: str, goal: Any) -> Answer | None:  # noqa: ANN401 - of any action
-        """Prepare what a goal is about and hand it over, or say why it is refused."""
+    def _on_movement(self, message: JointTrajectory, info: dict[str, int]) -> None:
+        """Take a movement from the topic, whose sender gets no answer."""
+        goal = FollowJointTrajectory.Goal(trajectory=message)
+        answer = self._begin("replay", uuid4().hex, goal, info["source_timestamp"])
+        if answer is not None:
+            self.get_logger().warning(f"movement refused: {answer.text}")
+
+    def _begin(self, do: str, id: str, goal: Goal, sent: int | None = None) -> Answer | None:
+        """Prepare what a goal is about and hand it over, or say why it is refused.
+
+        It was `sent` at a wall time [ns], or when its id says.
+        """
         if self._settings is None:
             return NOT_ACTIVE
         self._channel.send({"what": "reading", "id": id})
         try:
-            about = (
-                self._policy(id, goal.policy)
-                if hasattr(goal, "policy")
-                else _movement(goal, self._joint_names, self._settings)
-            )
+            replay = do == "replay"
+            about = self._movement(goal) if replay else self._policy(id, goal.policy)
             parts = vars(about).items()
             arrays = {name: each for name, each in parts if isinstance(each, np.ndarray)}
             values = {name: each for name, each in parts if name not in arrays}
             asked = {"what": "asked", "id": id, "do": do, "configuration": self._configuration}
-            asked |= {"sent_ns": sent_ns(id), "known_stop": getattr(goal, "known_stop", "")}
+            asked |= {"sent_ns": sent or sent_ns(id), "known_stop": getattr(goal, "known_stop", "")}
             shared = self._channel.send({**asked, "about": values}, arrays)
             self._shared[type(about)].append(shared)
         except ControllerError as error:
             text, code, speed = str(error), Code(error.refusal.value), error.speed
-        except ValueError as error:
-            text, code, speed = str(error), Code.REFUSED, math.nan
         except Exception as error:  # of any kind: the process goes on
-            text, code, speed = repr(error), Code.REFUSED, math.nan
+            text = str(error) if isinstance(error, ValueError) else repr(error)
+            code, speed = Code.REFUSED, math.nan
         else:
             return None
         self._channel.send({"what": "refused", "text": text[:TEXT_MAX]})
@@ -194,21 +204,16 @@ class PreparationWorker(Node):
         self._asked[id] = Policy(id=policy.id, text=message.text)
         return prepared
 
-
-def _movement(
-    goal: Replay.Goal | FollowJointTrajectory.Goal,
-    joint_names: Sequence[str],
-    settings: ControllerSettings,
-) -> Sampled:
-    """Movement of a goal, on the control grid: recorded, or through waypoints."""
-    waypoints = isinstance(goal, FollowJointTrajectory.Goal)
-    message = goal.trajectory if waypoints else goal.movement
-    if (points := len(message.points)) > POINTS_MAX:
-        raise ValueError(f"{points} points; at most {POINTS_MAX} allowed")
-    t, q = joint_messages.movement(message, joint_names)
-    if waypoints:
-        t, q = replay_trajectory.through(t, q)
-    return replay_trajectory.sampled(t, q, settings.period, settings.limits)
+    def _movement(self, goal: Replay.Goal | FollowJointTrajectory.Goal) -> Sampled:
+        """Movement of a goal, on the control grid: recorded, or through waypoints."""
+        waypoints, settings = isinstance(goal, FollowJointTrajectory.Goal), self._settings
+        message = goal.trajectory if waypoints else goal.movement
+        if (points := len(message.points)) > POINTS_MAX:
+            raise ValueError(f"{points} points; at most {POINTS_MAX} allowed")
+        t, q = joint_messages.movement(message, self._joint_names)
+        if waypoints:
+            t, q = replay_trajectory.through(t, q)
+        return replay_trajectory.sampled(t, q, settings.period, settings.limits)
 
 
 def followed(answer: Answer, **_: object) -> FollowJointTrajectory.Result:

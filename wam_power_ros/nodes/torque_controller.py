@@ -26,6 +26,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool, Trigger
 
+from wam_power_ros.client.link import unanswered
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.modes import MOVING_MODES, ControllerError, Mode, Refusal
 from wam_power_ros.control.watchdog import StampClock, Watchdog, overload
@@ -106,8 +107,7 @@ class TorqueController(LifecycleNode):
         self._velocity_guard = StateGuard(self, params.velocity_topic or params.state_topic)
         self._simulation_guard = SimulationGuard(self, params.state_topic, params.simulation)
         idle = params.idle_service or interface.WAM_IDLE
-        idling = self.create_client(Trigger, idle, qos_profile=interface.IDLE_QOS)
-        self._idle = lambda: idling.call_async(Trigger.Request())  # no answer is waited for
+        self._idle = unanswered(self, idle, interface.IDLE_QOS)
         subscribe = self.create_subscription
         on_state, on_velocity = with_info(self._on_state), with_info(self._on_velocity)
         self._states = subscribe(

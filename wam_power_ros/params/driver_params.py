@@ -75,3 +75,6 @@ class FrankaDriverParams(Params):
         if self.address and len(self.joint_names) != 7:
             raise ValueError(f"joint_names {self.joint_names} must be the robot's 7, base to tip")
         return self
+
+
+DRIVERS = TagCameraParams, FrankaDriverParams, NatNetClientParams

@@ -29,6 +29,7 @@ DIAGNOSTICS = "/diagnostics"
 CLOCK = "/clock"
 LOG = "/rosout"
 ENABLE = "controller/enable"
+REPLAY = "controller/replay"  # a movement to follow, for who wants no answer
 
 # Actions
 EXECUTE_POLICY = "controller/execute_policy"
@@ -111,6 +112,7 @@ MOCAP = qos(500)  # a path needs every frame: two seconds at 240 Hz
 MOCAP_BEST_EFFORT = qos(500, "BEST_EFFORT")
 LATCHED = qos(1, durability="TRANSIENT_LOCAL")
 FIXED = qos(100, durability="TRANSIENT_LOCAL")  # of /tf_static, as tf2 subscribes
+REPLAYS = qos(10)
 DIAGNOSTICS_QOS = qos(10)
 LOG_QOS = qos(1000, durability="TRANSIENT_LOCAL")
 CLOCK_QOS = qos(1, "BEST_EFFORT")
