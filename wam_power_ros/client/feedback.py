@@ -58,10 +58,8 @@ class Feedback:
         """Pause the learner, record a demonstration, hand it over and let the learner continue.
 
         The arm is set to gravity compensation only after the learner has reported that it is paused
-        and no trial is under way; from then on it sends nothing until it continues.
-
-        Raises:
-            ServiceError: A service refused, or the trial did not end; the learner may be paused.
+        and no trial is under way; from then on it sends nothing until it continues. After a
+        ServiceError the learner may be paused.
         """
         deadline = time.monotonic() + TIMEOUT
         answer = self.give("pause")

@@ -108,16 +108,16 @@ class Executed:
 class Rollouts:
     """Executes policies by actions of controller and stand-in, and services of the recorder.
 
-    `motions` are actions of the controller. `awaited` returns what is waited for without limit,
-    None if nothing; for every thread. Without the joint names of the driver a person puts the body
-    back, not the arm.
+    `motions` are actions of the controller, `reports` what it says. `awaited` returns what is
+    waited for without limit, None if nothing; for every thread. Without the joint names of the
+    driver a person puts the body back, not the arm.
     """
 
     def __init__(
         self, link: Link, settings: RolloutSettings, body: str, joint_names: Sequence[str] = ()
     ) -> None:
         self._link, self._node, self._log = link, link.node, link.node.get_logger()
-        self._settings, self._body, self._reports = settings, body, ControllerReports(link)
+        self._settings, self._body, self.reports = settings, body, ControllerReports(link)
         self._resetting = Resetting(lambda state: "no rollout is prepared", lambda state: "wait")
         self._known_stop: str | None = None  # None: of no session
         self._seen = time.monotonic()  # when the last state of the body came
@@ -142,17 +142,12 @@ class Rollouts:
         state, self._seen = pose_messages.odometry(message), time.monotonic()
         self._resetting.add(state, state.stamp_ns)
 
-    @property
-    def reports(self) -> int:
-        """Number of reports of the controller so far."""
-        return self._reports.count
-
     def go_on(self) -> float:
         """Let a session go on after the last stop; a later one ends what it asks for.
 
         Returns when that stop was, by the clock of the controller [s]; 0 before the first.
         """
-        self._known_stop = self._reports.last_stop
+        self._known_stop = self.reports.last_stop
         return int(self._known_stop or 0) * 1e-9
 
     def execute(
@@ -226,7 +221,7 @@ class Rollouts:
         self.until(lambda: goal.ended, f"the end of {goal.what} of {what}", timeout)
         answer = goal.answer or NO_ANSWER
         if answer.stop:
-            self._reports.last_stop = answer.stop
+            self.reports.last_stop = answer.stop
             raise EndedByPersonError(answer, ran=_start_ns(goal.result) > 0)
         return answer, goal.result
 
@@ -302,7 +297,7 @@ class Rollouts:
     def _stopped(self) -> bool:
         """Whether a person has stopped the arm since the session was let go on."""
         known = self._known_stop
-        return known is not None and self._reports.last_stop not in ("", known)
+        return known is not None and self.reports.last_stop not in ("", known)
 
     def _prepare(self, policy: Policy, resetting: Resetting) -> dict[str, Any] | None:
         """Move the arm to the start of the policy, and see to it that the body is ready there.
@@ -322,11 +317,11 @@ class Rollouts:
         self._resetting = resetting
         while True:
             self._until(
-                lambda: self._resetting.done or self._resetting.move or self._reports.fault,
+                lambda: self._resetting.done or self._resetting.move or self.reports.fault,
                 self._awaited_body,
             )
             resetting = self._resetting
-            if self._reports.fault is not None:  # the arm may have left the start
+            if self.reports.fault is not None:  # the arm may have left the start
                 by = resetting.by
                 by_person |= self._reach_start(policy)
                 self._resetting = replace(resetting, by=by, move=None)
@@ -394,7 +389,7 @@ class Rollouts:
         while True:
             answer, _ = self._ask(self._to_start, policy, self._settings.patience)
             if answer.success:
-                self._reports.fault = None
+                self.reports.fault = None
                 return by_person
             resets = self._settings.reset_faults
             if answer.code is Code.NOT_ACTIVE or (answer.code is Code.FAULT and not resets):
@@ -413,7 +408,7 @@ class Rollouts:
 
     def _await_person(self, refused: Answer) -> None:
         """Wait until the diagnostics say that the controller is active, or has no fault."""
-        reports, count = self._reports, self._reports.count  # the last one may be out of date
+        reports, count = self.reports, self.reports.count  # the last one may be out of date
         if refused.code is Code.FAULT:
             awaited = Awaited("reset", f"a person to reset the controller: {refused.said}")
             done = lambda: reports.count > count + 1 and reports.fault is None  # noqa: E731

@@ -15,6 +15,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -311,10 +312,8 @@ class CheckDriver(Node):
 
     def _watchdog(self, arm: Arm, record: ArmRecord, path: Row, active: bool) -> Row:
         """Row about the watchdog of the driver, tested if a person agrees."""
-
-        def unchecked(why: str) -> Row:
-            return Row("watchdog", "the driver ends an old torque", why, Verdict.UNCHECKED)
-
+        expected = "the driver ends an old torque"
+        unchecked = partial(Row, "watchdog", expected, verdict=Verdict.UNCHECKED)
         if self._arm_params.output != "torque":
             return unchecked("positions are sent: a driver that keeps the last one holds the arm")
         if path.verdict is Verdict.FAIL:

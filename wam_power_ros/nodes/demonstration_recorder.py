@@ -15,7 +15,7 @@ import time
 from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 from pydantic import Field
 from rclpy.clock import Clock, ClockType
@@ -40,14 +40,10 @@ from wam_power_ros.ros.outcomes import Answer, Code, fill
 from wam_power_ros.ros.raw_subscriptions import RawTopics
 
 MEGABYTE = 1_000_000
+MEGABYTES = "in MB: 0 requires none; at most a petabyte"
 PATH_TIMEOUT = 1.0  # longest wait for the path of the body in a finished rollout [s]
 STATES_TIMEOUT = 5.0  # longest wait for states in lockstep; some DDS profiles repair in 3 s [s]
 DISK_CHECK_PERIOD = 0.1  # [s] between checks for write errors and free space
-
-
-Megabytes = Annotated[
-    float, Field(ge=0.0, le=1e9, description="in MB: 0 requires none; at most a petabyte")
-]
 
 
 class DemonstrationRecorderParams(Params):
@@ -71,8 +67,8 @@ class DemonstrationRecorderParams(Params):
     tool_frame: str
     position_limits: PositionLimits
     source: Literal["sim", "hardware"]
-    free_to_start: Megabytes
-    free_to_continue: Megabytes
+    free_to_start: float = Field(ge=0.0, le=1e9, description=MEGABYTES)
+    free_to_continue: float = Field(ge=0.0, le=1e9, description=MEGABYTES)
 
 
 class DemonstrationRecorder(Node):

@@ -34,26 +34,23 @@ class Demonstrations:
         if not bags:
             raise ValueError("a new session needs demonstrations: name at least one bag")
         read: dict[int, Demonstration] = {}
-        refused = []
-
-        def leave_out(group: tuple[int, ...], text: str) -> None:
-            refused.append(text)
-            self._log.warning(f"demonstration {', '.join(map(str, group))} left out: {text}")
-
+        left_out: dict[tuple[int, ...], str] = {}
         for number, bag in enumerate(bags, start=1):
             try:
                 read[number] = self.read(bag)
             except ValueError as error:
-                leave_out((number,), str(error))
+                left_out[(number,)] = str(error)
         arm = self._arm
         candidates, why = fitted(self._kind, settings, read, arm, arm.identity, arm.region)
         for group, text in why.items():
-            leave_out(group, f"{', '.join(bags[number - 1] for number in group)}: {text}")
+            left_out[group] = f"{', '.join(bags[number - 1] for number in group)}: {text}"
+        for group, text in left_out.items():
+            self._log.warning(f"demonstration {', '.join(map(str, group))} left out: {text}")
         if not candidates:
+            text = f"nothing can be learnt from any of {len(bags)} demonstrations"
             raise ValueError(
-                f"nothing can be learnt from any of {len(bags)} demonstrations "
-                f"({'; '.join(refused)}). Teach others in a new session, or name other bags: "
-                "wam-power learn --session ... --bags ..."
+                f"{text} ({'; '.join(left_out.values())}). Teach others in a new session, or name "
+                "other bags: wam-power learn --session ... --bags ..."
             )
         used = [number for group in candidates for number in group]
         named = [bags[number - 1] for number in used]

@@ -19,13 +19,12 @@ from pathlib import Path as FilePath
 from typing import Any
 
 import rclpy
-from pydantic import Field, model_validator
+from pydantic import Field
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 from std_srvs.srv import Trigger
-from typing_extensions import Self
 
 from wam_power_interfaces import srv
 from wam_power_ros import installed, plain_json
@@ -38,7 +37,6 @@ from wam_power_ros.nodes.demonstrations import Demonstrations
 from wam_power_ros.nodes.markers import Markers
 from wam_power_ros.nodes.simulated_arm import SimulatedArm
 from wam_power_ros.params.node_params import Names, Params, plain
-from wam_power_ros.params.torque_controller_params import require_same_joints
 from wam_power_ros.practice.new_goal import context_for, policy_for
 from wam_power_ros.practice.practice import GO_ON, RATING_MAX, Practice
 from wam_power_ros.practice.session import Session, read, read_policy
@@ -79,11 +77,6 @@ class LearnerParams(Params, RolloutSettings):
     unusable_max: int = Field(
         ge=1, le=1000, description="rollouts in a row; after fewer, a person must check the arm"
     )
-
-    @model_validator(mode="after")
-    def _together(self) -> Self:
-        require_same_joints(self.joint_names, self.model_joint_names)
-        return self
 
 
 CONTROLLER = "torque_controller"  # node
@@ -263,7 +256,7 @@ class Learner(Node):
 
         An older stop, such as that of teaching, was before a person started the session.
         """
-        reported = lambda: self._rollouts.reports  # noqa: E731
+        reported = lambda: self._rollouts.reports.count  # noqa: E731
         self._link.until(reported, "a report of the controller", self.params.service_timeout)
         self._compare()
         with self._lock:

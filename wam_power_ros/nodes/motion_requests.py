@@ -50,15 +50,11 @@ class MotionRequests:
     def begin(
         self, id: str, do: str, about: TabulatedPolicy | Sampled, asked_ns: int, known_stop: str
     ) -> None:
-        """Begin a movement, or say why not.
+        """Begin to "move_to_start", "execute" a policy or "replay" a movement, or say why not.
 
-        Args:
-            do: "move_to_start" or "execute" a policy, or "replay" a movement.
-            about: The policy or the movement.
-            asked_ns: Wall time at which it was sent, or received if that is not known [ns].
-            known_stop: Last stop that its sender knows, after which a person has let it go on; ""
-                if it does not say. A request that does not know of the last stop is not begun, so
-                that no stop can be overtaken.
+        It was asked for at a wall time [ns], by who knows of a last stop, after which a person has
+        let it go on; "" if it does not say. A request that does not know of the last stop is not
+        begun, so that no stop can be overtaken.
         """
 
         def start(core: Controller) -> None:

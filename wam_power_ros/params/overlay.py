@@ -123,9 +123,9 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
 
     Raises:
         ValueError: The task is unknown, has no set-up or another body than a file says, or a node
-            has another base frame than the controller. A file
-            cannot be found or read, names an unknown node or parameter, gives a value of another
-            kind than the node's own file, or sets `simulation` for a real arm.
+            has another base frame than the controller. A file cannot be read, names an unknown
+            node or parameter, gives a value of another kind than the node's own file, or sets
+            `simulation` for a real arm.
     """
     own = _own()
     files = [installed.task_setup(task, share("config"))] if task else []
@@ -192,9 +192,8 @@ def of_files(
         kind: Its name in `NODES`.
         own_values: Parameters of the node from its command line, which replace those of files.
 
-    Raises:
-        ValueError: A file is malformed, or a section has an unknown parameter or a value of another
-            kind than the node's own file.
+    A ValueError names a file that is malformed, or an unknown parameter or a value of another kind
+    than the node's own file in it.
     """
     own, defaults = _own(), {share(f"config/{each}.yaml").resolve() for each in NODES}
     others = [path for path in map(Path.resolve, files) if path not in defaults]

@@ -27,12 +27,9 @@ def type_name(kind: type) -> str:
 def unmatched_publishers(
     node: Node, topic: str, types: Sequence[str], qos: QoSProfile | None = None
 ) -> list[str]:
-    """Describe the publishers of a topic from which a subscription receives nothing.
+    """Describe the publishers of a topic, relative or resolved, from which nothing is received.
 
-    Args:
-        topic: Topic, relative or resolved.
-        types: Full names of the expected message types; empty for any.
-        qos: QoS of the subscription; None if it adapts to the publishers.
+    Without types any is expected; without a QoS the subscription adapts to the publishers.
 
     Returns:
         One sentence each, with both sides.
@@ -49,11 +46,10 @@ def unmatched_publishers(
 def unmatched_subscriptions(
     node: Node, topic: str, kind: str, qos: QoSProfile
 ) -> tuple[list[str], int]:
-    """Describe the subscriptions of other nodes that receive nothing from a publisher.
+    """Describe the subscriptions of other nodes that receive nothing, and count those that do.
 
     Returns:
-        One sentence each, with both sides, and the number of the other nodes' subscriptions that
-        match.
+        One sentence each, with both sides, and the count.
     """
     topic, own = node.resolve_topic_name(topic), (node.get_name(), node.get_namespace())
     infos, found = node.get_subscriptions_info_by_topic(topic), []

@@ -54,21 +54,17 @@ WAM_IDLE = "wam/idle"
 
 # Topics and services of a tracked body begin with its name; its frame is the name itself
 BODY_LEAVES = ("pose", "state", "truth", "drop")  # the last two: stand-in only
-SCENE_LEAVES = ("truth",)  # of a task without a body
-SCENE = "scene"
+SCENE = "scene"  # in the place of a body, for the truth of a task without one
 _BODY = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _RESERVED = {SCENE, "end_effector", "end"}
 
 
 def body_topic(body: str, leaf: str) -> str:
-    """Topic or service of a tracked body, such as `ball/state`; without one, `scene/truth`.
+    """Topic or service of a tracked body, such as `ball/state`; without one, `scene/truth` alone.
 
-    A ValueError if there is no such topic, or the name of the body is not acceptable.
+    A ValueError if the name of the body is not acceptable.
     """
-    leaves = BODY_LEAVES if body else SCENE_LEAVES
-    if leaf not in leaves:
-        raise ValueError(f"no topic {leaf!r} of body {body!r}; there are {list(leaves)}")
-    return f"{_checked(body) if body else SCENE}/{leaf}"
+    return f"{SCENE if (body, leaf) == ('', 'truth') else _checked(body)}/{leaf}"
 
 
 def rollout_topic(body: str) -> str:

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
+from rclpy.duration import Duration
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -165,9 +166,8 @@ def movement_message(joint_names: Sequence[str], movement: JointMovement) -> Joi
     """Movement as a trajectory message."""
     message = JointTrajectory(joint_names=list(joint_names))
     for t, q in zip(movement.t, movement.q, strict=True):
-        sec, nanosec = divmod(round(float(t) * 1e9), 1_000_000_000)
         point = JointTrajectoryPoint(positions=array("d", q))
-        point.time_from_start.sec, point.time_from_start.nanosec = sec, nanosec
+        point.time_from_start = Duration(nanoseconds=round(float(t) * 1e9)).to_msg()
         message.points.append(point)
     return message
 

@@ -41,20 +41,13 @@ _CODES = {getattr(Outcome, code.name): code for code in Code if code is not Code
 
 @dataclass(frozen=True)
 class Answer:
-    """Outcome of a request.
-
-    Attributes:
-        text: Sentence for a person.
-        stop: Id of the stop by which a person ended it, "" if none did.
-        speed: Speed at which a replay that is TOO_FAST is possible, relative to the one asked for.
-        under_way: Whether the trial after which a session pauses is under way.
-    """
+    """Outcome of a request."""
 
     code: Code
-    text: str = ""
-    stop: str = ""
-    speed: float = math.nan
-    under_way: bool = False
+    text: str = ""  # sentence for a person
+    stop: str = ""  # id of the stop by which a person ended it, "" if none did
+    speed: float = math.nan  # at which a replay that is TOO_FAST is possible, relative to its own
+    under_way: bool = False  # the trial after which a session pauses
 
     @property
     def success(self) -> bool:

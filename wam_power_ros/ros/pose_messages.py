@@ -49,8 +49,7 @@ def fill_pose(pose: object, position: Sequence[float], quat_xyzw: Sequence[float
     o.x, o.y, o.z, o.w = (float(value) for value in quat_xyzw)
 
 
-def _pose_arrays(pose: object) -> tuple[np.ndarray, np.ndarray]:
-    p, o = pose.position, pose.orientation
+def _arrays(p: Any, o: Any) -> tuple[np.ndarray, np.ndarray]:  # noqa: ANN401 - of messages
     return np.array([p.x, p.y, p.z]), np.array([o.x, o.y, o.z, o.w])
 
 
@@ -75,14 +74,14 @@ def reading(message: object, pose: object) -> PoseReading:
     A ValueError if the stamp is not set, a value is not finite, or the quaternion is not of unit
     length (1e-3).
     """
-    return _checked(message, sensor_stamp(message), *_pose_arrays(pose))
+    return _checked(message, sensor_stamp(message), *_arrays(pose.position, pose.orientation))
 
 
 def transform(message: TransformStamped, stamped: bool = True) -> PoseReading:
     """Read the pose of the child frame, see `reading`; static ones need no stamp."""
-    p, o = message.transform.translation, message.transform.rotation
     stamp_ns = sensor_stamp(message) if stamped else nanoseconds(message.header.stamp)
-    return _checked(message, stamp_ns, np.array([p.x, p.y, p.z]), np.array([o.x, o.y, o.z, o.w]))
+    arrays = _arrays(message.transform.translation, message.transform.rotation)
+    return _checked(message, stamp_ns, *arrays)
 
 
 def _checked(
@@ -187,7 +186,7 @@ def path(message: Path) -> PathReading:
     t = np.array([(nanoseconds(item.header.stamp) - start_ns) * 1e-9 for item in message.poses])
     if np.any(np.diff(t) <= 0.0):
         raise ValueError("stamps of the poses of a path must increase")
-    arrays = [_pose_arrays(item.pose) for item in message.poses]
+    arrays = [_arrays(item.pose.position, item.pose.orientation) for item in message.poses]
     position = np.array([item[0] for item in arrays]).reshape(-1, 3)  # (M, 3)
     quat_xyzw = np.array([item[1] for item in arrays]).reshape(-1, 4)  # (M, 4)
     return PathReading(start_ns, t, position, quat_xyzw)
