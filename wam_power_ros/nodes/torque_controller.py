@@ -105,7 +105,8 @@ class TorqueController(LifecycleNode):
         self._guard = CommandGuard(self, self._commands)
         self._state_guard = StateGuard(self, params.state_topic)
         self._velocity_guard = StateGuard(self, params.velocity_topic or params.state_topic)
-        self._simulation_guard = SimulationGuard(self, params.state_topic, params.simulation)
+        simulated = params.simulation, not self._watchdog.enabled
+        self._simulation_guard = SimulationGuard(self, params.state_topic, *simulated)
         idle = params.idle_service or interface.WAM_IDLE
         self._idle = unanswered(self, idle, interface.IDLE_QOS)
         subscribe = self.create_subscription
@@ -173,7 +174,7 @@ class TorqueController(LifecycleNode):
         In simulation it also requires that no node but a stand-in publishes states.
         """
         simulation = self._simulation_guard
-        reason = self._missing_state() or simulation.stranger() or self._other_clock()
+        reason = self._missing_state() or simulation.stranger() or simulation.other_clock()
         reason = reason or self._missing_realtime() or self._unheard() or self._guard.begin()
         if not reason and self._controller.mode is not Mode.FAULT:
             try:
@@ -273,9 +274,9 @@ class TorqueController(LifecycleNode):
             if now_ns - self._refused_ns < STATE_AGE_MAX_NS:
                 return f"joint states arrive, but are refused: {self._refusal}"
             unmatched = self._unmatched(params.state_topic, JointState, interface.STATE_IN)
-            there = self.count_publishers(params.state_topic)  # its clock would be known as well
-            clock = f"; {clock}" if there and (clock := self._other_clock()) else ""
-            return f"no joint state within the last second{unmatched}{clock}"
+            known = self.count_publishers(params.state_topic)  # its clock would be known as well
+            clock = self._simulation_guard.other_clock() if known else ""
+            return f"no joint state within the last second{unmatched}{clock and f'; {clock}'}"
         if params.velocity_topic and now_ns - self._qd_ns >= STATE_AGE_MAX_NS:
             unmatched = self._unmatched(params.velocity_topic, JointState, interface.STATE_IN)
             return f"no joint velocity on {params.velocity_topic} within the last second{unmatched}"
@@ -292,13 +293,8 @@ class TorqueController(LifecycleNode):
     def _unheard(self) -> str | None:
         """Drivers that do not receive the torques, if no other node does either."""
         kind, topic = endpoints.type_name(self._commands.msg_type), self._commands.topic_name
-        found = endpoints.unmatched_subscriptions(self, topic, kind, self._command_qos)
-        unmatched, matched = found
+        unmatched, matched = endpoints.unmatched_subscriptions(self, topic, kind, self._command_qos)
         return None if matched or not unmatched else "; ".join(unmatched)
-
-    def _other_clock(self) -> str:
-        """Clock of a stand-in that this node does not follow; empty on an arm."""
-        return self._simulation_guard.other_clock(lockstep=not self._watchdog.enabled)
 
     def _missing_realtime(self) -> str | None:
         granted = self._granted

@@ -22,8 +22,7 @@ _OF_ROS = ("use_sim_time", "start_type_description_service", "qos_overrides.")  
 ALL_NODES = "**"  # name, without namespace, of the section of all nodes: `/**`
 _TAG = "tag:yaml.org,2002:"
 _INT = re.compile(r"[-+]?(0|[1-9][0-9]*)$")
-_COMMENTED = re.compile(r"    (\w+):(?:[^#]*)(?:# ?(.*))?$")  # a parameter and its comment
-_CONTINUED = re.compile(r"     +# ?(.*)$")  # next line of the comment
+_COMMENTED = re.compile(r"^    (\w+):[^#\n]*((?:#.*)?(?:\n     +#.*)*)", re.MULTILINE)
 _FLOAT = re.compile(
     r"[-+]?([0-9]+\.[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?$|[-+]?[0-9]+[eE][-+]?[0-9]+$"
 )
@@ -126,16 +125,9 @@ def of_nodes(file: Path, namespace: str = "") -> dict[str, dict[str, Any]]:
 
 def comments(file: Path) -> dict[str, str]:
     """Comments by parameter in a file of config/: beside the value, and in the lines below it."""
-    found: dict[str, str] = {}
-    name = ""
-    for line in file.read_text(encoding="utf-8").splitlines():
-        if match := _COMMENTED.match(line):
-            name, found[match[1]] = match[1], match[2] or ""
-        elif name and (continued := _CONTINUED.match(line)):
-            found[name] = f"{found[name]} {continued[1]}".strip()
-        else:
-            name = ""
-    return {name: text for name, text in found.items() if text}
+    commented = _COMMENTED.findall(file.read_text(encoding="utf-8"))
+    lines = {name: [line.strip("# ") for line in text.splitlines()] for name, text in commented}
+    return {name: " ".join(texts).strip() for name, texts in lines.items() if any(texts)}
 
 
 def given(arguments: Sequence[str]) -> list[Path]:

@@ -167,9 +167,9 @@ class SimulationGuard:
     whose controller is not `simulated`, needs no guard.
     """
 
-    def __init__(self, node: Node, topic: str, simulated: bool = True) -> None:
+    def __init__(self, node: Node, topic: str, simulated: bool, lockstep: bool) -> None:
         self._node, self._topic = node, node.resolve_topic_name(topic)
-        self._simulated = simulated
+        self._simulated, self._lockstep = simulated, lockstep
         self._clock = node.resolve_topic_name(interface.CLOCK)
         self._unnamed = False  # at the last call of `intruder`
 
@@ -183,18 +183,18 @@ class SimulationGuard:
             f"it answers the stand-in {STAND_IN!r} only; for an arm set simulation: false"
         )
 
-    def other_clock(self, lockstep: bool) -> str:
+    def other_clock(self) -> str:
         """Say that stand-in and controller follow different clocks; empty if they do not."""
         if not self._simulated:
             return ""
         published = bool(self._node.count_publishers(self._clock))
-        if published and not lockstep:
+        if published and not self._lockstep:
             return (
                 f"the stand-in runs in lockstep and publishes {self._clock}, this controller in "
                 "real time: set use_sim_time: true for all nodes, or pace: real_time for the "
                 "stand-in"
             )
-        if lockstep and self._node.get_parameter("use_sim_time").value and not published:
+        if self._lockstep and self._node.get_parameter("use_sim_time").value and not published:
             return (
                 f"no node publishes {self._clock}, and this controller follows simulated time: set "
                 "pace: lockstep for the stand-in, or use_sim_time: false for all nodes"
