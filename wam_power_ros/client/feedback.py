@@ -47,10 +47,7 @@ class Feedback:
             name, data = interface.LEARNER_RATE, Rate.Request(value=value)
         else:
             name, data = SERVICES[kind]
-        answer = self._link.call(name, data)
-        if answer is None:
-            raise ServiceError(f"{name} did not answer in {TIMEOUT:.0f} s")
-        return answer
+        return self._link.answer(name, data)
 
     def teach(
         self, robot: Robot, lead: Callable[[], object] | None, notify: Callable[[str], object]

@@ -42,7 +42,7 @@ LOG_PERIOD = 60.0  # [s of wall time] between log entries about one wait
 RETRY_PERIOD = 0.2  # [s of wall time] between a refusal and the next request
 DISPATCH_PERIOD = 0.1  # [s of wall time] in which the thread notices that it shall end
 CHECK_PERIOD = 0.05  # [s of wall time] between two checks of what is waited for
-NEWEST = QoSProfile(depth=1, reliability=interface.STATE_IN.reliability)
+NEWEST = interface.qos(1, "BEST_EFFORT")
 # Of a request: of a SetBool, a ChangeState, a Trigger; or a whole request of another type.
 Data = bool | Transition | Pause.Request | AddDemonstration.Request | Rate.Request | None
 
@@ -198,12 +198,10 @@ class Link:
 
     # Services
 
-    def prepare(self, *names: str, data: Data = None) -> None:
-        """Make the clients of services with such data early, so that they are discovered."""
-        kind, _ = _request(data)
-        for name in names:
-            if name not in self._clients:
-                self._clients[name] = self.node.create_client(kind, name)
+    def prepare(self, name: str, data: Data = None) -> None:
+        """Make the client of a service with such data early, so that it is discovered."""
+        if name not in self._clients:
+            self._clients[name] = self.node.create_client(_request(data)[0], name)
 
     def offers(self, name: str) -> bool:
         """Whether a service, of which there is a client, is available now."""
@@ -231,7 +229,7 @@ class Link:
 
     def begin(self, name: str, data: Data = None) -> Future:
         """Send a request; returns the future of the response. A ServiceError if nobody serves."""
-        self.prepare(name, data=data)
+        self.prepare(name, data)
         self.await_server("service", self._full(name), self._clients[name].service_is_ready)
         _, request = _request(data)
         future = self._clients[name].call_async(request)
@@ -259,15 +257,17 @@ class Link:
         A ServiceError if it does not appear, does not answer or still refuses after TIMEOUT.
         """
         end = time.monotonic() + TIMEOUT
-        while True:
-            answer = self.call(name, data, max(end - time.monotonic(), 1.0))
-            if answer is None:
-                raise ServiceError(f"{self._full(name)} did not answer in {TIMEOUT:.0f} s")
-            if answer.success:
-                return answer
+        while not (answer := self.answer(name, data, max(end - time.monotonic(), 1.0))).success:
             if time.monotonic() > end:
                 raise ServiceError(f"{self._full(name)} refused: {answer.text}", answer)
             self.sleep(RETRY_PERIOD)
+        return answer
+
+    def answer(self, name: str, data: Data = None, timeout: float = TIMEOUT) -> Answer:
+        """Call a service; a ServiceError if it does not answer, as if it does not appear."""
+        if (answer := self.call(name, data, timeout)) is None:
+            raise ServiceError(f"{self._full(name)} did not answer in {TIMEOUT:.0f} s")
+        return answer
 
     def parameters(self, node: str, names: Sequence[str], timeout: float) -> list[ParameterValue]:
         """Ask a node for parameters, those that it lacks are not set; [] without an answer.

@@ -53,10 +53,8 @@ OWN_NODES = {"torque_controller", "demonstration_recorder", "check_driver"}  # n
 DISCOVERY_TIMEOUT = 5.0  # [s] for discovery, and for the next message
 DROP_ATTEMPTS = 3  # with the stand-in: a busy machine may miss frames of a fall
 FALL_TIME = 2.0  # [s] in which a released body falls to the ground
-FRAME_PARAMETERS = (  # of base and tool: of cartesian_controllers, and of crisp_controllers
-    ("robot_base_link", "end_effector_link"),
-    ("base_frame", "end_effector_frame"),
-)
+# Of base and tool: of cartesian_controllers, and of crisp_controllers
+FRAME_PARAMETERS = (("robot_base_link", "end_effector_link"), ("base_frame", "end_effector_frame"))
 COLOURS = {
     Verdict.OK: "green",
     Verdict.WARN: "yellow",
@@ -91,13 +89,11 @@ class CheckDriver(Node):
         if arm.velocity_topic:
             self._velocity_input = subscribe(JointState, arm.velocity_topic, self._on_velocity)
         if not arm.urdf:
-            self.create_subscription(
-                String, interface.ROBOT_DESCRIPTION, self._on_urdf, interface.LATCHED
-            )
+            described = interface.ROBOT_DESCRIPTION, self._on_urdf, interface.LATCHED
+            self.create_subscription(String, *described)
         self._torques: list[object] = []
-        self._listener = self.create_subscription(
-            self._command_type, arm.command_topic, self._torques.append, interface.DEEP_IN
-        )
+        command = arm.command_topic, self._torques.append, interface.DEEP_IN
+        self._listener = self.create_subscription(self._command_type, *command)
         scheduling.request(arm.realtime_priority)  # as in the controller, to measure its jitter
         self.link = Link(self)
         self._mocap_input: Input | None = None
@@ -179,9 +175,8 @@ class CheckDriver(Node):
         self.wait(DISCOVERY_TIMEOUT, heard)
         for samples in (self.states, self.velocities, self.frames, self.clouds, self._refused):
             samples.clear()
-        self._console.print(
-            f"Recording for {seconds:.0f} s: leave the arm at rest and the body still, in view."
-        )
+        still = "leave the arm at rest and the body still, in view"
+        self._console.print(f"Recording for {seconds:.0f} s: {still}.")
         self.wait(seconds)
         inputs = [each for each in (self._state_input, cameras) if each is not None]
         found = any(endpoints.unmatched_publishers(self, *each) for each in inputs)
@@ -243,9 +238,8 @@ class CheckDriver(Node):
         ends = self.get_subscriptions_info_by_topic(topic), self.get_publishers_info_by_topic(topic)
         kind = endpoints.type_name(self._command_type)
         unmatched, _ = endpoints.unmatched_subscriptions(self, topic, kind, interface.COMMAND)
-        return topic_checks.command_path(
-            topic, kind, *map(_ends, ends), len(self._torques), unmatched
-        )
+        count, ends = len(self._torques), map(_ends, ends)
+        return topic_checks.command_path(topic, kind, *ends, count, unmatched)
 
     def _torque_order(self) -> Row:
         """Row about the order of the driver, asked for its parameters if it is a forwarder."""

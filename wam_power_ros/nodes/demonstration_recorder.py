@@ -205,9 +205,8 @@ class DemonstrationRecorder(Node):
     def _take_pending(self, recording: Recording) -> None:
         """Write the messages that have arrived but were not dispatched yet.
 
-        Waits for the path of the body in a finished rollout: the learner, which ends the recording,
-        may have received it from the tracker before this node does. In lockstep, it also waits for
-        all states up to the time of the request.
+        Waits for the path of the body in a finished rollout, which the learner, who ends the
+        recording, may have before this node; in lockstep also for all states up to the request.
         """
         now_ns, path = self.get_clock().now().nanoseconds, self._body_path_topic
         tool_path = self.resolve_topic_name(interface.ROLLOUT_END_EFFECTOR)

@@ -40,7 +40,7 @@ from wam_power_ros.params.node_params import Names, Params, plain
 from wam_power_ros.practice.new_goal import context_for, policy_for
 from wam_power_ros.practice.practice import GO_ON, RATING_MAX, Practice
 from wam_power_ros.practice.session import Session, read, read_policy
-from wam_power_ros.practice.session_log import KIND_NAMES, Event, Line, Pause, Record, Trial
+from wam_power_ros.practice.session_log import KIND_NAMES, Event, Pause, Record, Trial
 from wam_power_ros.practice.settings import SessionSettings, preset
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.diagnostics import LEARNER_STATE, Diagnostics
@@ -74,9 +74,7 @@ class LearnerParams(Params, RolloutSettings):
     changes: str  # to settings of the preset, a JSON object by name
     seed: int = Field(ge=0, le=2**63 - 1, description="an integer of ROS")
     rating: float = Field(gt=0.0, le=RATING_MAX)  # size of a reward or a punishment [return]
-    unusable_max: int = Field(
-        ge=1, le=1000, description="rollouts in a row; after fewer, a person must check the arm"
-    )
+    unusable_max: int = Field(ge=1, le=1000, description="in a row; then a person checks the arm")
 
 
 CONTROLLER = "torque_controller"  # node
@@ -98,9 +96,8 @@ class Learner(Node):
         super().__init__("learner", automatically_declare_parameters_from_overrides=True)
         self.params = LearnerParams.of(self)
         params, log = self.params, self.get_logger()
-        self._arm = SimulatedArm(
-            params.urdf, params.model_joint_names, params.tool_frame, params.controller, log.info
-        )
+        model = params.urdf, params.model_joint_names, params.tool_frame
+        self._arm = SimulatedArm(*model, params.controller, log.info)
         self._session: Session | None = None
         self._practice: Practice | None = None
         self._lock = threading.Lock()
@@ -261,7 +258,9 @@ class Learner(Node):
         self._compare()
         with self._lock:
             stopped = self._rollouts.go_on()
-            if session.log and not practice.paused and stopped > _time(session.log[-1]):
+            clock = session.log[-1].clock if session.log else {"at": math.inf}  # of the last line
+            written = clock.get("at", clock.get("begun", 0.0) + clock.get("took", 0.0))
+            if not practice.paused and stopped > written:
                 note = f"stopped by a person while no learner ran; {GO_ON}"
                 session.append(practice.pause(True, note, {"at": time.time()}))
         if practice.paused:
@@ -285,7 +284,9 @@ class Learner(Node):
             self._save_best(session, practice)
             self._under_way = False
         if isinstance(line, Record):
-            self.get_logger().info(f"{_line(line)} {line.note}")
+            ret = f"return {'-' if line.ret is None else f'{line.ret:.3f}'}"
+            name = f"{line.id} {KIND_NAMES[line.kind]}"
+            self.get_logger().info(f"{name}: {ret} {line.why} {line.note}")
         if practice.paused:
             self.get_logger().warning(practice.paused)
         elif practice.unusable_in_a_row >= self.params.unusable_max:
@@ -414,17 +415,6 @@ def _learnt(
     if done.ran:
         return practice.refuse(trial, str(done), bag=done.bag, clock=clock)
     return practice.pause(True, f"{done}; {GO_ON}", clock)
-
-
-def _time(line: Line) -> float:
-    """When a line was written [s of wall time]."""
-    clock = line.clock
-    return float(clock["at"] if "at" in clock else clock.get("begun", 0.0) + clock.get("took", 0.0))
-
-
-def _line(record: Record) -> str:
-    ret = "-" if record.ret is None else f"{record.ret:.3f}"
-    return f"{record.id} {KIND_NAMES[record.kind]}: return {ret} {record.why}"
 
 
 def main() -> int:

@@ -71,13 +71,13 @@ class PreparationWorker(Node):
         # Arrays of the last two of each kind: when the loop releases one, its memory is freed here.
         self._shared: defaultdict[type, deque[object]] = defaultdict(lambda: deque(maxlen=2))
         self._path = Path()  # of the last rollout
-        self._paths = self.create_publisher(Path, interface.ROLLOUT_END_EFFECTOR, interface.LATCHED)
-        self._policies = self.create_publisher(Policy, interface.POLICY, interface.LATCHED)
-        self._ends = self.create_publisher(RolloutEnd, interface.ROLLOUT_END, interface.LATCHED)
-        self._diagnostics = self.create_publisher(
-            DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
-        )
-        self._log = self.create_publisher(Log, interface.LOG, interface.LOG_QOS)
+        publish, latched = self.create_publisher, interface.LATCHED
+        self._paths = publish(Path, interface.ROLLOUT_END_EFFECTOR, latched)
+        self._policies = publish(Policy, interface.POLICY, latched)
+        self._ends = publish(RolloutEnd, interface.ROLLOUT_END, latched)
+        qos = interface.DIAGNOSTICS_QOS
+        self._diagnostics = publish(DiagnosticArray, interface.DIAGNOSTICS, qos)
+        self._log = publish(Log, interface.LOG, interface.LOG_QOS)
         cancel = lambda id: channel.send({"what": "cancel", "id": id})  # noqa: E731
         self._actions = [
             Action(self, kind, name, partial(self._begin, do), cancel, result)
@@ -169,10 +169,7 @@ class PreparationWorker(Node):
             self.get_logger().warning(f"movement refused: {answer.text}")
 
     def _begin(self, do: str, id: str, goal: Goal, sent: int | None = None) -> Answer | None:
-        """Prepare what a goal is about and hand it over, or say why it is refused.
-
-        It was `sent` at a wall time [ns], or when its id says.
-        """
+        """Hand over what a goal is about, or say why not; `sent` [ns], or as its id says."""
         if self._settings is None:
             return NOT_ACTIVE
         self._channel.send({"what": "reading", "id": id})

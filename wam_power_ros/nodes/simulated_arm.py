@@ -34,11 +34,9 @@ class SimulatedArm:
         controller: Sequence[str],
         report: Callable[[str], object],
     ) -> None:
-        """Read the arm and the parameters of its controller; a ValueError if one is not valid.
+        """Read the arm, from a path or a file of our share folder, and its controller's parameters.
 
-        Args:
-            urdf: Path of the URDF, or a file of our share folder.
-            controller: Files of the controller's parameters, later ones over earlier ones.
+        Later files of the controller are over earlier ones; a ValueError if a value is not valid.
         """
         urdf = robot_description(urdf)
         setup = overlay.of_files([share(file) for file in controller])

@@ -109,15 +109,13 @@ class TorqueController(LifecycleNode):
         self._simulation_guard = SimulationGuard(self, params.state_topic, *simulated)
         idle = params.idle_service or interface.WAM_IDLE
         self._idle = unanswered(self, idle, interface.IDLE_QOS)
-        subscribe = self.create_subscription
+        subscribe, state_in = self.create_subscription, interface.STATE_IN
         on_state, on_velocity = with_info(self._on_state), with_info(self._on_velocity)
-        self._states = subscribe(
-            JointState, params.state_topic, on_state, interface.STATE_IN, raw=True
-        )
+        self._states = subscribe(JointState, params.state_topic, on_state, state_in, raw=True)
         if params.hold_to_run:
             subscribe(Bool, interface.ENABLE, self._on_enable, interface.ENABLE_IN)
         if params.velocity_topic:
-            subscribe(JointState, params.velocity_topic, on_velocity, interface.STATE_IN)
+            subscribe(JointState, params.velocity_topic, on_velocity, state_in)
         self._descriptions: Subscription | None = None
         self._await_description()
         serve = self.create_service
@@ -455,9 +453,8 @@ class TorqueController(LifecycleNode):
 
     def _await_description(self) -> None:
         if not self._params.urdf:
-            self._descriptions = self.create_subscription(
-                String, interface.ROBOT_DESCRIPTION, self._on_description, interface.LATCHED
-            )
+            described = interface.ROBOT_DESCRIPTION, self._on_description, interface.LATCHED
+            self._descriptions = self.create_subscription(String, *described)
 
     def _on_description(self, message: String) -> None:
         self._urdf = message.data

@@ -321,9 +321,8 @@ def _check(file: Path, node: str, values: Mapping[str, Any], own: Mapping[str, A
             raise ValueError(f"{file}: {node} has no parameter {name!r}{hint}")
         if not _same_kind(value, default := own[name]):
             shown = reprlib.repr(value)  # the value may be a whole file
-            raise ValueError(
-                f"{file}: {name} of {node} is {shown}; allowed is one like {default!r}"
-            )
+            like = f"one like {default!r}"
+            raise ValueError(f"{file}: {name} of {node} is {shown}; allowed is {like}")
 
 
 def _same_kind(value: object, default: object) -> bool:

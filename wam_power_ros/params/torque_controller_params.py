@@ -27,9 +27,7 @@ if TYPE_CHECKING:
 JOINTS_MAX = 16
 Joints = Annotated[
     tuple[Annotated[str, Field(min_length=1)], ...],
-    Field(
-        min_length=1, max_length=JOINTS_MAX, description="the most joints that a policy can have"
-    ),
+    Field(min_length=1, max_length=JOINTS_MAX, description="as many as a policy can have"),
 ]
 GuardedNames = Annotated[tuple[str, ...], Field(min_length=1, max_length=8)]
 Length = Annotated[float, Field(ge=-5.0, le=5.0)]

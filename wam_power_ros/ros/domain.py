@@ -63,9 +63,8 @@ def private_domain() -> Iterator[int]:
             yield domain
             return
     first, last = PRIVATE_DOMAINS[0], PRIVATE_DOMAINS[-1]
-    raise DomainError(
-        f"every DDS domain from {first} to {last} is in use on this machine; end a simulation"
-    )
+    text = f"every DDS domain from {first} to {last} is in use on this machine"
+    raise DomainError(f"{text}; end a simulation")
 
 
 def hold(domain: int, namespace: str = "") -> ExitStack | None:

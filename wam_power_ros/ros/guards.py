@@ -108,12 +108,11 @@ def _continues(number: int, last: int) -> bool:
 class StateGuard:
     """Follows the publisher whose states are used, and recognises the states of another.
 
-    Several nodes may publish on one topic, each the joints of its own device. Joints that two of
-    them publish are in two places. rclpy does not tell who sent a message, but every publisher
-    numbers its own: a number that does not continue those of the publisher that is followed is that
-    of another one. A killed driver stays announced for 20 s, but sends nothing, so that its
-    successor is followed. A middleware that does not number messages (such as Cyclone DDS) hides a
-    second publisher.
+    Several nodes may publish on one topic, each the joints of its own device. rclpy does not tell
+    who sent a message, but every publisher numbers its own: a number that does not continue those
+    of the publisher that is followed is that of another one. A killed driver stays announced for
+    20 s, but sends nothing, so that its successor is followed. A middleware that does not number
+    messages (such as Cyclone DDS) hides a second publisher.
     """
 
     def __init__(self, node: Node, topic: str) -> None:

@@ -47,7 +47,6 @@ class RawTopics:
         `on_message` gets the resolved topic and the bytes of each message.
         """
         self._node, self._on_message = node, on_message
-        self._topics = {node.resolve_topic_name(topic): topic for topic in topics}
         self._types = {node.resolve_topic_name(topic): topics[topic] for topic in topics}
         self.unmatched: dict[str, list[str]] = {}  # topic -> publishers that are not received
         self._subscribed: dict[str, _Subscribed] = {}
@@ -57,19 +56,18 @@ class RawTopics:
     @property
     def names(self) -> list[str]:
         """Resolved names of the topics."""
-        return list(self._topics)
+        return list(self._types)
 
     def layout_of(self, name: str) -> tuple[str, list[Qos]]:
         """Message type of a subscribed topic and QoS of its publishers, for a bag."""
         known, infos = self._subscribed[name], self._node.get_publishers_info_by_topic(name)
         offered = [(is_reliable(it), is_latched(it), it.qos_profile.depth) for it in infos]
-        return known.msgtype, [
-            layout.qos(*each) for each in offered or [(known.reliable, known.latched)]
-        ]
+        own = [(known.reliable, known.latched)]
+        return known.msgtype, [layout.qos(*each) for each in offered or own]
 
     def discover(self) -> None:
         """Subscribe to every topic that has a publisher."""
-        for name in self._topics:
+        for name in self._types:
             infos = self._node.get_publishers_info_by_topic(name)
             if not infos:
                 self.unmatched.pop(name, None)
@@ -118,7 +116,5 @@ class RawTopics:
             "TRANSIENT_LOCAL" if latched else "VOLATILE",
         )
         kind, receive = message_class(msgtype), partial(self._on_message, name)
-        subscription = self._node.create_subscription(
-            kind, self._topics[name], receive, qos, raw=True
-        )
+        subscription = self._node.create_subscription(kind, name, receive, qos, raw=True)
         self._subscribed[name] = _Subscribed(msgtype, reliable, latched, subscription)

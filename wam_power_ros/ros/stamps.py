@@ -30,10 +30,7 @@ def sensor_stamp(message: object) -> int:
 
 
 def checked_stamp(stamp_ns: int) -> int:
-    """Return the stamp of a sensor message [ns] if it is set.
-
-    A ValueError if not: such messages cannot be put in order.
-    """
+    """Return the stamp of a sensor message [ns]; a ValueError if it is not set."""
     if stamp_ns <= 0:
         raise ValueError(f"stamp is {stamp_ns} ns; the driver must stamp its messages")
     return stamp_ns
