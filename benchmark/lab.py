@@ -34,8 +34,8 @@ from wam_power_ros.client.link import Data, Link
 from wam_power_ros.learning.policy import Policy, to_json
 from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.ros.domain import private_domain
+from wam_power_ros.ros.guards import STAND_IN
 from wam_power_ros.ros.outcomes import Answer
-from wam_power_ros.ros.simulation_guard import STAND_IN
 
 TIMEOUT = 90.0  # [s] for a node to start, to hold, to fault
 ARM, CONTROLLER = 70, 60  # real-time priorities

@@ -111,7 +111,7 @@ def measure(seconds: float, fifo: bool, load: int, period: float) -> dict[str, d
         arm_words = ros_arguments("wam_sim", "optitrack_sim", pace="real_time", **of_arm)
         words = ros_arguments("torque_controller", "simulation", **of_loop)
         with Processes(Path(folder), environment(domain)) as processes:
-            start, loop = processes.start, [*MODULE, "wam_power_ros.nodes.torque_controller"]
+            start, loop = processes.start, [*MODULE, "wam_power_ros.entry", "torque_controller"]
             start("stand-in", [*own, str(report), *arm_words])
             start("controller", [*loop, *words])
             start("echo", [*own, f"echo {priority['echo']}"])

@@ -149,8 +149,8 @@ class ArmSim(Node):
             still = np.zeros(len(self._others.joint_names))
             self._states.publish(self._others(self.stamp_ns, still, still, still))
         if self._velocities is not None:  # nameless, as Barrett's own node sends them
-            qd = self.world.joint_state().qd
-            self._velocities.publish(joint_messages.nameless_velocities(self.stamp_ns, qd))
+            qd, write = self.world.joint_state().qd, joint_messages.JointStateWriter(())
+            self._velocities.publish(write(self.stamp_ns, (), qd, ()))
         self._states.publish(message)
         self.counters["states published"] += 1
         if self.params.lockstep:

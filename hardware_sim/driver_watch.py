@@ -17,7 +17,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from wam_power_ros.ros import interface, network
 from wam_power_ros.ros.domain import FIRST_PORT, PORTS_PER_PARTICIPANT, exported, ports
-from wam_power_ros.ros.simulation_guard import STAND_IN, UNNAMED, described
+from wam_power_ros.ros.guards import STAND_IN, UNNAMED, described
 
 STATE_TYPE = "sensor_msgs/msg/JointState"
 # Nodes that may subscribe to commands.

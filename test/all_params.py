@@ -9,15 +9,13 @@ from hardware_sim.settings import ArmSimParams, OptitrackSimParams
 from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorderParams
 from wam_power_ros.nodes.learner import LearnerParams
 from wam_power_ros.params.body_tracker_params import BodyTrackerParams
-from wam_power_ros.params.franka_driver_params import FrankaDriverParams
-from wam_power_ros.params.natnet_client_params import NatNetClientParams
+from wam_power_ros.params.driver_params import DRIVERS
 from wam_power_ros.params.node_params import Params
-from wam_power_ros.params.tag_camera_params import TagCameraParams
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 
 _ALL: tuple[type[Params], ...] = (
     *(TorqueControllerParams, BodyTrackerParams, DemonstrationRecorderParams, LearnerParams),
-    *(TagCameraParams, FrankaDriverParams, NatNetClientParams),
+    *DRIVERS,
     *(ArmSimParams, OptitrackSimParams),
 )
 READS = {Path(params.file).stem: params for params in _ALL}

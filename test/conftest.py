@@ -345,6 +345,9 @@ class Processes:
     def start(self, command: list[str], **environment: str) -> Process:
         """Start a command in the repository's folder."""
         node = command[:2] == [sys.executable, "-m"] and command[2] in FORKED
+        folder, _, name = command[2].rpartition(".") if len(command) > 2 else ("", "", "")
+        if folder == "wam_power_ros.nodes" and not node:
+            command = [*command[:2], "wam_power_ros.entry", name, *command[3:]]
         return self._start(command, self.environment | environment, node)
 
     def _start(self, command: list[str], environment: dict[str, str], fork: bool) -> Process:

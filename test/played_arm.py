@@ -15,7 +15,7 @@ from std_srvs.srv import Trigger
 
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.ros import interface, joint_messages
-from wam_power_ros.ros.simulation_guard import STAND_IN
+from wam_power_ros.ros.guards import STAND_IN
 from wam_power_ros.ros.stamps import time_message
 
 MODULE = "wam_power_ros.nodes.torque_controller"

@@ -109,10 +109,10 @@ BUDGET = {
     "practice": 2317,  # +32: tools and springs that failed; +46: candidates are fitted here
     "conformance": 1105,  # +13: frames of poses; +25: effort without gravity
     "bags": 2580,  # +246: sets of LeRobot, written and read
-    "params": 1389,  # what may be set at rest; -p body:=NAME is derived from; NatNet, FR3
-    "ros": 2596,  # +24: PoseStamped; variables of ROS and DDS are named with their remedy
-    "client": 1344,
-    "nodes": 3769,  # +22: frames of poses; +217: an FR3 by its maker's library; +122: NatNet
+    "params": 1298,  # what may be set at rest; -p body:=NAME is derived from; NatNet, FR3
+    "ros": 2342,  # +24: PoseStamped; variables of ROS and DDS are named with their remedy
+    "client": 1290,
+    "nodes": 3468,  # +22: frames of poses; +217: an FR3 by its maker's library; +122: NatNet
     "console": 492,  # a person supports the arm, however a movement ended
     "view": 900,
     "reporting": 808,

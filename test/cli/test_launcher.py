@@ -13,7 +13,7 @@ from wam_power_ros.cli.launcher import Devices, Launcher
 from wam_power_ros.cli.plan import Plan
 from wam_power_ros.cli.processes import Processes
 from wam_power_ros.params import overlay
-from wam_power_ros.params.franka_driver_params import FrankaDriverParams
+from wam_power_ros.params.driver_params import FrankaDriverParams
 
 
 def test_nodes_get_their_parameters_whatever_characters_are_in_them(tmp_path: Path) -> None:

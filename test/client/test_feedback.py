@@ -29,7 +29,7 @@ GIVEN = [(LEARN, None), (PAUSE, False)]
 class Services:
     """A link to services that succeed once the given answers are used up."""
 
-    insist = links.Link.insist
+    insist, answer = links.Link.insist, links.Link.answer
 
     def __init__(self, **answers: list[Answer]) -> None:
         self.answers, self.bags = answers, []

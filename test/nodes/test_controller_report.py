@@ -51,9 +51,9 @@ class Preparation:
         """Keep a log entry."""
         self.logged.append((severity, text))
 
-    def report(self, _: int, *of: object) -> None:
+    def report(self, _: int, values: Mapping[str, object], **status: str) -> None:
         """Keep name, device, level, text and values of the diagnostics."""
-        self.reports.append(of)
+        self.reports.append((*status.values(), values))
 
     def take(self) -> list[tuple[str, str]]:
         """Log entries since the last call."""

@@ -180,8 +180,7 @@ def test_a_disk_that_is_nearly_full_closes_the_bag_in_time(
     make: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     node = make(free_to_start=0.0, free_to_continue=1e9)
-    monkeypatch.setattr(node._topics, "msgtype", lambda topic: layout.JOINT_STATE)
-    monkeypatch.setattr(node._topics, "offered", lambda topic: ())
+    monkeypatch.setattr(node._topics, "layout_of", lambda topic: (layout.JOINT_STATE, ()))
     _, path = record(node, True)
     state = joint_messages.JointStateWriter(NAMES)(START, np.zeros(7), (), ())
     node._on_message(node._state_topic, serialize_message(state))

@@ -18,7 +18,7 @@ from std_srvs.srv import Trigger
 
 from wam_power_ros.faults import FaultKind
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.simulation_guard import STAND_IN
+from wam_power_ros.ros.guards import STAND_IN
 from wam_power_ros.ros.stamps import time_message
 
 ZEROS = np.zeros(7)

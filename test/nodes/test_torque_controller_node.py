@@ -362,7 +362,7 @@ def test_a_movement_on_the_topic_is_played_whatever_its_frame_and_a_bad_one_logg
     movements = probe.publisher(JointTrajectory, interface.REPLAY, interface.REPLAYS)
     movements.publish(joint_messages.movement_message(NAMES[:6], STILL._replace(q=STILL.q[:, :6])))
     probe.until(lambda: logged() > before, "its log")
-    assert "refused: replay trajectory" in arm.diagnosis(lambda d: True, "a report")
+    assert "refused: request" in arm.diagnosis(lambda d: True, "a report")
     waypoint = joint_messages.movement_message(NAMES, STILL._replace(t=STILL.t[:1], q=STILL.q[:1]))
     still = joint_messages.movement_message(NAMES, STILL)
     for frame_id, movement in (("", still), ("world", waypoint)):

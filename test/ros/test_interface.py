@@ -24,10 +24,11 @@ def test_frames_have_the_namespace_of_their_arm_as_prefix() -> None:
     assert interface.frame("/left", "wam_base") == "left/wam_base"
 
 
-@pytest.mark.parametrize(("body", "leaf"), [("ball", "poses"), ("", "pose"), ("", "state")])
-def test_a_topic_that_no_body_has_is_refused_with_those_there_are(body: str, leaf: str) -> None:
-    with pytest.raises(ValueError, match=rf"'{leaf}'.*truth"):
-        interface.body_topic(body, leaf)
+@pytest.mark.parametrize("leaf", ["pose", "state", "drop"])
+def test_without_a_body_there_is_the_truth_of_the_scene_alone(leaf: str) -> None:
+    assert interface.body_topic("", "truth") == "scene/truth"
+    with pytest.raises(ValueError, match="name '' of a tracked body"):
+        interface.body_topic("", leaf)
 
 
 @pytest.mark.parametrize("body", ["a ball", "/ball", "2balls", "scene", "end_effector"])

@@ -101,12 +101,12 @@ def test_what_arrives_faster_than_it_is_passed_on_keeps_nobody(recorder: Recorde
 
 def test_a_subscription_follows_publishers_that_offer_less(recorder: Recorder) -> None:
     recorder.publish("first", RELIABLE, LATCHED)
-    assert recorder.topics.msgtype("/notes") == "std_msgs/msg/String"
-    (offered,) = recorder.topics.offered("/notes")
+    msgtype, (offered,) = recorder.topics.layout_of("/notes")
+    assert msgtype == "std_msgs/msg/String"
     assert (offered.reliability.name, offered.durability.name) == ("RELIABLE", "TRANSIENT_LOCAL")
     recorder.publish("second", BEST_EFFORT, VOLATILE)  # a reliable subscription would not match it
     assert recorder.node.count_subscribers("/notes") == 1
-    assert len(recorder.topics.offered("/notes")) == 2
+    assert len(recorder.topics.layout_of("/notes")[1]) == 2
 
 
 def test_the_first_type_of_a_topic_is_recorded_and_every_other_is_named(
@@ -123,7 +123,7 @@ def test_the_first_type_of_a_topic_is_recorded_and_every_other_is_named(
     assert text.startswith("node 'other' publishes std_msgs/msg/Float64 (best effort, volatile)")
     assert "not std_msgs/msg/String: messages of another type" in text
     recorder.publish("next", RELIABLE, VOLATILE)
-    assert recorder.topics.msgtype("/notes") == "std_msgs/msg/String"
+    assert recorder.topics.layout_of("/notes")[0] == "std_msgs/msg/String"
     assert recorder.topics._subscribed["/notes"].reliable  # whatever the other type offers
 
 
@@ -143,4 +143,4 @@ def test_a_topic_of_an_expected_type_waits_for_it(recorder: Recorder) -> None:
         if later.get_subscription_count():
             break
         time.sleep(0.05)
-    assert topics.msgtype("/count") == "std_msgs/msg/Float64"
+    assert topics.layout_of("/count")[0] == "std_msgs/msg/Float64"

@@ -32,7 +32,7 @@ from wam_power_ros.nodes.preparation_worker import PreparationWorker
 from wam_power_ros.nodes.tag_camera import TagCamera
 from wam_power_ros.nodes.torque_controller import TorqueController
 from wam_power_ros.params import overlay
-from wam_power_ros.ros import interface, security
+from wam_power_ros.ros import interface, network
 from wam_power_ros.ros.process_channel import pair
 from wam_power_ros.view.live import View
 
@@ -156,13 +156,13 @@ def test_a_node_does_what_the_policy_allows_and_the_policy_allows_what_it_does(
     ],
 )
 def test_an_arm_that_anybody_can_command_is_told(environment: dict[str, str], open_: bool) -> None:
-    assert (security.exposed(environment) is not None) == open_
+    assert (network.exposed(environment) is not None) == open_
 
 
 def test_the_controller_says_so_and_with_security_enforced_never_starts_in_the_open(
     processes: Processes, tmp_path: Path
 ) -> None:
-    command = [sys.executable, "-m", "wam_power_ros.nodes.torque_controller", "--ros-args"]
+    command = [sys.executable, "-m", "wam_power_ros.entry", "torque_controller", "--ros-args"]
     command += ["--params-file", str(ROOT / "config/torque_controller.yaml")]
     (tmp_path / "enclaves/torque_controller").mkdir(parents=True)  # an enclave without keys
     refused = processes.start(

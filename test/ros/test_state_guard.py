@@ -7,8 +7,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from wam_power_ros.ros import state_guard
-from wam_power_ros.ros.state_guard import REMEMBERED, SILENCE_TIMEOUT, SKIPPED_MAX, StateGuard
+from wam_power_ros.ros import guards
+from wam_power_ros.ros.guards import REMEMBERED, SILENCE_TIMEOUT, SKIPPED_MAX, StateGuard
 
 NODES = [
     SimpleNamespace(node_namespace="/left", node_name="arm_driver"),
@@ -30,7 +30,7 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     clock = Clock()
-    monkeypatch.setattr(state_guard, "time", clock)
+    monkeypatch.setattr(guards, "time", clock)
     return clock
 
 

@@ -409,14 +409,11 @@ def config(devices: Devices, task: str | None) -> None:
     from wam_power_ros.cli.set_up_checks import mistakes
     from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorderParams
     from wam_power_ros.nodes.learner import LearnerParams
-    from wam_power_ros.params.franka_driver_params import FrankaDriverParams
-    from wam_power_ros.params.natnet_client_params import NatNetClientParams
-    from wam_power_ros.params.tag_camera_params import TagCameraParams
+    from wam_power_ros.params.driver_params import DRIVERS
 
     setup = devices.parameters(task or DEFAULT_TASK)
     stand_ins = (ArmSimParams, OptitrackSimParams) if devices.stand_ins else ()
-    devices_of = (TagCameraParams, FrankaDriverParams, NatNetClientParams)
-    for node in (DemonstrationRecorderParams, LearnerParams, *devices_of, *stand_ins):
+    for node in (DemonstrationRecorderParams, LearnerParams, *DRIVERS, *stand_ins):
         node.of_setup(setup)
     if wrong := [*mistakes(setup)]:
         raise ValueError("; ".join(wrong))

@@ -59,11 +59,7 @@ class Goal:
         return self.answer is not None
 
     def done(self, timeout: float = TIMEOUT) -> Any:  # noqa: ANN401 - result of the action
-        """Wait for the end and return the result.
-
-        Raises:
-            ServiceError: It was refused, or has not ended in `timeout` [s of wall time].
-        """
+        """Return the result, or raise a ServiceError if refused or not ended in `timeout` [s]."""
         self._link.until(lambda: self.ended, f"the end of {self.what}", timeout)
         answer = self.answer or NO_ANSWER
         if not answer.success:
@@ -75,19 +71,15 @@ class Action:
     """Client of one action."""
 
     def __init__(self, link: Link, kind: Any, name: str) -> None:  # noqa: ANN401 - any action
-        self._link, self._kind, self._name = link, kind, name
+        self._link, self._kind = link, kind
+        self._name = link.node.resolve_topic_name(name)
         self._client = ActionClient(link.node, kind, name)
         self._goals: list[Goal] = []
-        self._ready_since: float | None = None
 
     @property
     def offered(self) -> bool:
         """Whether a server is there and has had the time to discover this client."""
-        if not (self._link.node.context.ok() and self._client.server_is_ready()):
-            self._ready_since = None
-            return False
-        self._ready_since = self._ready_since or time.monotonic()
-        return time.monotonic() - self._ready_since >= DISCOVERY
+        return self._link.discovered(self._name, self._client.server_is_ready)
 
     @property
     def settled(self) -> bool:
@@ -95,15 +87,9 @@ class Action:
         return all(goal.accepted or goal.ended for goal in self._goals)
 
     def send(self, **goal: object) -> Goal:
-        """Send a goal and wait until it is accepted or counts as lost.
-
-        Raises:
-            ServiceError: No server appears.
-        """
-        link, timeout = self._link, self._link.appear_timeout
-        name = link.node.resolve_topic_name(self._name)
-        if not link.until(lambda: self.offered, f"action {name}", timeout + DISCOVERY):
-            raise ServiceError(f"{name} did not appear in {timeout:.0f} s")
+        """Send a goal, wait until it is accepted or lost; a ServiceError if no server appears."""
+        link, name = self._link, self._name
+        link.await_server("action", name, self._client.server_is_ready)
         self._goals = [each for each in self._goals if each.answer is None]
         request = self._kind.Goal(**goal)
         send = lambda: self._client.send_goal_async(request, goal_uuid=goal_id())  # noqa: E731

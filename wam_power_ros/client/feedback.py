@@ -38,8 +38,7 @@ class Feedback:
     def give(self, kind: str, bag: Path | None = None, value: float | None = None) -> Answer:
         """Give feedback: of `SERVICES`, a "demonstration", or "rate" with a value from 0 to 1.
 
-        Raises:
-            ServiceError: The learner does not appear or does not answer.
+        A ServiceError if the learner does not appear or does not answer.
         """
         if kind == "demonstration":
             data = AddDemonstration.Request(bag=str(bag.resolve()))
@@ -48,10 +47,7 @@ class Feedback:
             name, data = interface.LEARNER_RATE, Rate.Request(value=value)
         else:
             name, data = SERVICES[kind]
-        answer = self._link.call(name, data)
-        if answer is None:
-            raise ServiceError(f"{name} did not answer in {TIMEOUT:.0f} s")
-        return answer
+        return self._link.answer(name, data)
 
     def teach(
         self, robot: Robot, lead: Callable[[], object] | None, notify: Callable[[str], object]
@@ -59,10 +55,8 @@ class Feedback:
         """Pause the learner, record a demonstration, hand it over and let the learner continue.
 
         The arm is set to gravity compensation only after the learner has reported that it is paused
-        and no trial is under way; from then on it sends nothing until it continues.
-
-        Raises:
-            ServiceError: A service refused, or the trial did not end; the learner may be paused.
+        and no trial is under way; from then on it sends nothing until it continues. After a
+        ServiceError the learner may be paused.
         """
         deadline = time.monotonic() + TIMEOUT
         answer = self.give("pause")

@@ -42,7 +42,7 @@ LOG_PERIOD = 60.0  # [s of wall time] between log entries about one wait
 RETRY_PERIOD = 0.2  # [s of wall time] between a refusal and the next request
 DISPATCH_PERIOD = 0.1  # [s of wall time] in which the thread notices that it shall end
 CHECK_PERIOD = 0.05  # [s of wall time] between two checks of what is waited for
-NEWEST = QoSProfile(depth=1, reliability=interface.STATE_IN.reliability)
+NEWEST = interface.qos(1, "BEST_EFFORT")
 # Of a request: of a SetBool, a ChangeState, a Trigger; or a whole request of another type.
 Data = bool | Transition | Pause.Request | AddDemonstration.Request | Rate.Request | None
 
@@ -198,53 +198,49 @@ class Link:
 
     # Services
 
-    def prepare(self, *names: str, data: Data = None) -> None:
-        """Make the clients of services with such data early, so that they are discovered."""
-        kind, _ = _request(data)
-        for name in names:
-            if name not in self._clients:
-                self._clients[name] = self.node.create_client(kind, name)
+    def prepare(self, name: str, data: Data = None) -> None:
+        """Make the client of a service with such data early, so that it is discovered."""
+        if name not in self._clients:
+            self._clients[name] = self.node.create_client(_request(data)[0], name)
 
     def offers(self, name: str) -> bool:
         """Whether a service, of which there is a client, is available now."""
-        if self._ended or not self._clients[name].service_is_ready():
-            self._ready_times.pop(name, None)
-            return False
-        self._ready_times.setdefault(name, time.monotonic())
-        return True
+        return self._ready(self._full(name), self._clients[name].service_is_ready) is not None
 
-    def _discovered(self, name: str) -> bool:
-        """Whether a service is available and has had the time to discover its client."""
-        return self.offers(name) and time.monotonic() - self._ready_times[name] >= DISCOVERY
+    def _ready(self, name: str, ready: Callable[[], bool]) -> float | None:
+        """Time for which a server has been seen ready [s of wall time]; None if it is not."""
+        if self._ended or not self.node.context.ok() or not ready():
+            self._ready_times.pop(name, None)
+            return None
+        return time.monotonic() - self._ready_times.setdefault(name, time.monotonic())
+
+    def discovered(self, name: str, ready: Callable[[], bool]) -> bool:
+        """Whether a server is ready and has had the time to discover its client."""
+        return (self._ready(name, ready) or 0.0) >= DISCOVERY
+
+    def await_server(self, what: str, name: str, ready: Callable[[], bool]) -> None:
+        """Wait until a server is `discovered`; a ServiceError says that it does not appear."""
+        there, timeout = lambda: self.discovered(name, ready), self.appear_timeout
+        if not self.until(there, f"{what} {name}", timeout + DISCOVERY):
+            raise ServiceError(f"{name} did not appear in {timeout:.0f} s")
 
     def _full(self, name: str) -> str:
-        """Name of a service with its namespace, for messages."""
         return str(self.node.resolve_service_name(name))
 
     def begin(self, name: str, data: Data = None) -> Future:
-        """Send a request; returns the future of the response.
-
-        Raises:
-            ServiceError: The service does not appear in time.
-        """
-        self.prepare(name, data=data)
-        full, timeout = self._full(name), self.appear_timeout
-        if not self.until(lambda: self._discovered(name), f"service {full}", timeout + DISCOVERY):
-            raise ServiceError(f"{full} did not appear in {timeout:.0f} s")
+        """Send a request; returns the future of the response. A ServiceError if nobody serves."""
+        self.prepare(name, data)
+        self.await_server("service", self._full(name), self._clients[name].service_is_ready)
         _, request = _request(data)
         future = self._clients[name].call_async(request)
         future.add_done_callback(self.notify)
         return future
 
     def call(self, name: str, data: Data = None, timeout: float = TIMEOUT) -> Answer | None:
-        """Call a service.
+        """Call a service; the answer may be a refusal, and is None if none came in time.
 
-        Returns:
-            The answer, which may be a refusal; None if none came. The request may have been done
-            even so: the answer is lost if the node is restarted while it works on the request.
-
-        Raises:
-            ServiceError: The service does not appear in time.
+        The request may have been done even so: the answer is lost if the node is restarted while it
+        works on the request. A ServiceError if the service does not appear.
         """
         future = self.begin(name, data)
         if not self.until(future.done, f"answer of {self._full(name)}", timeout):
@@ -258,19 +254,20 @@ class Link:
     def insist(self, name: str, data: Data = None) -> Answer:
         """Call a service until it succeeds; a node that has just started may lack inputs.
 
-        Raises:
-            ServiceError: It does not appear, does not answer or still refuses after TIMEOUT.
+        A ServiceError if it does not appear, does not answer or still refuses after TIMEOUT.
         """
         end = time.monotonic() + TIMEOUT
-        while True:
-            answer = self.call(name, data, max(end - time.monotonic(), 1.0))
-            if answer is None:
-                raise ServiceError(f"{self._full(name)} did not answer in {TIMEOUT:.0f} s")
-            if answer.success:
-                return answer
+        while not (answer := self.answer(name, data, max(end - time.monotonic(), 1.0))).success:
             if time.monotonic() > end:
                 raise ServiceError(f"{self._full(name)} refused: {answer.text}", answer)
             self.sleep(RETRY_PERIOD)
+        return answer
+
+    def answer(self, name: str, data: Data = None, timeout: float = TIMEOUT) -> Answer:
+        """Call a service; a ServiceError if it does not answer, as if it does not appear."""
+        if (answer := self.call(name, data, timeout)) is None:
+            raise ServiceError(f"{self._full(name)} did not answer in {TIMEOUT:.0f} s")
+        return answer
 
     def parameters(self, node: str, names: Sequence[str], timeout: float) -> list[ParameterValue]:
         """Ask a node for parameters, those that it lacks are not set; [] without an answer.
@@ -294,7 +291,6 @@ def unanswered(node: Node, name: str, qos: QoSProfile) -> Callable[[], object]:
 
 
 def _request(data: Data) -> tuple[type, object]:
-    """Type and request of a service with such data."""
     if data is None:
         return Trigger, Trigger.Request()
     if isinstance(data, Transition):

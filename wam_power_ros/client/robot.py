@@ -94,11 +94,7 @@ class Robot:
         return ControllerReports(self.link)
 
     def state(self) -> RobotState:
-        """Wait for the next state of the driver.
-
-        Raises:
-            ValueError: The state is not valid.
-        """
+        """Wait for the next state of the driver; a ValueError if it is not valid."""
         self._take()  # an old state
         deadline = time.monotonic() + TIMEOUT
         while (message := self._take()) is None:
@@ -120,8 +116,7 @@ class Robot:
         Raises:
             ValueError: The number of angles is wrong, or an angle is beyond its limits.
         """
-        q = np.asarray(q, dtype=float)
-        low, high = self.arm.q_min, self.arm.q_max
+        q, low, high = np.asarray(q, dtype=float), self.arm.q_min, self.arm.q_max
         if q.shape != low.shape or not np.all((q >= low) & (q <= high)):
             limits = f"{low.tolist()} to {high.tolist()}"
             raise ValueError(f"q {q.tolist()} must be {len(low)} angles within {limits}")
@@ -296,9 +291,6 @@ def connected(
     controller, context = setup["torque_controller"], Context()
     make = lambda: rclpy.create_node("robot", namespace=namespace, context=context)  # noqa: E731
     with participant(make, domain, context, on_loopback) as node, Link(node) as link:
-        yield Robot(
-            *(link, controller["state_topic"], controller["joint_names"]),
-            *(setup["pancake_tracker"]["body"], setup.arm()),
-            RolloutSettings(**setup["learner"]),
-            float(controller["settle_time"]),
-        )
+        of_arm = controller["state_topic"], controller["joint_names"]
+        body, settings = setup["pancake_tracker"]["body"], RolloutSettings(**setup["learner"])
+        yield Robot(link, *of_arm, body, setup.arm(), settings, float(controller["settle_time"]))

@@ -8,6 +8,7 @@ repeated from the start of the trial.
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -107,16 +108,16 @@ class Executed:
 class Rollouts:
     """Executes policies by actions of controller and stand-in, and services of the recorder.
 
-    `motions` are actions of the controller. `awaited` returns what is waited for without limit,
-    None if nothing; for every thread. Without the joint names of the driver a person puts the body
-    back, not the arm.
+    `motions` are actions of the controller, `reports` what it says. `awaited` returns what is
+    waited for without limit, None if nothing; for every thread. Without the joint names of the
+    driver a person puts the body back, not the arm.
     """
 
     def __init__(
         self, link: Link, settings: RolloutSettings, body: str, joint_names: Sequence[str] = ()
     ) -> None:
         self._link, self._node, self._log = link, link.node, link.node.get_logger()
-        self._settings, self._body, self._reports = settings, body, ControllerReports(link)
+        self._settings, self._body, self.reports = settings, body, ControllerReports(link)
         self._resetting = Resetting(lambda state: "no rollout is prepared", lambda state: "wait")
         self._known_stop: str | None = None  # None: of no session
         self._seen = time.monotonic()  # when the last state of the body came
@@ -141,17 +142,12 @@ class Rollouts:
         state, self._seen = pose_messages.odometry(message), time.monotonic()
         self._resetting.add(state, state.stamp_ns)
 
-    @property
-    def reports(self) -> int:
-        """Number of reports of the controller so far."""
-        return self._reports.count
-
     def go_on(self) -> float:
         """Let a session go on after the last stop; a later one ends what it asks for.
 
         Returns when that stop was, by the clock of the controller [s]; 0 before the first.
         """
-        self._known_stop = self._reports.last_stop
+        self._known_stop = self.reports.last_stop
         return int(self._known_stop or 0) * 1e-9
 
     def execute(
@@ -171,39 +167,31 @@ class Rollouts:
 
         Raises:
             EndedByPersonError: A person has ended it, or a movement or wait before it.
-            RolloutError: It could not be begun, or its end did not come in time.
-            ServiceError: A service did not appear.
+            ServiceError: It could not be begun, or its end did not come in time.
             ValueError: A path is not valid.
         """
-        starts = 0
-        while True:
-            starts += 1
+        for start in itertools.count(1):
             try:
                 reset = self._prepare(policy, Resetting(ready, put_back, rest_time))
-                if self._settings.record_rollouts:
-                    self._begin_bag(policy.id)
+                self._begin_bag(policy.id)
                 executed = self._collect(policy, duration, self._execute(policy))
                 return replace(executed, reset=reset)
             except NotBegunError as error:  # the trial is not counted
                 self._log.warning(f"{policy.id} is started again: {error}")
-                if starts == STARTS_MAX:
+                if start == STARTS_MAX:
                     raise
             except EndedByPersonError as error:
                 self.awaited = _nothing
-                if self._settings.record_rollouts:
-                    error.bag = self._end_bag()
+                error.bag = self._end_bag()
                 raise
 
     def until(
         self, condition: Callable[[], object], what: str | Callable[[], str], timeout: float
     ) -> None:
-        """Wait until a condition holds, see `Link.until`.
+        """Wait until a condition holds, see `Link.until`; a RolloutError after the timeout.
 
         While simulated time advances, the timeout must have passed in it, too, but `TIMEOUTS_MAX`
         of them suffice: a busy machine is not an error, but an idle simulation is slow.
-
-        Raises:
-            RolloutError: It did not come true within `timeout` [s of wall time].
         """
         clock = self._node.get_clock()
         begun = last = clock.now()
@@ -229,15 +217,11 @@ class Rollouts:
         return "" if self._known_stop is None else self._known_stop or "none"
 
     def _end_of(self, goal: Goal, what: str, timeout: float) -> tuple[Answer, Any]:
-        """Outcome and result of a goal; of code UNKNOWN and None if it was lost.
-
-        Raises:
-            EndedByPersonError: A person has ended what was requested, or did not let it begin.
-        """
+        """Outcome and result of a goal, UNKNOWN and None if it was lost; or EndedByPersonError."""
         self.until(lambda: goal.ended, f"the end of {goal.what} of {what}", timeout)
         answer = goal.answer or NO_ANSWER
         if answer.stop:
-            self._reports.last_stop = answer.stop
+            self.reports.last_stop = answer.stop
             raise EndedByPersonError(answer, ran=_start_ns(goal.result) > 0)
         return answer, goal.result
 
@@ -249,6 +233,8 @@ class Rollouts:
         return answer or NO_ANSWER
 
     def _begin_bag(self, policy_id: str) -> None:
+        if not self._settings.record_rollouts:
+            return
         answer = self._call(interface.RECORD, True)
         if not answer.success and self._end_bag():  # of a killed learner
             answer = self._call(interface.RECORD, True)
@@ -257,23 +243,21 @@ class Rollouts:
 
     def _end_bag(self) -> str:
         """End the recording; returns the name of the bag, empty without one."""
+        if not self._settings.record_rollouts:
+            return ""
         answer = self._call(interface.RECORD, False)
         return FilePath(answer.text).name if answer.success else ""
 
     # One rollout
 
     def _execute(self, policy: Policy) -> ExecutePolicy.Result:
-        """Execute the policy, to the end.
+        """Execute the policy, to the end; waits without limit for the enabling switch to be held.
 
-        Waits without limit for a person to hold the enabling switch.
-
-        Raises:
-            NotBegunError: The controller had a fault before, or did not answer.
+        A NotBegunError if the controller had a fault before, or did not answer.
         """
         end = time.monotonic() + self._settings.service_timeout
         while True:
-            timeout = self._settings.rollout_timeout
-            answer, result = self._ask(self._execution, policy, timeout)
+            answer, result = self._ask(self._execution, policy, self._settings.rollout_timeout)
             if self._await_switch(answer, f"for {policy.id}"):
                 continue
             if _start_ns(result):
@@ -313,7 +297,7 @@ class Rollouts:
     def _stopped(self) -> bool:
         """Whether a person has stopped the arm since the session was let go on."""
         known = self._known_stop
-        return known is not None and self._reports.last_stop not in ("", known)
+        return known is not None and self.reports.last_stop not in ("", known)
 
     def _prepare(self, policy: Policy, resetting: Resetting) -> dict[str, Any] | None:
         """Move the arm to the start of the policy, and see to it that the body is ready there.
@@ -333,11 +317,11 @@ class Rollouts:
         self._resetting = resetting
         while True:
             self._until(
-                lambda: self._resetting.done or self._resetting.move or self._reports.fault,
+                lambda: self._resetting.done or self._resetting.move or self.reports.fault,
                 self._awaited_body,
             )
             resetting = self._resetting
-            if self._reports.fault is not None:  # the arm may have left the start
+            if self.reports.fault is not None:  # the arm may have left the start
                 by = resetting.by
                 by_person |= self._reach_start(policy)
                 self._resetting = replace(resetting, by=by, move=None)
@@ -367,9 +351,8 @@ class Rollouts:
         message = movement_message(self._joint_names, JointMovement(move.t, move.q))
         while True:
             goal = self._replays.send(movement=message, known_stop=self._known())
-            answer, _ = self._end_of(
-                goal, f"a movement of the {self._body}", self._settings.patience
-            )
+            moved = f"a movement of the {self._body}"
+            answer, _ = self._end_of(goal, moved, self._settings.patience)
             if not self._await_switch(answer, f"to put the {self._body} back"):
                 break
         if not answer.success:
@@ -386,14 +369,10 @@ class Rollouts:
                 raise NotBegunError(f"the scene is not reset: {answer.said}")
             if not self._body:
                 return
-            self._resetting = again = Resetting(ready, lambda state: "wait")
+            again = self._resetting = Resetting(ready, lambda state: "wait")
+            what = lambda again=again: f"the {self._body} to be ready: {again.missing}"  # noqa: E731
             try:
-                self.until(
-                    lambda: again.done,  # noqa: B023 - called at once
-                    lambda: f"the {self._body} to be ready: {again.missing}",  # noqa: B023
-                    READY_TIMEOUT,
-                )
-                return
+                return self.until(lambda again=again: again.done, what, READY_TIMEOUT)
             except RolloutError:
                 if time.monotonic() > end:
                     raise
@@ -410,7 +389,7 @@ class Rollouts:
         while True:
             answer, _ = self._ask(self._to_start, policy, self._settings.patience)
             if answer.success:
-                self._reports.fault = None
+                self.reports.fault = None
                 return by_person
             resets = self._settings.reset_faults
             if answer.code is Code.NOT_ACTIVE or (answer.code is Code.FAULT and not resets):
@@ -419,9 +398,8 @@ class Rollouts:
                 end = time.monotonic() + self._settings.patience
                 continue
             if time.monotonic() > end or answer.code is Code.REFUSED:
-                raise RolloutError(
-                    f"the arm cannot move to the start of {policy.id}: {answer.said}"
-                )
+                text = f"the arm cannot move to the start of {policy.id}: {answer.said}"
+                raise RolloutError(text)
             if answer.code is Code.FAULT:
                 self._call(interface.RESET)
             else:
@@ -430,7 +408,7 @@ class Rollouts:
 
     def _await_person(self, refused: Answer) -> None:
         """Wait until the diagnostics say that the controller is active, or has no fault."""
-        reports, count = self._reports, self._reports.count  # the last one may be out of date
+        reports, count = self.reports, self.reports.count  # the last one may be out of date
         if refused.code is Code.FAULT:
             awaited = Awaited("reset", f"a person to reset the controller: {refused.said}")
             done = lambda: reports.count > count + 1 and reports.fault is None  # noqa: E731
@@ -454,7 +432,7 @@ class Rollouts:
             there = lambda: (it := self._body_path()) and it.start_ns == end.start_ns  # noqa: E731
             self.until(there, what, timeout)
             body = BodyPath(policy.id, *self._body_path()[1:])
-        bag = self._end_bag() if self._settings.record_rollouts else ""
+        bag = self._end_bag()
         if self._node.count_publishers(self._truth_topic):
 
             def known() -> bool:

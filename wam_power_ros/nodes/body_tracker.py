@@ -7,11 +7,6 @@ they arrived. It is published once a frame at or after its end has come, or none
 
 from __future__ import annotations
 
-if __name__ == "__main__":  # before the other imports, which a signal may interrupt
-    from wam_power_ros.entry import start
-
-    raise SystemExit(start("wam_power_ros.nodes.body_tracker"))
-
 import math
 import time
 from typing import NamedTuple
@@ -71,10 +66,8 @@ class BodyTracker(Node):
         self._frame_ns = self._timeout_clock.now().nanoseconds  # when the last frame came
         self._arrived = time.monotonic()  # when a frame or the end of a rollout last came [s]
 
-        publish, subscribe = self.create_publisher, self.create_subscription
-        self._states = publish(
-            Odometry, interface.body_topic(params.body, "state"), interface.STATE_OUT
-        )
+        publish, topic = self.create_publisher, interface.body_topic(params.body, "state")
+        self._states = publish(Odometry, topic, interface.STATE_OUT)
         self._paths = publish(Path, interface.rollout_topic(params.body), interface.LATCHED)
         self._diagnostics = Diagnostics(self, params.body, "motion capture")
         self._source, self._qos = BodySource(self, params), interface.MOCAP_BEST_EFFORT
@@ -82,7 +75,8 @@ class BodyTracker(Node):
         self._discovery = self.create_timer(DISCOVERY_PERIOD, self._discover, clock=steady)
         if not self._sim_time:
             self._subscribe_frames(interface.MOCAP_BEST_EFFORT)
-        subscribe(Path, interface.ROLLOUT_END_EFFECTOR, self._on_end_effector, interface.LATCHED)
+        topic, then = interface.ROLLOUT_END_EFFECTOR, self._on_end_effector
+        self.create_subscription(Path, topic, then, interface.LATCHED)
         self.create_timer(0.5 / params.rate, self._check_silence, clock=steady)
         self.get_logger().info(f"waiting for frames of the {params.body} on {self._source.topic}")
         self.create_timer(1.0, self._report, clock=steady)
@@ -187,7 +181,6 @@ class BodyTracker(Node):
             self._publish_path()
 
     def _publish_path(self) -> None:
-        """Publish the path of the pending rollout."""
         rollout, self._pending = self._pending, None
         name = f"rollout-{rollout.start_ns}"
         path = self._tracker.path(name, rollout.start_ns, rollout.end_ns)
@@ -199,28 +192,25 @@ class BodyTracker(Node):
             )
         offset, offset_max = self._clock_offset.seconds, self._params.clock_offset_max
         if abs(offset) > offset_max:
-            self._log_error(
-                f"{name} not scored: more than {offset_max:.3f} s late; {late_stamps(offset)}"
-            )
-            nothing = np.zeros(0)
-            path = BodyPath(name, nothing, nothing.reshape(0, 3), nothing.reshape(0, 4))
-        message = pose_messages.path_message(path, rollout.start_ns, self._frame)
-        self._paths.publish(message)
+            late = f"more than {offset_max:.3f} s late; {late_stamps(offset)}"
+            self._log_error(f"{name} not scored: {late}")
+            path = BodyPath(name, *(np.zeros(shape) for shape in (0, (0, 3), (0, 4))))
+        self._paths.publish(pose_messages.path_message(path, rollout.start_ns, self._frame))
 
     def _log_error(self, text: str) -> None:
         self._problem = text
         self.get_logger().error(text)
 
-    def _find_unmatched(self) -> None:
-        kinds, topic = (endpoints.type_name(self._source.kind),), self._source.topic
-        found = "; ".join(endpoints.unmatched_publishers(self, topic, kinds, self._qos))
-        if found and found != self._unmatched:
-            self.get_logger().error(found)
-        self._unmatched = found
-
     def _report(self) -> None:
-        tracker = self._tracker
-        self._find_unmatched()
+        tracker, types, topic = (
+            self._tracker,
+            (endpoints.type_name(self._source.kind),),
+            self._source.topic,
+        )
+        unmatched = "; ".join(endpoints.unmatched_publishers(self, topic, types, self._qos))
+        if unmatched and unmatched != self._unmatched:
+            self.get_logger().error(unmatched)
+        self._unmatched = unmatched
         level, text = LEVELS.get(tracker.validity, "error"), tracker.validity.value
         offset, offset_max = self._clock_offset.seconds, self._params.clock_offset_max
         if not tracker.latest_ns:
@@ -228,12 +218,12 @@ class BodyTracker(Node):
         elif abs(offset) > 0.5 * offset_max:
             level = "error" if abs(offset) > offset_max else "warn"
             text = late_stamps(offset)
-        if self._unmatched:
-            level, text = "warn" if level == "ok" else "error", self._unmatched
+        if unmatched:
+            level, text = "warn" if level == "ok" else "error", unmatched
         values = {
             **tracker.counts,
             "clock offset [s]": f"{offset:.4f}",
-            "unmatched publishers": self._unmatched,
+            "unmatched publishers": unmatched,
             "last problem": self._problem,
         }
         self._diagnostics.publish(level, text, values)

@@ -7,18 +7,15 @@ only with consent, and none that could move the arm. The modules in `conformance
 
 from __future__ import annotations
 
-if __name__ == "__main__":  # before the other imports, which a signal may interrupt
-    from wam_power_ros.entry import INTERRUPTED, start
-
-    raise SystemExit(start("wam_power_ros.nodes.check_driver", INTERRUPTED))
-
 import argparse
+import itertools
 import json
 import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -44,29 +41,20 @@ from wam_power_ros.params import overlay
 from wam_power_ros.params.body_tracker_params import BodyTrackerParams
 from wam_power_ros.params.resources import robot_description
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
-from wam_power_ros.ros import (
-    endpoints,
-    interface,
-    joint_messages,
-    node_runner,
-    scheduling,
-)
+from wam_power_ros.ros import endpoints, interface, joint_messages, node_runner, scheduling
 from wam_power_ros.ros.body_sources import BodySource
+from wam_power_ros.ros.guards import Info, StateGuard, with_info
 from wam_power_ros.ros.interface import is_latched, is_reliable
 from wam_power_ros.ros.pose_messages import MarkersReading
 from wam_power_ros.ros.stamps import nanoseconds
-from wam_power_ros.ros.state_guard import Info, StateGuard, with_info
 
 Input = tuple[str, tuple[str, ...], QoSProfile]  # topic, expected type, and QoS
 OWN_NODES = {"torque_controller", "demonstration_recorder", "check_driver"}  # not to be checked
 DISCOVERY_TIMEOUT = 5.0  # [s] for discovery, and for the next message
 DROP_ATTEMPTS = 3  # with the stand-in: a busy machine may miss frames of a fall
 FALL_TIME = 2.0  # [s] in which a released body falls to the ground
-FRAME_PARAMETERS = (  # of base and tool: of cartesian_controllers, and of crisp_controllers
-    ("robot_base_link", "end_effector_link"),
-    ("base_frame", "end_effector_frame"),
-)
-EXIT_STATUS = {Verdict.OK: 0, Verdict.WARN: 0, Verdict.FAIL: 1}
+# Of base and tool: of cartesian_controllers, and of crisp_controllers
+FRAME_PARAMETERS = (("robot_base_link", "end_effector_link"), ("base_frame", "end_effector_frame"))
 COLOURS = {
     Verdict.OK: "green",
     Verdict.WARN: "yellow",
@@ -94,29 +82,25 @@ class CheckDriver(Node):
         self.clouds: list[CloudSample] = []
         self._refused: Counter[str] = Counter()  # by reason
         self._urdf = robot_description(arm.urdf) if arm.urdf else ""
-        self._torque_count = 0
         self._send_torque: Callable[[StateSample], None] | None = None
         self._command_type = joint_messages.COMMAND_TYPES[arm.message]
         subscribe = self._subscribe
         self._state_input = subscribe(JointState, arm.state_topic, self._on_state)
         if arm.velocity_topic:
             self._velocity_input = subscribe(JointState, arm.velocity_topic, self._on_velocity)
-        self._source: BodySource | None = None
+        if not arm.urdf:
+            described = interface.ROBOT_DESCRIPTION, self._on_urdf, interface.LATCHED
+            self.create_subscription(String, *described)
+        self._torques: list[object] = []
+        command = arm.command_topic, self._torques.append, interface.DEEP_IN
+        self._listener = self.create_subscription(self._command_type, *command)
+        scheduling.request(arm.realtime_priority)  # as in the controller, to measure its jitter
+        self.link = Link(self)
         self._mocap_input: Input | None = None
         if mocap.body:  # else the task tracks nothing
             self._source = BodySource(self, mocap)
             self._mocap_input = subscribe(self._source.kind, mocap.topic, self._on_frame)
-        if not arm.urdf:
-            self.create_subscription(
-                String, interface.ROBOT_DESCRIPTION, self._on_urdf, interface.LATCHED
-            )
-        self._listener = self.create_subscription(
-            self._command_type, arm.command_topic, self._on_torque, interface.DEEP_IN
-        )
-        scheduling.request(arm.realtime_priority)  # as in the controller, to measure its jitter
-        self.link = Link(self)
-        self._drop = interface.body_topic(mocap.body, "drop") if mocap.body else ""
-        if self._drop:
+            self._drop = interface.body_topic(mocap.body, "drop")
             self.link.prepare(self._drop)
 
     # Callbacks, of the link's thread; messages count only while the check waits
@@ -163,9 +147,6 @@ class CheckDriver(Node):
     def _on_urdf(self, message: String) -> None:
         self._urdf = message.data
 
-    def _on_torque(self, _: object) -> None:
-        self._torque_count += 1
-
     # Waiting
 
     def wait(self, seconds: float, until: Callable[[], bool] = lambda: False) -> None:
@@ -185,23 +166,21 @@ class CheckDriver(Node):
         self._input_ended = not line
         return line.strip() if line else None
 
-    def _heard(self) -> bool:
-        return bool(self.states and (self._mocap_input is None or self.frames or self.clouds))
-
     # Rows
 
     def check(self, seconds: float, active: bool) -> list[Row]:
         """Record for `seconds` [s] and make all rows; `active` is consent to the watchdog test."""
-        self.wait(DISCOVERY_TIMEOUT, self._heard)
+        cameras = self._mocap_input
+        heard = lambda: self.states and (cameras is None or self.frames or self.clouds)  # noqa: E731
+        self.wait(DISCOVERY_TIMEOUT, heard)
         for samples in (self.states, self.velocities, self.frames, self.clouds, self._refused):
             samples.clear()
-        self._console.print(
-            f"Recording for {seconds:.0f} s: leave the arm at rest and the body still, in view."
-        )
+        still = "leave the arm at rest and the body still, in view"
+        self._console.print(f"Recording for {seconds:.0f} s: {still}.")
         self.wait(seconds)
-        inputs = [each for each in (self._state_input, self._mocap_input) if each is not None]
+        inputs = [each for each in (self._state_input, cameras) if each is not None]
         found = any(endpoints.unmatched_publishers(self, *each) for each in inputs)
-        if self._source is not None and (missing := self._source.missing):
+        if cameras is not None and (missing := self._source.missing):
             self._refused[missing] += 1
         if not (self.states or self.frames or self.clouds or self._refused or found):
             topics = " nor on ".join(self.resolve_topic_name(each[0]) for each in inputs)
@@ -215,15 +194,12 @@ class CheckDriver(Node):
             unmatched = "; ".join(endpoints.unmatched_publishers(self, *described))
             advice = unmatched or "publish the URDF there, or set the parameter urdf"
             raise ValueError(f"no message on {topic}: {advice}")
-        params = self._arm_params
-        names, tool, base = params.model_joint_names, params.tool_frame, params.base_frame
-        corrections, limits = params.corrections, params.position_limits
-        arm = Arm(self._urdf, names, tool, (), corrections, base, limits)
+        arm = self._arm_params.arm(self._urdf)
         rows, record = self._arm_rows(arm, seconds)
         path = self._command_path()
         mocap = self._mocap_rows(arm, record, seconds)
         asked = {"multiarray": self._torque_order, "pose": self._pose_frames}
-        order = [ask() for kind, ask in asked.items() if kind == params.message]
+        order = [ask() for kind, ask in asked.items() if kind == self._arm_params.message]
         rows += [path, *order, self._watchdog(arm, record, path, active), self._service()]
         frozen = any(row.name == "mocap frozen" and row.verdict is Verdict.FAIL for row in mocap)
         fall = [] if frozen or not (self.frames or self.clouds) else [self._fall()]
@@ -259,38 +235,34 @@ class CheckDriver(Node):
 
     def _command_path(self) -> Row:
         topic = self.resolve_topic_name(self._arm_params.command_topic)
-        drivers = _ends(self.get_subscriptions_info_by_topic(topic))
-        commanders = _ends(self.get_publishers_info_by_topic(topic))
+        ends = self.get_subscriptions_info_by_topic(topic), self.get_publishers_info_by_topic(topic)
         kind = endpoints.type_name(self._command_type)
         unmatched, _ = endpoints.unmatched_subscriptions(self, topic, kind, interface.COMMAND)
-        count = self._torque_count
-        return topic_checks.command_path(topic, kind, drivers, commanders, count, unmatched)
+        count, ends = len(self._torques), map(_ends, ends)
+        return topic_checks.command_path(topic, kind, *ends, count, unmatched)
 
     def _torque_order(self) -> Row:
         """Row about the order of the driver, asked for its parameters if it is a forwarder."""
-        params = self._arm_params
-        expected = "effort" if params.output == "torque" else "position"
-        for driver in self._drivers():
-            values = self.link.parameters(driver, ("joints", "interface_name"), DISCOVERY_TIMEOUT)
+        params, driver, found = self._arm_params, "the driver", ((), "")
+        for name in self._drivers():
+            values = self.link.parameters(name, ("joints", "interface_name"), DISCOVERY_TIMEOUT)
             if len(values) == 2:
-                joints, interface = values[0].string_array_value, values[1].string_value
-                names = params.joint_names
-                return topic_checks.torque_order(driver, joints, interface, names, expected)
-        return topic_checks.torque_order("the driver", (), "", params.joint_names, expected)
+                driver, found = name, (values[0].string_array_value, values[1].string_value)
+                break
+        expected = "effort" if params.output == "torque" else "position"
+        return topic_checks.torque_order(driver, *found, params.joint_names, expected)
 
     def _pose_frames(self) -> Row:
         """Row about the frames of a driver of poses, asked for its parameters."""
         expected = self._arm_params.base_frame, self._arm_params.tool_frame
-        for driver in self._drivers():
-            for names in FRAME_PARAMETERS:
-                values = self.link.parameters(driver, names, DISCOVERY_TIMEOUT)
-                frames = [value.string_value for value in values]
-                if len(frames) == 2 and all(frames):
-                    return topic_checks.pose_frames(driver, frames, expected)
+        for driver, names in itertools.product(self._drivers(), FRAME_PARAMETERS):
+            values = self.link.parameters(driver, names, DISCOVERY_TIMEOUT)
+            frames = [value.string_value for value in values]
+            if len(frames) == 2 and all(frames):
+                return topic_checks.pose_frames(driver, frames, expected)
         return topic_checks.pose_frames("the driver", (), expected)
 
     def _drivers(self) -> list[str]:
-        """Names of the other nodes that receive commands."""
         topic = self.resolve_topic_name(self._arm_params.command_topic)
         return [
             f"{info.node_namespace.rstrip('/')}/{info.node_name}"
@@ -300,9 +272,8 @@ class CheckDriver(Node):
 
     def _service(self) -> Row:
         services = {name: types[0] for name, types in self.get_service_names_and_types()}
-        wanted = self._arm_params.idle_service and self.resolve_service_name(
-            self._arm_params.idle_service
-        )
+        idle = self._arm_params.idle_service
+        wanted = idle and self.resolve_service_name(idle)
         return topic_checks.service("idle service", "std_srvs/srv/Trigger", services, wanted)
 
     def _mocap_rows(self, arm: Arm, record: ArmRecord, seconds: float) -> list[Row]:
@@ -335,10 +306,8 @@ class CheckDriver(Node):
 
     def _watchdog(self, arm: Arm, record: ArmRecord, path: Row, active: bool) -> Row:
         """Row about the watchdog of the driver, tested if a person agrees."""
-
-        def unchecked(why: str) -> Row:
-            return Row("watchdog", "the driver ends an old torque", why, Verdict.UNCHECKED)
-
+        expected = "the driver ends an old torque"
+        unchecked = partial(Row, "watchdog", expected, verdict=Verdict.UNCHECKED)
         if self._arm_params.output != "torque":
             return unchecked("positions are sent: a driver that keeps the last one holds the arm")
         if path.verdict is Verdict.FAIL:
@@ -382,21 +351,21 @@ class CheckDriver(Node):
 
     def _fall(self) -> Row:
         """Row about a fall of the body, dropped by a person or the stand-in."""
-        samples = self.clouds if self._mocap.markers_topic else self.frames
+        samples, row = self.clouds if self._mocap.markers_topic else self.frames, self._fall_row
         if self.link.offers(self._drop):
             for _ in range(DROP_ATTEMPTS):
                 samples.clear()
                 self.link.begin(self._drop)
                 self.wait(0.5 * FALL_TIME)
-                if (row := self._fall_row()).verdict is not Verdict.UNCHECKED:
+                if row().verdict is not Verdict.UNCHECKED:
                     break
-            return row
+            return row()
         question = "Axes: hold the marker body a metre up, on edge, in view. Press Enter, then let "
         answer = self.ask(f"{question}go within {FALL_TIME:.0f} s (s: skip): ")
         samples.clear()
-        if answer is not None and answer != "s":
+        if answer not in (None, "s"):
             self.wait(2.0 * FALL_TIME)
-        return self._fall_row()
+        return row()
 
     def _fall_row(self) -> Row:
         frames = self.frames
@@ -424,21 +393,18 @@ class CheckDriver(Node):
             if self.ask(question) == "s":
                 continue
             self.wait(DISCOVERY_TIMEOUT, lambda: len(moved().q) > 0)  # Enter may precede any state
-            rows += [
-                arm_checks.hand_movement(moved(), joint),
-                arm_checks.velocity_lag(moved(), joint),
-            ]
-            if not len(moved().q):
+            made = moved()
+            rows += [arm_checks.hand_movement(made, joint), arm_checks.velocity_lag(made, joint)]
+            if not len(made.q):
                 break
-            q = moved().q[-1]
+            q = made.q[-1]
         return rows
 
     def _reception(self, device: str, count: int, seconds: float, given: Input) -> list[Row]:
         """Whether messages arrive, and whether all publishers of the topic are received."""
         name = "states" if device == "state" else device
-        received = topic_checks.reception(
-            name, given[0], count, seconds, *self._publisher_ends(given)
-        )
+        ends = self._publisher_ends(given)
+        received = topic_checks.reception(name, given[0], count, seconds, *ends)
         return [received, self._match(f"{device} QoS", given)]
 
     def _match(self, name: str, given: Input) -> Row:
@@ -478,24 +444,14 @@ def _parser() -> argparse.ArgumentParser:
         description="Check the drivers of arm and motion capture before anything moves. "
         "Exit status: 0 conforms, 1 does not, 2 cannot be checked.",
     )
-    parser.add_argument(
-        "--config", action="append", default=[], metavar="NAME", help="set-up, as for wam-power"
-    )
-    parser.add_argument(
-        "--task", default="", metavar="NAME", help="cameras are checked if it tracks a body"
-    )
-    parser.add_argument(
-        "--seconds", type=float, default=5.0, help="duration of the check (default 5)"
-    )
-    parser.add_argument(
-        "--active",
-        action="store_true",
-        help="test the watchdog without asking; keep a hand on the pendant",
-    )
-    parser.add_argument(
-        "--accept", nargs="+", default=[], metavar="ROW", help="rows whose failure is accepted"
-    )
-    parser.add_argument("--json", type=Path, metavar="FILE", help="also write the rows to a file")
+    add = parser.add_argument
+    add("--config", action="append", default=[], metavar="NAME", help="set-up, as for wam-power")
+    add("--task", default="", metavar="NAME", help="cameras are checked if it tracks a body")
+    add("--seconds", type=float, default=5.0, help="duration of the check (default 5)")
+    alone = "test the watchdog without asking; keep a hand on the pendant"
+    add("--active", action="store_true", help=alone)
+    add("--accept", nargs="+", default=[], metavar="ROW", help="rows whose failure is accepted")
+    add("--json", type=Path, metavar="FILE", help="also write the rows to a file")
     return parser
 
 
@@ -524,4 +480,4 @@ def main() -> int:
         table = [{**asdict(row), "verdict": row.verdict.value} for row in rows]
         text = {"verdict": result.value, "said": sentence, "config": options.config, "rows": table}
         options.json.write_text(json.dumps(text, indent=1) + "\n")
-    return EXIT_STATUS[result]
+    return int(result is Verdict.FAIL)

@@ -17,7 +17,7 @@ from wam_power_ros.faults import Fault
 from wam_power_ros.nodes.preparation import Preparation
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.diagnostics import FAULT_KIND, component
+from wam_power_ros.ros.diagnostics import FAULT_KIND, LAST_STOP, component
 from wam_power_ros.ros.scheduling import Granted
 
 UNEXPLAINED = "unexplained torque"  # key of the diagnostics
@@ -35,6 +35,7 @@ class Condition:
     active: bool
     missing_state: str | None  # why the joint states do not suffice to hold the arm, else None
     granted: Granted
+    last_stop: str = ""  # id of the last stop by a person
 
     @property
     def mode(self) -> str:
@@ -77,12 +78,8 @@ class ControllerReport:
     def log_changes(self, now: Condition) -> None:
         """Log every change of mode, fault, awaited input, and whether the model carries the arm."""
         excess = "" if now.core is None else now.core.unexplained.excess()
-        values = {
-            "mode": now.mode,
-            "fault": now.fault,
-            "waiting": self._awaited(now),
-            "unexplained": bool(excess),  # not its size, which varies
-        }
+        values = {"mode": now.mode, "fault": now.fault, "waiting": self._awaited(now)}
+        values["unexplained"] = bool(excess)  # not its size, which varies
         changed = {key: value for key, value in values.items() if value != self._logged.get(key)}
         self._logged = values
         if isinstance(fault := changed.get("fault"), Fault):
@@ -114,13 +111,17 @@ class ControllerReport:
     def publish(self, now: Condition, figures: Mapping[str, str], overload: str) -> None:
         """Publish the figures of the last second; `overload` is a warning, empty for none."""
         core = now.core
+        unexplained = "" if core is None else core.unexplained.excess()
+        if self._params.output != "torque":
+            unexplained = f"not checked: the arm takes {self._params.output}"
         values = {
             "mode": now.mode,
             "policy": (core and core.policy_id) or "",
             FAULT_KIND: now.fault.kind.value if core and now.fault else "",
             **figures,
+            LAST_STOP: now.last_stop,
             **({} if core is None else core.counters),
-            UNEXPLAINED: self._unexplained(core),
+            UNEXPLAINED: unexplained,
             **{f"refused: {name}": count for name, count in self._refused.items()},
             "real-time scheduling": now.granted.scheduling,
             "locked memory": now.granted.memory,
@@ -130,16 +131,10 @@ class ControllerReport:
         level, text = self._summary(now, overload)
         self._refused_since_report = False
         stamp_ns = self._node.get_clock().now().nanoseconds
-        name, device = component(self._node, "loop"), self._params.hardware_id
-        self._preparation.report(stamp_ns, name, device, level, text, values)
-
-    def _unexplained(self, core: Controller | None) -> str:
-        if self._params.output != "torque":
-            return f"not checked: the arm takes {self._params.output}"
-        return "" if core is None else core.unexplained.excess()
+        of = {"name": component(self._node, "loop"), "hardware_id": self._params.hardware_id}
+        self._preparation.report(stamp_ns, values, **of, level=level, text=text)
 
     def _summary(self, now: Condition, overload: str) -> tuple[str, str]:
-        """Level and text of the diagnostics."""
         if now.core is not None and now.core.mode is Mode.FAULT:
             return "error", now.fault.text if now.fault else "fault"
         if not now.active or now.missing_state:

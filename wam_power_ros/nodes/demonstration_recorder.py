@@ -7,11 +7,6 @@ Messages are received serialised and written by another thread, never decoded. A
 
 from __future__ import annotations
 
-if __name__ == "__main__":  # before the other imports, which a signal may interrupt
-    from wam_power_ros.entry import start
-
-    raise SystemExit(start("wam_power_ros.nodes.demonstration_recorder"))
-
 import itertools
 import json
 import math
@@ -20,7 +15,7 @@ import time
 from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 from pydantic import Field
 from rclpy.clock import Clock, ClockType
@@ -45,14 +40,10 @@ from wam_power_ros.ros.outcomes import Answer, Code, fill
 from wam_power_ros.ros.raw_subscriptions import RawTopics
 
 MEGABYTE = 1_000_000
+MEGABYTES = "in MB: 0 requires none; at most a petabyte"
 PATH_TIMEOUT = 1.0  # longest wait for the path of the body in a finished rollout [s]
 STATES_TIMEOUT = 5.0  # longest wait for states in lockstep; some DDS profiles repair in 3 s [s]
 DISK_CHECK_PERIOD = 0.1  # [s] between checks for write errors and free space
-
-
-Megabytes = Annotated[
-    float, Field(ge=0.0, le=1e9, description="in MB: 0 requires none; at most a petabyte")
-]
 
 
 class DemonstrationRecorderParams(Params):
@@ -76,8 +67,8 @@ class DemonstrationRecorderParams(Params):
     tool_frame: str
     position_limits: PositionLimits
     source: Literal["sim", "hardware"]
-    free_to_start: Megabytes
-    free_to_continue: Megabytes
+    free_to_start: float = Field(ge=0.0, le=1e9, description=MEGABYTES)
+    free_to_continue: float = Field(ge=0.0, le=1e9, description=MEGABYTES)
 
 
 class DemonstrationRecorder(Node):
@@ -103,15 +94,12 @@ class DemonstrationRecorder(Node):
         self._state_topic = self.resolve_topic_name(params.state_topic)
         self._latched = {self.resolve_topic_name(topic) for topic in params.latched_topics}
         devices = (params.state_topic, *params.driver_topics, *params.mocap_topics)
-        body_topics: tuple[str, ...] = ()
-        self._body_path_topic = ""  # empty without a body
+        state, path = "", ""
         if params.body:
-            body_topics = (
-                interface.body_topic(params.body, "state"),
-                interface.rollout_topic(params.body),
-            )
-            self._body_path_topic = self.resolve_topic_name(body_topics[-1])
-        names = (*devices, *params.topics, *body_topics, *params.latched_topics)
+            state = interface.body_topic(params.body, "state")
+            path = interface.rollout_topic(params.body)
+        self._body_path_topic = path and self.resolve_topic_name(path)  # empty without a body
+        names = (*devices, *params.topics, state, path, *params.latched_topics)
         topics: dict[str, tuple[str, ...]] = dict.fromkeys(names, ())
         topics |= dict.fromkeys(params.mocap_topics, MESSAGE_TYPES)
         topics[params.state_topic] = (layout.JOINT_STATE,)
@@ -134,10 +122,9 @@ class DemonstrationRecorder(Node):
         # A driver queues only ten states for a late reader; in lockstep all are queued.
         self._granted = scheduling.request(0 if self._sim_time else params.realtime_priority)
         for bag in sorted(self._directory.glob(f"*{layout.UNFINISHED}")):
-            name = bag.name.removesuffix(layout.UNFINISHED)
-            self.get_logger().warning(
-                f"{bag} was never closed; to recover it: wam-power recover {bag.with_name(name)}"
-            )
+            finished = bag.with_name(bag.name.removesuffix(layout.UNFINISHED))
+            advice = f"to recover it: wam-power recover {finished}"
+            self.get_logger().warning(f"{bag} was never closed; {advice}")
 
     def _now(self) -> int:
         """Time of reception [ns]: system time, in lockstep the stamp of the newest state.
@@ -180,11 +167,9 @@ class DemonstrationRecorder(Node):
         if self._recording is not None:
             return Answer(Code.BUSY, f"already recording {self._recording.path}")
         self._directory.mkdir(parents=True, exist_ok=True)
-        if (free := self._free()) < self._params.free_to_start:
-            needed = self._params.free_to_start
+        if (free := self._free()) < (needed := self._params.free_to_start):
             place = f"{free:.0f} MB free on the disk of {self._directory}"
-            text = f"{place}, {needed:.0f} MB needed: free some space"
-            return Answer(Code.REFUSED, text)
+            return Answer(Code.REFUSED, f"{place}, {needed:.0f} MB needed: free some space")
         self._topics.discover()
         self._topics.take()  # what came before the request does not belong into the bag
         kind = "rollout" if self._policy_id else self._params.stem
@@ -220,33 +205,27 @@ class DemonstrationRecorder(Node):
     def _take_pending(self, recording: Recording) -> None:
         """Write the messages that have arrived but were not dispatched yet.
 
-        Waits for the path of the body in a finished rollout: the learner, which ends the recording,
-        may have received it from the tracker before this node does. In lockstep, it also waits for
-        all states up to the time of the request.
+        Waits for the path of the body in a finished rollout, which the learner, who ends the
+        recording, may have before this node; in lockstep also for all states up to the request.
         """
-        begun, now_ns = time.monotonic(), self.get_clock().now().nanoseconds
-        path = self._body_path_topic
+        now_ns, path = self.get_clock().now().nanoseconds, self._body_path_topic
         tool_path = self.resolve_topic_name(interface.ROLLOUT_END_EFFECTOR)
+        late = lambda: self._sim_time and 0 < self._state_ns < now_ns  # noqa: E731
+        lacking = lambda: path and tool_path in recording and path not in recording  # noqa: E731
+        begun = time.monotonic()
         self._topics.take()
-        while self._sim_time and 0 < self._state_ns < now_ns:
-            if time.monotonic() - begun > STATES_TIMEOUT:
-                break
-            time.sleep(0.01)
-            self._topics.take()
-        while path and tool_path in recording and path not in recording:
-            if time.monotonic() - begun > PATH_TIMEOUT:
-                return
-            time.sleep(0.01)
-            self._topics.take()
+        for awaited, timeout in ((late, STATES_TIMEOUT), (lacking, PATH_TIMEOUT)):
+            while awaited() and time.monotonic() - begun <= timeout:
+                time.sleep(0.01)
+                self._topics.take()
 
     def _write(self, topic: str, cdr: bytes) -> None:
         if topic not in self._recording:
-            self._recording.add(topic, self._topics.msgtype(topic), self._topics.offered(topic))
+            self._recording.add(topic, *self._topics.layout_of(topic))
         self._recording.write(topic, cdr)
 
     @property
     def _notes(self) -> dict[str, str]:
-        """Notes for the metadata that are known before the recording."""
         return {
             "joint_names": json.dumps(self._params.joint_names),
             **({"arm": self._arm} if self._arm else {}),
@@ -297,11 +276,13 @@ class DemonstrationRecorder(Node):
             level, text = "warn", f"not recorded: {unmatched}"
         elif recording and self._state_topic not in recording:
             level, text = "warn", f"no message on {self._state_topic} yet"
-        silent = [topic for topic in self._topics.names if topic not in counts]
-        values = {**counts, "without a message": silent}
-        values["unmatched publishers"] = unmatched
-        values["waiting for the disk"] = recording.waiting if recording else 0
-        values["real-time scheduling"] = self._granted.scheduling
+        values = {
+            **counts,
+            "without a message": [topic for topic in self._topics.names if topic not in counts],
+            "unmatched publishers": unmatched,
+            "waiting for the disk": recording.waiting if recording else 0,
+            "real-time scheduling": self._granted.scheduling,
+        }
         self._diagnostics.publish(level, text, values)
 
     def close(self) -> None:

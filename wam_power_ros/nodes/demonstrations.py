@@ -25,52 +25,41 @@ class Demonstrations:
     def __init__(
         self, kind: type[Task], arm: SimulatedArm, joint_names: Sequence[str], log: Logger
     ) -> None:
-        """Read and fit for a task and an arm."""
         self._kind, self._arm, self._joint_names, self._log = kind, arm, joint_names, log
 
     def candidates(
         self, settings: SessionSettings, bags: Sequence[str]
     ) -> tuple[list[str], list[Demonstration], list[Policy]]:
-        """Usable bags, their demonstrations, and the policies that are fitted to them.
-
-        Raises:
-            ValueError: Nothing can be learnt from any of them.
-        """
+        """Usable bags, their demonstrations and policies; a ValueError if nothing can be learnt."""
         if not bags:
             raise ValueError("a new session needs demonstrations: name at least one bag")
         read: dict[int, Demonstration] = {}
-        refused = []
-
-        def leave_out(group: tuple[int, ...], text: str) -> None:
-            refused.append(text)
-            self._log.warning(f"demonstration {', '.join(map(str, group))} left out: {text}")
-
+        left_out: dict[tuple[int, ...], str] = {}
         for number, bag in enumerate(bags, start=1):
             try:
                 read[number] = self.read(bag)
             except ValueError as error:
-                leave_out((number,), str(error))
+                left_out[(number,)] = str(error)
         arm = self._arm
         candidates, why = fitted(self._kind, settings, read, arm, arm.identity, arm.region)
         for group, text in why.items():
-            leave_out(group, f"{', '.join(bags[number - 1] for number in group)}: {text}")
+            left_out[group] = f"{', '.join(bags[number - 1] for number in group)}: {text}"
+        for group, text in left_out.items():
+            self._log.warning(f"demonstration {', '.join(map(str, group))} left out: {text}")
         if not candidates:
+            text = f"nothing can be learnt from any of {len(bags)} demonstrations"
             raise ValueError(
-                f"nothing can be learnt from any of {len(bags)} demonstrations "
-                f"({'; '.join(refused)}). Teach others in a new session, or name other bags: "
-                "wam-power learn --session ... --bags ..."
+                f"{text} ({'; '.join(left_out.values())}). Teach others in a new session, or name "
+                "other bags: wam-power learn --session ... --bags ..."
             )
         used = [number for group in candidates for number in group]
-        return (
-            [bags[number - 1] for number in used],
-            [read[number] for number in used],
-            list(candidates.values()),
-        )
+        named = [bags[number - 1] for number in used]
+        return named, [read[number] for number in used], list(candidates.values())
 
     def read(self, path: str) -> Demonstration:
         """Read the movement in a bag; if there is none, a ValueError names the bag and reason."""
+        identity = self._arm.identity
         try:
-            identity = self._arm.identity
             bag = Bag(path)
             states = read_states(bag, self._joint_names, arm=identity)
             for found in states.remarks:

@@ -8,11 +8,6 @@ The robot's errors are cleared, which moves nothing; torques wait until the cont
 
 from __future__ import annotations
 
-if __name__ == "__main__":  # before the other imports, which a signal may interrupt
-    from wam_power_ros.entry import start
-
-    raise SystemExit(start("wam_power_ros.nodes.franka_driver"))
-
 import os
 import time
 from collections.abc import Callable
@@ -24,7 +19,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from wam_power_ros.nodes import franka_errors
-from wam_power_ros.params.franka_driver_params import FrankaDriverParams
+from wam_power_ros.params.driver_params import FrankaDriverParams
 from wam_power_ros.ros import interface, joint_messages, node_runner, scheduling
 from wam_power_ros.ros.diagnostics import Diagnostics
 
@@ -46,8 +41,7 @@ ERRORS = (  # no class is above all, but RuntimeError, which ROS raises, too
 class FrankaDriver(Node):
     """Passes the newest torque on to the robot while there is one, and the robot's states to ROS.
 
-    Attributes:
-        fault: Why the robot was stopped, and what clears it; empty while nothing did.
+    `fault` says why the robot was stopped, and what clears it; empty while nothing did.
     """
 
     def __init__(self) -> None:
@@ -63,9 +57,8 @@ class FrankaDriver(Node):
         self.fault, self._refused, self._stopped, self._rates = "", 0, False, []
         self._write = joint_messages.JointStateWriter(params.joint_names)
         self._states = self.create_publisher(JointState, params.state_topic, interface.STATE_OUT)
-        self.create_subscription(
-            Float64MultiArray, params.command_topic, self._on_torque, interface.COMMAND
-        )
+        command = params.command_topic, self._on_torque, interface.COMMAND
+        self.create_subscription(Float64MultiArray, *command)
         self._diagnostics = Diagnostics(self, "robot", params.address)
         self._granted = scheduling.request(params.realtime_priority)
 
@@ -167,7 +160,6 @@ class FrankaDriver(Node):
             self._control = None
 
     def _report(self) -> None:
-        """Publish what the robot does, once a second."""
         if time.monotonic() - self._reported < 1.0:
             return
         self._reported, rates = time.monotonic(), self._rates or [0.0]

@@ -30,12 +30,7 @@ MODES = {
 
 
 def described(errors: object, mode: str) -> str:
-    """What stopped a robot, and what clears it.
-
-    Args:
-        errors: Attributes that are true name an error, as of `franka.Errors`.
-        mode: Name of the mode of the robot, as of `franka.RobotMode`.
-    """
+    """What stopped a robot, in a mode, and what clears it; attributes that are true name errors."""
     if mode in MODES:
         return f"{mode}: {MODES[mode]}, then reset"
     names = [name for name in dir(errors) if name[0] != "_" and getattr(errors, name) is True]

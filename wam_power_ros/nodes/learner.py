@@ -8,57 +8,43 @@ demonstration, or pause to record one: this is on disk before it is answered.
 
 from __future__ import annotations
 
-if __name__ == "__main__":  # before the other imports, which a signal may interrupt
-    from wam_power_ros.entry import start
-
-    raise SystemExit(start("wam_power_ros.nodes.learner"))
-
+import itertools
 import math
 import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path as FilePath
 from typing import Any
 
 import rclpy
-from pydantic import Field, model_validator
+from pydantic import Field
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 from std_srvs.srv import Trigger
-from typing_extensions import Self
 
 from wam_power_interfaces import srv
 from wam_power_ros import installed, plain_json
 from wam_power_ros.arm_identity import refusal, remark
 from wam_power_ros.client.link import Link
-from wam_power_ros.client.rollouts import (
-    EndedByPersonError,
-    Executed,
-    Rollouts,
-    RolloutSettings,
-)
+from wam_power_ros.client.rollouts import EndedByPersonError, Executed, Rollouts, RolloutSettings
 from wam_power_ros.durable_files import explained
 from wam_power_ros.learning.policy import Policy, with_id
 from wam_power_ros.nodes.demonstrations import Demonstrations
 from wam_power_ros.nodes.markers import Markers
 from wam_power_ros.nodes.simulated_arm import SimulatedArm
-from wam_power_ros.params.node_params import Names, Params
-from wam_power_ros.params.torque_controller_params import require_same_joints
+from wam_power_ros.params.node_params import Names, Params, plain
 from wam_power_ros.practice.new_goal import context_for, policy_for
 from wam_power_ros.practice.practice import GO_ON, RATING_MAX, Practice
 from wam_power_ros.practice.session import Session, read, read_policy
-from wam_power_ros.practice.session_log import KIND_NAMES, Event, Line, Pause, Record, Trial
+from wam_power_ros.practice.session_log import KIND_NAMES, Event, Pause, Record, Trial
 from wam_power_ros.practice.settings import SessionSettings, preset
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.diagnostics import LEARNER_STATE, Diagnostics
-from wam_power_ros.ros.node_runner import (
-    end,
-    interrupt_on_signals,
-    started,
-)
+from wam_power_ros.ros.node_runner import end, init, interrupt_on_signals
 from wam_power_ros.ros.outcomes import Answer, Code, ServiceError, fill
 from wam_power_ros.tasks.rated import assessed
 from wam_power_ros.tasks.task import Assessment, Pose, Task
@@ -74,9 +60,8 @@ class LearnerParams(Params, RolloutSettings):
     urdf: str  # path, or a file of our share folder
     tool_frame: str
     base_frame: str
-    controller: tuple[str, ...] = Field(
-        min_length=1, max_length=20
-    )  # parameter files of the controller, for the simulation
+    # Parameter files of the controller, for the simulation
+    controller: tuple[str, ...] = Field(min_length=1, max_length=20)
     session: str  # folder
     demonstrations: tuple[str, ...] = Field(max_length=1000)  # bags; not needed to resume
     policy: str  # file of a learnt policy to begin with, instead of their fit; empty: none
@@ -89,14 +74,7 @@ class LearnerParams(Params, RolloutSettings):
     changes: str  # to settings of the preset, a JSON object by name
     seed: int = Field(ge=0, le=2**63 - 1, description="an integer of ROS")
     rating: float = Field(gt=0.0, le=RATING_MAX)  # size of a reward or a punishment [return]
-    unusable_max: int = Field(
-        ge=1, le=1000, description="rollouts in a row; after fewer, a person must check the arm"
-    )
-
-    @model_validator(mode="after")
-    def _together(self) -> Self:
-        require_same_joints(self.joint_names, self.model_joint_names)
-        return self
+    unusable_max: int = Field(ge=1, le=1000, description="in a row; then a person checks the arm")
 
 
 CONTROLLER = "torque_controller"  # node
@@ -118,19 +96,17 @@ class Learner(Node):
         super().__init__("learner", automatically_declare_parameters_from_overrides=True)
         self.params = LearnerParams.of(self)
         params, log = self.params, self.get_logger()
-        self._arm = SimulatedArm(
-            params.urdf, params.model_joint_names, params.tool_frame, params.controller, log.info
-        )
+        model = params.urdf, params.model_joint_names, params.tool_frame
+        self._arm = SimulatedArm(*model, params.controller, log.info)
         self._session: Session | None = None
         self._practice: Practice | None = None
         self._lock = threading.Lock()
         self._under_way = False
         self._awaits_rating = False
         self._rating: Assessment | None = None  # of the rollout that awaits it
-        rating = self.params.rating
         for kind, name, answer in (
-            (Trigger, interface.LEARNER_REWARD, self._rated(rating)),
-            (Trigger, interface.LEARNER_PUNISH, self._rated(-rating)),
+            (Trigger, interface.LEARNER_REWARD, partial(self._on_reward, params.rating)),
+            (Trigger, interface.LEARNER_PUNISH, partial(self._on_reward, -params.rating)),
             (srv.Pause, interface.LEARNER_PAUSE, self._on_pause),
             (srv.Rate, interface.LEARNER_RATE, self._on_rate),
             (srv.AddDemonstration, interface.ADD_DEMONSTRATION, self._on_demonstration),
@@ -185,17 +161,11 @@ class Learner(Node):
         response.under_way = under_way
         return fill(response, answer)
 
-    def _rated(
-        self, amount: float
-    ) -> Callable[[Trigger.Request, Trigger.Response], Trigger.Response]:
-        """Service callback that rates the last finished rollout, or answers why it cannot."""
-
-        def serve(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-            return self._append(
-                response, lambda practice: practice.rate(amount, clock={"at": time.time()})
-            )
-
-        return serve
+    def _on_reward(
+        self, amount: float, _: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        rate = lambda practice: practice.rate(amount, clock={"at": time.time()})  # noqa: E731
+        return self._append(response, rate)
 
     def _on_rate(self, request: srv.Rate.Request, response: srv.Rate.Response) -> srv.Rate.Response:
         answer = Answer(Code.REFUSED, "no rollout waits for a rating")
@@ -230,12 +200,11 @@ class Learner(Node):
             if not bag:
                 raise ValueError("the request names no bag")
             taken = [candidate.id for candidate in practice.candidates]
-            number = len(taken) + 1
-            while f"demonstration-{number}" in taken:
-                number += 1
+            numbers = itertools.count(len(taken) + 1)
+            id = next(id for n in numbers if (id := f"demonstration-{n}") not in taken)
             read = self._demonstrations.read(bag)
             springs = practice.settings.practice.springs
-            policy = self._demonstrations.fit(read, bag, f"demonstration-{number}", springs)
+            policy = self._demonstrations.fit(read, bag, id, springs)
             return practice.add_demonstration(policy, bag, clock={"at": time.time()})
 
         return self._append(response, make)
@@ -245,9 +214,8 @@ class Learner(Node):
     def practise(self) -> None:
         """Begin or resume the session of the parameters, and run it to its end.
 
-        Raises:
-            SessionFailed, ServiceError: It cannot go on.
-            ValueError, OSError: Its folder or a parameter is not valid.
+        SessionFailed or ServiceError if it cannot go on, ValueError or OSError for its folder or a
+        parameter.
         """
         with self._link:
             session, practice = self._open()
@@ -262,23 +230,18 @@ class Learner(Node):
                 finally:
                     with self._lock:
                         self._practice = None
-        best = practice.best
-        self.get_logger().info(
-            f"session finished: {practice.stopped}. {'' if best is None else best.why}"
-        )
+        why = practice.best.why if practice.best else ""
+        self.get_logger().info(f"session finished: {practice.stopped}. {why}")
 
     def _compare(self) -> None:
         """Ask the controller for its parameters: policies are planned with them."""
-        known = self._arm.parameters
+        known = {name: plain(value) for name, value in self._arm.parameters.items()}
         values = self._link.parameters(CONTROLLER, list(known), COMPARE_TIMEOUT)
         if not values:  # renamed, or secured
             self.get_logger().info(f"{CONTROLLER} does not tell its parameters: not compared")
-        found = map(parameter_value_to_python, values)
-        other = [
-            f"{name} {plain(there)}, here {plain(known[name])}"
-            for name, there in zip(known, found, strict=False)
-            if plain(there) != plain(known[name])
-        ]
+        found = map(plain, map(parameter_value_to_python, values))
+        pairs = zip(known.items(), found, strict=False)
+        other = [f"{name} {there}, here {own}" for (name, own), there in pairs if there != own]
         if other:
             raise SessionFailed(
                 f"{CONTROLLER} was started with another set-up than this node: {'; '.join(other)}. "
@@ -290,12 +253,14 @@ class Learner(Node):
 
         An older stop, such as that of teaching, was before a person started the session.
         """
-        reported = lambda: self._rollouts.reports  # noqa: E731
+        reported = lambda: self._rollouts.reports.count  # noqa: E731
         self._link.until(reported, "a report of the controller", self.params.service_timeout)
         self._compare()
         with self._lock:
             stopped = self._rollouts.go_on()
-            if session.log and not practice.paused and stopped > _time(session.log[-1]):
+            clock = session.log[-1].clock if session.log else {"at": math.inf}  # of the last line
+            written = clock.get("at", clock.get("begun", 0.0) + clock.get("took", 0.0))
+            if not practice.paused and stopped > written:
                 note = f"stopped by a person while no learner ran; {GO_ON}"
                 session.append(practice.pause(True, note, {"at": time.time()}))
         if practice.paused:
@@ -319,7 +284,9 @@ class Learner(Node):
             self._save_best(session, practice)
             self._under_way = False
         if isinstance(line, Record):
-            self.get_logger().info(f"{_line(line)} {line.note}")
+            ret = f"return {'-' if line.ret is None else f'{line.ret:.3f}'}"
+            name = f"{line.id} {KIND_NAMES[line.kind]}"
+            self.get_logger().info(f"{name}: {ret} {line.why} {line.note}")
         if practice.paused:
             self.get_logger().warning(practice.paused)
         elif practice.unusable_in_a_row >= self.params.unusable_max:
@@ -342,9 +309,9 @@ class Learner(Node):
 
     def _task_type(self) -> type[Task]:
         """Task of the session if it exists, else of the parameters."""
-        folder, name = FilePath(self.params.session), self.params.task
+        folder = FilePath(self.params.session)
+        own = installed.import_task(self.params.task)  # a session may be a stranger's
         begun = read(folder).header.settings.task if Session.exists(folder) else ""
-        own = installed.import_task(name)  # of the parameters: a session may be a stranger's
         return installed.task_type(begun or own)
 
     def _settings(self) -> SessionSettings:
@@ -377,15 +344,13 @@ class Learner(Node):
                 if params.goal:
                     context, carried = self._for_goal(FilePath(params.policy).parent)
                 candidates = [with_id(replace(carried, arm=self._arm.identity), "carried-over")]
-            session = Session.begin(
-                folder, settings, params.seed, candidates, context=context, demonstrations=bags
-            )
+            given = {"context": context, "demonstrations": bags}
+            session = Session.begin(folder, settings, params.seed, candidates, **given)
         practice = session.practice(self._arm)
         self.get_logger().info(f"session {folder}: {len(session.records)} rollouts on record")
         return session, practice
 
     def _for_goal(self, origin: FilePath) -> tuple[dict[str, Any], Policy]:
-        """Context with the goal of the parameters, and the policy predicted for it."""
         goal = plain_json.parse(self.params.goal, "goal")
         known = read(origin)
         settings, of = known.header.settings, (known.task, known.policies, known.records)
@@ -411,15 +376,15 @@ class Learner(Node):
                 f"{trial.id} ({trial.purpose}) was not sent: with the present limits it would end "
                 f"in a fault: {fault.text}"
             )
-        arm, q_start = self._arm.kinematics, trial.policy.q_start
-        tool = Pose(*arm.tool_pose(q_start))
-        self._markers.plan(trial.policy, tool.position)
+        arm, policy = self._arm.kinematics, trial.policy
+        tool = Pose(*arm.tool_pose(policy.q_start))
+        self._markers.plan(policy, tool.position)
         try:
             executed = self._rollouts.execute(
-                trial.policy,
-                trial.policy.basis.duration + task.settle_time,
+                policy,
+                policy.basis.duration + task.settle_time,
                 lambda state: task.ready(state, tool),
-                lambda state: task.reset(state, arm, q_start),
+                lambda state: task.reset(state, arm, policy.q_start),
                 task.rest_time,
             )
             self._rating = None
@@ -452,28 +417,13 @@ def _learnt(
     return practice.pause(True, f"{done}; {GO_ON}", clock)
 
 
-def _time(line: Line) -> float:
-    """When a line was written [s of wall time]."""
-    clock = line.clock
-    return float(clock["at"] if "at" in clock else clock.get("begun", 0.0) + clock.get("took", 0.0))
-
-
-def plain(value: Any) -> Any:  # noqa: ANN401 - a number, a text or some
-    """Value of a parameter as a number, a text or a list."""
-    return value if isinstance(value, (bool, int, float, str)) else list(value or ())
-
-
-def _line(record: Record) -> str:
-    ret = "-" if record.ret is None else f"{record.ret:.3f}"
-    return f"{record.id} {KIND_NAMES[record.kind]}: return {ret} {record.why}"
-
-
 def main() -> int:
     """Entry point of `ros2 run wam_power_ros learner`."""
     node = None
     interrupt_on_signals()
     try:
-        node = started(Learner)
+        init()
+        node = Learner()
         node.practise()
     except (SessionFailed, ServiceError, ValueError, OSError) as error:
         log = node.get_logger() if node else rclpy.logging.get_logger("learner")

@@ -31,9 +31,8 @@ class Markers:
     def __init__(self, node: Node, base_frame: str, region: Region | None) -> None:
         self._frame = interface.frame(node.get_namespace(), base_frame)
         self._region: list[Marker] = []
-        self._publisher = node.create_publisher(
-            MarkerArray, interface.LEARNER_MARKERS, interface.LATCHED
-        )
+        topic, qos = interface.LEARNER_MARKERS, interface.LATCHED
+        self._publisher = node.create_publisher(MarkerArray, topic, qos)
         if region is not None:
             sphere = self._marker("region", Marker.SPHERE, REGION, [2.0 * region.radius] * 3)
             sphere.pose.position = _point(region.centre)

@@ -31,9 +31,8 @@ def attempt(core: Controller | None, request: Callable[[Controller], None]) -> A
 class MotionRequests:
     """Requests for rollouts, moves to the start and replays.
 
-    Attributes:
-        last_stop: Id of the last act by which a person ended a movement or took the arm, its time
-            [ns of wall time]; "" before the first.
+    `last_stop` is the id of the last act by which a person ended a movement or took the arm, its
+    time [ns of wall time]; "" before the first.
     """
 
     def __init__(
@@ -51,15 +50,11 @@ class MotionRequests:
     def begin(
         self, id: str, do: str, about: TabulatedPolicy | Sampled, asked_ns: int, known_stop: str
     ) -> None:
-        """Begin a movement, or say why not.
+        """Begin to "move_to_start", "execute" a policy or "replay" a movement, or say why not.
 
-        Args:
-            do: "move_to_start" or "execute" a policy, or "replay" a movement.
-            about: The policy or the movement.
-            asked_ns: Wall time at which it was sent, or received if that is not known [ns].
-            known_stop: Last stop that its sender knows, after which a person has let it go on; ""
-                if it does not say. A request that does not know of the last stop is not begun, so
-                that no stop can be overtaken.
+        It was asked for at a wall time [ns], by who knows of a last stop, after which a person has
+        let it go on; "" if it does not say. A request that does not know of the last stop is not
+        begun, so that no stop can be overtaken.
         """
 
         def start(core: Controller) -> None:
@@ -119,16 +114,16 @@ class MotionRequests:
         if mode is Mode.HOLD and not core.at_rest:
             return
         self._note_release(core)
-        if core.latched is not None and self._by_person:
-            answer = self._stopped(core.latched.text)
-        elif core.latched is not None:
-            answer = Answer(Code.FAULT, f"failed: {core.latched.text}")
-        else:
-            answer = Answer(Code.STOPPED, f"failed: mode is {mode.value}")
         if self._do == "move_to_start" and core.ready:
             answer = Answer(Code.DONE)
         elif self._do == "replay" and mode is Mode.HOLD:
             answer = Answer(Code.DONE, self._summary(core))
+        elif core.latched is None:
+            answer = Answer(Code.STOPPED, f"failed: mode is {mode.value}")
+        elif self._by_person:
+            answer = self._stopped(core.latched.text)
+        else:
+            answer = Answer(Code.FAULT, f"failed: {core.latched.text}")
         self._end(answer)
 
     def stop(self, core: Controller | None) -> None:

@@ -7,11 +7,6 @@ which NatNet 3 and later state in ticks of the server's clock. What remains is t
 
 from __future__ import annotations
 
-if __name__ == "__main__":  # before the other imports, which a signal may interrupt
-    from wam_power_ros.entry import start
-
-    raise SystemExit(start("wam_power_ros.nodes.natnet_client"))
-
 import socket
 from collections import deque
 
@@ -22,7 +17,7 @@ from natnet.exceptions import NatNetError
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from wam_power_ros.params.natnet_client_params import NatNetClientParams
+from wam_power_ros.params.driver_params import NatNetClientParams
 from wam_power_ros.ros import interface, node_runner, pose_messages
 from wam_power_ros.ros.diagnostics import Diagnostics
 
@@ -33,11 +28,7 @@ LATENCY_MAX = 0.5  # of Motive; more is no latency [s]
 
 
 def clock_frequency(server: str, port: int) -> float:
-    """Ticks per second of the server's clock, 0 if it states none, as before NatNet 3.
-
-    Raises:
-        OSError: There is no answer.
-    """
+    """Ticks per second of the server's clock, 0 before NatNet 3; an OSError if none answers."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
         asking.settimeout(ANSWER_MAX)
         asking.sendto(PING, (server, port))

@@ -32,27 +32,23 @@ from wam_power_ros.ros.process_channel import Channel, Message, pair
 NAME = "torque_controller_preparation"  # node of the process
 MODULE = "wam_power_ros.nodes.preparation_worker"
 CHANNEL = 3  # file descriptor of its end of the channel
-REQUEST, MOVEMENT = "request", "replay trajectory"  # kinds of messages, as refusals name them
 RESTART_PERIOD = 1.0  # [s] between two starts of the process
 UNSENT_MAX = 200  # messages that wait for the process; the oldest are dropped
 LOG_PERIOD_NS = 1_000_000_000  # [ns] between two warnings
+Arrays = dict[str, np.ndarray] | None
 
 
 class Preparation:
     """Starts the process, restarts it when it has ended, and never waits for it.
 
+    `poll` calls `on_request` with the id of a request, what to do, the policy or movement that it
+    is about, when it was sent [ns], and the last stop that its sender knows; `on_cancel` with the
+    id of one that is cancelled; `on_refusal` with the reason why one was refused; `on_lost` with
+    the id of one that the process had not read when it ended, and the reason.
+
     Attributes:
         starts: Number of processes started so far.
         pid: Id of the process started last.
-
-    Args:
-        on_request: Called by `poll` with the id of a request, what to do, the policy or movement
-            that it is about, when it was sent [ns], and the last stop that its sender knows.
-        on_cancel: Called by `poll` with the id of a request that its sender cancels.
-        on_refusal: Called by `poll` with the kind of a refused message, REQUEST or MOVEMENT, and
-            the reason.
-        on_lost: Called by `poll` with the id of a request that the process had not read when it
-            ended, and the reason.
     """
 
     def __init__(
@@ -60,7 +56,7 @@ class Preparation:
         domain: int,
         on_request: Callable[[str, str, TabulatedPolicy | Sampled, int, str], None],
         on_cancel: Callable[[str], None],
-        on_refusal: Callable[[str, str], None],
+        on_refusal: Callable[[str], None],
         on_lost: Callable[[str, str], None],
     ) -> None:
         self._domain = domain
@@ -73,10 +69,8 @@ class Preparation:
         self._channel: Channel | None = None
         self._settings: dict[str, object] | None = None
         self._configuration = 0  # count of `configure`; results of earlier ones are dropped
-        self._path: tuple[dict[str, object], dict[str, np.ndarray]] | None = None  # the last
-        self._unsent: deque[tuple[dict[str, object], dict[str, np.ndarray] | None]] = deque(
-            maxlen=UNSENT_MAX
-        )
+        self._path: tuple[dict[str, object], Arrays] | None = None  # the last
+        self._unsent: deque[tuple[dict[str, object], Arrays]] = deque(maxlen=UNSENT_MAX)
         self._warned_ns = -LOG_PERIOD_NS
         self.tend()
 
@@ -103,33 +97,20 @@ class Preparation:
 
     def ended(self, id: str, answer: Answer, end: Ended | None = None) -> None:
         """End a request; with the end of a rollout that has run."""
-        values: dict[str, object] = {"what": "ended", "id": id, "answer": vars(answer)}
-        if end is not None:
-            fault = None if end.fault is None else vars(end.fault)
-            values["end"] = {**vars(end), "fault": fault}
-        self._send(values)
+        ended = end and {**vars(end), "fault": end.fault and vars(end.fault)}
+        self._send({"what": "ended", "id": id, "answer": vars(answer), "end": ended})
 
     def publish_path(self, path: EndEffectorPath, start_ns: int, frame: str) -> None:
         """Publish the path of a rollout that began at a stamp [ns], in a frame."""
-        values: dict[str, object] = {"what": "path", "id": path.id}
-        values |= {"start_ns": start_ns, "frame": frame}
+        values = {"what": "path", "id": path.id, "start_ns": start_ns, "frame": frame}
         self._path = (values, {"t": path.t, "position": path.position, "quat_xyzw": path.quat_xyzw})
         self._send(*self._path)
 
-    def report(
-        self,
-        stamp_ns: int,
-        name: str,
-        hardware_id: str,
-        level: str,
-        text: str,
-        values: Mapping[str, object],
-    ) -> None:
-        """Publish diagnostics of the loop; dropped while there is no process to do so."""
+    def report(self, stamp_ns: int, values: Mapping[str, object], **status: str) -> None:
+        """Publish diagnostics of the loop, as `diagnostics_message`; dropped without a process."""
         if self._channel is not None:
             texts = {key: str(value) for key, value in values.items()}
-            diagnosis = {"hardware_id": hardware_id, "level": level, "text": text, "values": texts}
-            self._send({"what": "report", "stamp_ns": stamp_ns, "name": name, **diagnosis})
+            self._send({"what": "report", "stamp_ns": stamp_ns, "values": texts, **status})
 
     def log(self, severity: str, text: str) -> None:
         """Log a text as "info" or "error", or at most once a second as "warning"."""
@@ -141,21 +122,20 @@ class Preparation:
         named = {"name": self.logger, "severity": severity, "text": text[:8000]}
         self._send({"what": "log", **named})
 
-    def _send(self, values: dict[str, object], arrays: dict[str, np.ndarray] | None = None) -> None:
+    def _send(self, values: dict[str, object], arrays: Arrays = None) -> None:
         self._unsent.append((values, arrays))
         self._flush()
 
     def _flush(self) -> None:
         while self._unsent and self._channel is not None:
+            unsent = self._unsent.popleft()
             try:
-                self._channel.send(*self._unsent[0])
+                self._channel.send(*unsent)
             except (BlockingIOError, ConnectionError):  # busy, or ended: see `poll`
-                return
+                return self._unsent.appendleft(unsent)
             except (OSError, ValueError) as error:
-                self._unsent.popleft()
                 self.log("error", f"message not sent to {NAME}: {error}")
-            else:
-                self._unsent.popleft()
+        return None
 
     # From the process
 
@@ -191,15 +171,14 @@ class Preparation:
         if what == "cancel":
             self._on_cancel(values["id"])
         elif what == "refused":
-            self._on_refusal(values["kind"], values["text"])
+            self._on_refusal(values["text"])
         elif values["configuration"] != self._configuration:
             self._on_lost(values["id"], "the controller was configured anew")
-        elif what == "policy":
-            policy = TabulatedPolicy(**values["policy"], **arrays)
-            self._on_request(values["id"], values["do"], policy, *values["asked"])
         else:
-            movement = Sampled(**arrays, **values["movement"])
-            self._on_request(values["id"], "replay", movement, *values["asked"])
+            kind = Sampled if values["do"] == "replay" else TabulatedPolicy
+            about = kind(**values["about"], **arrays)
+            asked = values["sent_ns"], values["known_stop"]
+            self._on_request(values["id"], values["do"], about, *asked)
 
     # Start and end of the process
 

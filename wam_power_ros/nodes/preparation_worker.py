@@ -9,12 +9,13 @@ movements sampled on the control grid.
 from __future__ import annotations
 
 import faulthandler
+import math
 import sys
 import threading
-from collections import deque
-from collections.abc import Callable
+from collections import defaultdict, deque
 from contextlib import suppress
-from typing import Any
+from functools import partial
+from typing import Any, TypeAlias
 from uuid import uuid4
 
 import numpy as np
@@ -27,36 +28,28 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.logging import get_logger
 from rclpy.node import Node
-from rclpy.serialization import deserialize_message
 from trajectory_msgs.msg import JointTrajectory
 
 from wam_power_interfaces.action import ExecutePolicy, MoveToStart, Replay
 from wam_power_interfaces.msg import Policy, RolloutEnd
 from wam_power_ros.control import policy_preparation, replay_trajectory
 from wam_power_ros.control.controller_settings import ControllerSettings
+from wam_power_ros.control.joint_references import Sampled
 from wam_power_ros.control.modes import ControllerError
-from wam_power_ros.control.safety import Limits
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning import policy as policies
+from wam_power_ros.learning.dmp import TabulatedPolicy
 from wam_power_ros.learning.rollout import EndEffectorPath
-from wam_power_ros.nodes.preparation import (
-    MOVEMENT,
-    NAME,
-    REQUEST,
-    channel_of_process,
-    settings_of,
-)
+from wam_power_ros.nodes.preparation import NAME, channel_of_process, settings_of
 from wam_power_ros.ros import interface, joint_messages, node_runner, pose_messages
-from wam_power_ros.ros.action_server import Action, Begin
+from wam_power_ros.ros.action_server import Action
 from wam_power_ros.ros.diagnostics import diagnostics_message
 from wam_power_ros.ros.outcomes import NOT_ACTIVE, Answer, Code, Ended
 from wam_power_ros.ros.process_channel import Channel, Message
 from wam_power_ros.ros.stamps import sent_ns, time_message
 
-# Larger movements are refused unread: 20 MB are 200 000 points of seven joints with positions,
-# where the 600 s that may be replayed have 60 000 points.
-SIZE_MAX = 20_000_000
-POINTS_MAX = 200_000
+POINTS_MAX = 200_000  # of a movement, where the 600 s that may be replayed have 60 000
+Goal: TypeAlias = Any  # of any of the actions
 TEXT_MAX = 2000  # characters of a refusal
 STAGE = "moving"  # of a request, once the arm moves
 # [s] Fast DDS may wait in its own end for ever, on one core, while another participant leaves.
@@ -64,11 +57,7 @@ END_TIMEOUT = 10.0
 
 
 class PreparationWorker(Node):
-    """Node of the process.
-
-    Attributes:
-        ended: True once the torque controller has ended or closed its end of the channel.
-    """
+    """Node of the process; `ended` once the controller has, or has closed the channel."""
 
     def __init__(self, channel: Channel) -> None:
         super().__init__(NAME)
@@ -80,28 +69,27 @@ class PreparationWorker(Node):
         self._joint_names: tuple[str, ...] = ()
         self._asked: dict[str, Policy] = {}  # policy of a request under way, by id
         # Arrays of the last two of each kind: when the loop releases one, its memory is freed here.
-        self._shared: dict[str, deque[object]] = {
-            what: deque(maxlen=2) for what in (REQUEST, MOVEMENT)
-        }
+        self._shared: defaultdict[type, deque[object]] = defaultdict(lambda: deque(maxlen=2))
         self._path = Path()  # of the last rollout
-        self._paths = self.create_publisher(Path, interface.ROLLOUT_END_EFFECTOR, interface.LATCHED)
-        self._policies = self.create_publisher(Policy, interface.POLICY, interface.LATCHED)
-        self._ends = self.create_publisher(RolloutEnd, interface.ROLLOUT_END, interface.LATCHED)
-        self._diagnostics = self.create_publisher(
-            DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
-        )
-        self._log = self.create_publisher(Log, interface.LOG, interface.LOG_QOS)
+        publish, latched = self.create_publisher, interface.LATCHED
+        self._paths = publish(Path, interface.ROLLOUT_END_EFFECTOR, latched)
+        self._policies = publish(Policy, interface.POLICY, latched)
+        self._ends = publish(RolloutEnd, interface.ROLLOUT_END, latched)
+        qos = interface.DIAGNOSTICS_QOS
+        self._diagnostics = publish(DiagnosticArray, interface.DIAGNOSTICS, qos)
+        self._log = publish(Log, interface.LOG, interface.LOG_QOS)
+        cancel = lambda id: channel.send({"what": "cancel", "id": id})  # noqa: E731
         self._actions = [
-            Action(self, kind, name, begin, self._cancel, result)
-            for kind, name, begin, result in (
-                (ExecutePolicy, interface.EXECUTE_POLICY, self._of_policy("execute"), None),
-                (MoveToStart, interface.MOVE_TO_START, self._of_policy("move_to_start"), None),
-                (Replay, interface.REPLAY_MOVEMENT, self._replay, None),
-                (FollowJointTrajectory, interface.FOLLOW_TRAJECTORY, self._follow, followed),
+            Action(self, kind, name, partial(self._begin, do), cancel, result)
+            for kind, name, do, result in (
+                (ExecutePolicy, interface.EXECUTE_POLICY, "execute", None),
+                (MoveToStart, interface.MOVE_TO_START, "move_to_start", None),
+                (Replay, interface.REPLAY_MOVEMENT, "replay", None),
+                (FollowJointTrajectory, interface.FOLLOW_TRAJECTORY, "replay", followed),
             )
         ]
         topic, qos = interface.REPLAY, interface.REPLAYS
-        self.create_subscription(JointTrajectory, topic, self._on_movement, qos, raw=True)
+        self.create_subscription(JointTrajectory, topic, self._on_movement, qos)
         # Not Executor.wake(), after which the executor waits again without calling anything.
         self._arrived = self.create_guard_condition(self._handle_messages)
         threading.Thread(target=self._listen, daemon=True).start()
@@ -111,66 +99,56 @@ class PreparationWorker(Node):
     def _listen(self) -> None:
         """Receive into `_inbox`, because the executor can wait only for the middleware."""
         with suppress(rclpy_implementation.InvalidHandle):  # the node has ended first
-            try:
-                while True:
-                    self._inbox.append(self._channel.receive())
-                    self._arrived.trigger()
-            except EOFError:
-                self._inbox.append(None)
+            message: Message | None = Message({}, {})
+            while message is not None:
+                try:
+                    message = self._channel.receive()
+                except EOFError:
+                    message = None
+                self._inbox.append(message)
                 self._arrived.trigger()
 
     def _handle_messages(self) -> None:
-        """Handle all messages from the torque controller."""
         while self._inbox:
             message = self._inbox.popleft()
             if message is None:
                 self.ended = True
                 return
-            getattr(self, f"_do_{message.values['what']}")(*message)
+            values = dict(message.values)
+            getattr(self, f"_do_{values.pop('what')}")(**values, **message.arrays)
 
-    def _do_configure(self, values: dict[str, Any], _: object) -> None:
-        self._configuration = values["number"]
-        settings = values["settings"]
+    def _do_configure(
+        self, number: int, settings: dict[str, Any] | None, joint_names: list[str]
+    ) -> None:
+        self._configuration, self._joint_names = number, tuple(joint_names)
         self._settings = None if settings is None else settings_of(settings)
-        self._joint_names = tuple(values["joint_names"])
 
-    def _do_begun(self, values: dict[str, Any], _: object) -> None:
-        id = values["id"]
+    def _do_begun(self, id: str) -> None:
         if id in self._asked:
             self._policies.publish(self._asked[id])
         for action in self._actions:
             action.report(id, STAGE)
 
-    def _do_ended(self, values: dict[str, Any], _: object) -> None:
+    def _do_ended(self, id: str, answer: dict[str, Any], end: dict[str, Any] | None = None) -> None:
         more: dict[str, Any] = {}
-        if "end" in values:
-            end = values["end"]
+        if end is not None:
             fault = end["fault"] and Fault(FaultKind(end["fault"]["kind"]), end["fault"]["text"])
-            message = Ended(**{**end, "fault": fault}).message()
-            self._ends.publish(message)
-            more = {"end": message, "path": self._path}
-        answer = values["answer"]
-        self._finish(values["id"], Answer(**{**answer, "code": Code(answer["code"])}), **more)
-
-    def _finish(self, id: str, answer: Answer, **more: Any) -> None:  # noqa: ANN401 - see Action
+            more = {"end": Ended(**{**end, "fault": fault}).message(), "path": self._path}
+            self._ends.publish(more["end"])
         self._asked.pop(id, None)
         for action in self._actions:
-            if id in action.under_way:
-                action.finish(id, answer, **more)
+            action.finish(id, Answer(**{**answer, "code": Code(answer["code"])}), **more)
 
-    def _do_path(self, values: dict[str, Any], arrays: dict[str, np.ndarray]) -> None:
-        path = EndEffectorPath(values["id"], **arrays)
-        self._path = pose_messages.path_message(path, values["start_ns"], values["frame"])
+    def _do_path(self, id: str, start_ns: int, frame: str, **arrays: np.ndarray) -> None:
+        self._path = pose_messages.path_message(EndEffectorPath(id, **arrays), start_ns, frame)
         self._paths.publish(self._path)
 
-    def _do_report(self, values: dict[str, Any], _: object) -> None:
+    def _do_report(self, stamp_ns: int, **status: Any) -> None:  # noqa: ANN401 - of JSON
         if any(later is not None and later.values["what"] == "report" for later in self._inbox):
             return  # reports that waited for the start of this process are out of date
-        parts = (values[key] for key in ("name", "hardware_id", "level", "text", "values"))
-        self._diagnostics.publish(diagnostics_message(time_message(values["stamp_ns"]), *parts))
+        self._diagnostics.publish(diagnostics_message(time_message(stamp_ns), **status))
 
-    def _do_log(self, values: dict[str, Any], _: object) -> None:
-        severity, name, text = (values[key] for key in ("severity", "name", "text"))
+    def _do_log(self, severity: str, name: str, text: str) -> None:
         log = get_logger(name)  # rclpy requires a separate line of code for each severity
         if severity == "error":
             log.error(text)
@@ -179,107 +157,60 @@ class PreparationWorker(Node):
         else:
             log.info(text)
         level = getattr(Log, severity.upper().removesuffix("ING"))
-        stamp = Clock().now().to_msg()
-        self._log.publish(Log(stamp=stamp, level=level, name=name, msg=text))
+        self._log.publish(Log(stamp=Clock().now().to_msg(), level=level, name=name, msg=text))
 
     # From the network
 
-    def _prepare(self, id: str, what: str, prepare: Callable[[], None]) -> Answer | None:
-        """Prepare what a request is about and hand it over, or say why it is refused."""
+    def _on_movement(self, message: JointTrajectory, info: dict[str, int]) -> None:
+        """Take a movement from the topic, whose sender gets no answer."""
+        goal = FollowJointTrajectory.Goal(trajectory=message)
+        answer = self._begin("replay", uuid4().hex, goal, info["source_timestamp"])
+        if answer is not None:
+            self.get_logger().warning(f"movement refused: {answer.text}")
+
+    def _begin(self, do: str, id: str, goal: Goal, sent: int | None = None) -> Answer | None:
+        """Hand over what a goal is about, or say why not; `sent` [ns], or as its id says."""
         if self._settings is None:
             return NOT_ACTIVE
         self._channel.send({"what": "reading", "id": id})
         try:
-            prepare()
+            replay = do == "replay"
+            about = self._movement(goal) if replay else self._policy(id, goal.policy)
+            parts = vars(about).items()
+            arrays = {name: each for name, each in parts if isinstance(each, np.ndarray)}
+            values = {name: each for name, each in parts if name not in arrays}
+            asked = {"what": "asked", "id": id, "do": do, "configuration": self._configuration}
+            asked |= {"sent_ns": sent or sent_ns(id), "known_stop": getattr(goal, "known_stop", "")}
+            shared = self._channel.send({**asked, "about": values}, arrays)
+            self._shared[type(about)].append(shared)
         except ControllerError as error:
-            code = Code(error.refusal.value)
-            return Answer(code, self._refuse(what, str(error)), speed=error.speed)
-        except ValueError as error:
-            return Answer(Code.REFUSED, self._refuse(what, str(error)))
+            text, code, speed = str(error), Code(error.refusal.value), error.speed
         except Exception as error:  # of any kind: the process goes on
-            return Answer(Code.REFUSED, self._refuse(what, repr(error)))
-        return None
+            text = str(error) if isinstance(error, ValueError) else repr(error)
+            code, speed = Code.REFUSED, math.nan
+        else:
+            return None
+        self._channel.send({"what": "refused", "text": text[:TEXT_MAX]})
+        return Answer(code, text[:TEXT_MAX], speed=speed)
 
-    def _refuse(self, what: str, text: str) -> str:
-        """Report a refusal; returns its text."""
-        self._channel.send({"what": "refused", "kind": what, "text": text[:TEXT_MAX]})
-        return text[:TEXT_MAX]
-
-    def _cancel(self, id: str) -> None:
-        self._channel.send({"what": "cancel", "id": id})
-
-    def _of_policy(self, do: str) -> Begin:
-        """Begin of an action that is about a policy."""
-
-        def begin(id: str, goal: ExecutePolicy.Goal | MoveToStart.Goal) -> Answer | None:
-            asked = sent_ns(id), goal.known_stop
-            return self._prepare(
-                id, REQUEST, lambda: self._prepare_policy(id, do, goal.policy, asked)
-            )
-
-        return begin
-
-    def _prepare_policy(self, id: str, do: str, message: Policy, asked: tuple[int, str]) -> None:
-        settings, limits = self._arm()
+    def _policy(self, id: str, message: Policy) -> TabulatedPolicy:
         policy = policies.from_json(message.text)
         if message.id not in ("", policy.id):
             raise ValueError(f"the policy {policy.id!r} is named {message.id!r} in the goal")
-        prepared = vars(policy_preparation.prepare(policy, limits, settings))
-        arrays = {name: each for name, each in prepared.items() if isinstance(each, np.ndarray)}
-        rest = {name: each for name, each in prepared.items() if name not in arrays}
+        prepared = policy_preparation.prepare(policy, self._settings.limits, self._settings)
         self._asked[id] = Policy(id=policy.id, text=message.text)
-        values = {"what": "policy", "id": id, "do": do, "asked": asked, "policy": rest}
-        self._hand_over(REQUEST, values, arrays)
+        return prepared
 
-    def _replay(self, id: str, goal: Replay.Goal) -> Answer | None:
-        asked = sent_ns(id), goal.known_stop
-        return self._prepare(id, MOVEMENT, lambda: self._prepare_movement(id, goal.movement, asked))
-
-    def _follow(self, id: str, goal: FollowJointTrajectory.Goal) -> Answer | None:
-        asked = sent_ns(id), ""
-        return self._prepare(
-            id, MOVEMENT, lambda: self._prepare_movement(id, goal.trajectory, asked, waypoints=True)
-        )
-
-    def _on_movement(self, data: bytes, info: dict[str, int]) -> None:
-        """Take a movement from the topic, whose sender gets no answer."""
-        asked, id = (info["source_timestamp"], ""), uuid4().hex
-
-        def prepare() -> None:
-            if (size := len(data)) > SIZE_MAX:
-                raise ValueError(f"{size} bytes; at most {SIZE_MAX} allowed")
-            message = deserialize_message(data, JointTrajectory)
-            self._prepare_movement(id, message, asked, waypoints=True)
-
-        if (answer := self._prepare(id, MOVEMENT, prepare)) is not None:
-            self.get_logger().warning(f"movement refused: {answer.text}")
-
-    def _prepare_movement(
-        self,
-        id: str,
-        message: JointTrajectory,
-        asked: tuple[int, str],
-        waypoints: bool = False,
-    ) -> None:
-        settings, limits = self._arm()
+    def _movement(self, goal: Replay.Goal | FollowJointTrajectory.Goal) -> Sampled:
+        """Movement of a goal, on the control grid: recorded, or through waypoints."""
+        waypoints, settings = isinstance(goal, FollowJointTrajectory.Goal), self._settings
+        message = goal.trajectory if waypoints else goal.movement
         if (points := len(message.points)) > POINTS_MAX:
             raise ValueError(f"{points} points; at most {POINTS_MAX} allowed")
         t, q = joint_messages.movement(message, self._joint_names)
         if waypoints:
             t, q = replay_trajectory.through(t, q)
-        sampled = replay_trajectory.sampled(t, q, settings.period, limits)
-        values = {"duration": sampled.duration, "period": sampled.period}
-        arrays = {"q": sampled.q, "qd": sampled.qd, "qdd": sampled.qdd}
-        about = {"what": "movement", "id": id, "movement": values, "asked": asked}
-        self._hand_over(MOVEMENT, about, arrays)
-
-    def _arm(self) -> tuple[ControllerSettings, Limits]:
-        """Settings and limits of the arm."""
-        return self._settings, self._settings.limits
-
-    def _hand_over(self, what: str, values: dict[str, Any], arrays: dict[str, np.ndarray]) -> None:
-        shared = self._channel.send({**values, "configuration": self._configuration}, arrays)
-        self._shared[what].append(shared)
+        return replay_trajectory.sampled(t, q, settings.period, settings.limits)
 
 
 def followed(answer: Answer, **_: object) -> FollowJointTrajectory.Result:

@@ -23,8 +23,7 @@ ELSEWHERE |= {"idle_service", "urdf", "base_frame", "state_timeout", "hold_to_ru
 class SimulatedArm:
     """Simulates policies for the practice (`practice.ArmModel`); keeps the results.
 
-    Attributes:
-        parameters: Parameters of the controller that it simulates, by name.
+    `parameters` are those of the controller that it simulates, by name.
     """
 
     def __init__(
@@ -35,26 +34,19 @@ class SimulatedArm:
         controller: Sequence[str],
         report: Callable[[str], object],
     ) -> None:
-        """Read the arm and the parameters of its controller.
+        """Read the arm, from a path or a file of our share folder, and its controller's parameters.
 
-        Args:
-            urdf: Path of the URDF, or a file of our share folder.
-            controller: Files of the controller's parameters, later ones over earlier ones.
-
-        Raises:
-            ValueError: A parameter is not valid.
+        Later files of the controller are over earlier ones; a ValueError if a value is not valid.
         """
         urdf = robot_description(urdf)
         setup = overlay.of_files([share(file) for file in controller])
-        controller_params = TorqueControllerParams.of_setup(setup)
+        params = TorqueControllerParams.of_setup(setup)
         own = TorqueControllerParams.model_fields.keys() - ELSEWHERE
         self.parameters = {name: setup["torque_controller"][name] for name in sorted(own)}
-        corrections = controller_params.corrections
-        base, limits = controller_params.base_frame, controller_params.position_limits
-        self.kinematics = Arm(urdf, joint_names, tool_frame, (), corrections, base, limits)
+        parts = params.corrections, params.base_frame, params.position_limits
+        self.kinematics = Arm(urdf, joint_names, tool_frame, (), *parts)
         self.identity = self.kinematics.identity()
-        self._controller = controller_params.controller(urdf)
-        self.region = controller_params.region
+        self._controller, self.region = params.controller(urdf), params.region
         self._report = report
         # movement and number of overruns -> fault that ends it, None if it is feasible
         self._verdicts: dict[tuple[str, int], Fault | None] = {}

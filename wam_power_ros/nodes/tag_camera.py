@@ -6,11 +6,6 @@ The pose is in the optical frame of the camera.
 
 from __future__ import annotations
 
-if __name__ == "__main__":  # before the other imports, which a signal may interrupt
-    from wam_power_ros.entry import start
-
-    raise SystemExit(start("wam_power_ros.nodes.tag_camera"))
-
 import time
 from collections import deque
 
@@ -22,7 +17,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image
 
 from wam_power_ros import rotations
-from wam_power_ros.params.tag_camera_params import TagCameraParams
+from wam_power_ros.params.driver_params import TagCameraParams
 from wam_power_ros.ros import interface, node_runner, pose_messages
 from wam_power_ros.ros.diagnostics import Diagnostics
 from wam_power_ros.ros.stamps import sensor_stamp

@@ -9,11 +9,6 @@ publishes paths and diagnostics, and logs.
 
 from __future__ import annotations
 
-if __name__ == "__main__":  # before the other imports, which a signal may interrupt
-    from wam_power_ros.entry import start
-
-    raise SystemExit(start("wam_power_ros.nodes.torque_controller"))
-
 import contextlib
 import dataclasses
 import os
@@ -23,6 +18,7 @@ from typing import Any
 
 import numpy as np
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
@@ -45,16 +41,13 @@ from wam_power_ros.ros import (
     endpoints,
     interface,
     joint_messages,
+    network,
     node_runner,
     scheduling,
-    security,
 )
-from wam_power_ros.ros.command_guard import CommandGuard
-from wam_power_ros.ros.diagnostics import LAST_STOP
+from wam_power_ros.ros.guards import CommandGuard, Info, SimulationGuard, StateGuard, with_info
 from wam_power_ros.ros.loop_statistics import LoopStatistics
 from wam_power_ros.ros.outcomes import Answer, Code, fill
-from wam_power_ros.ros.simulation_guard import SimulationGuard
-from wam_power_ros.ros.state_guard import Info, StateGuard, with_info
 
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 STATE_AGE_MAX_NS = 1_000_000_000  # [ns] of the last joint state at activation
@@ -72,7 +65,7 @@ class TorqueController(LifecycleNode):
     def __init__(self) -> None:
         super().__init__("torque_controller", automatically_declare_parameters_from_overrides=True)
         self._params = params = TorqueControllerParams.of(self)
-        if (exposed := security.exposed(os.environ)) is not None:
+        if (exposed := network.exposed(os.environ)) is not None:
             self.get_logger().warning(exposed)
         self._frame = interface.frame(self.get_namespace(), params.base_frame)
         self._autostart = params.autostart
@@ -91,7 +84,7 @@ class TorqueController(LifecycleNode):
         sim_time = self.get_parameter("use_sim_time").value  # lockstep: states may pause
         self._watchdog = Watchdog(0.0 if sim_time else params.state_timeout, params.period)
         self._statistics = LoopStatistics(round(params.period * 1e9))
-        self._last_figures: tuple[dict[str, str], str] = {}, ""
+        self._figures: tuple[dict[str, str], str] = {}, ""  # of the last second, and a warning
         self._granted = scheduling.Granted()
 
         self._reader = joint_messages.JointStateReader(params.joint_names)
@@ -105,36 +98,32 @@ class TorqueController(LifecycleNode):
             self.context.get_domain_id(),
             lambda *request: self._requests.begin(*request),
             self._on_cancel,
-            lambda what, reason: self._report.refuse(what, reason),
+            lambda reason: self._report.refuse("request", reason),
             lambda id, reason: self._requests.refuse(id, reason),
         )
         self._report = ControllerReport(self, params, self._preparation)
         self._guard = CommandGuard(self, self._commands)
         self._state_guard = StateGuard(self, params.state_topic)
         self._velocity_guard = StateGuard(self, params.velocity_topic or params.state_topic)
-        self._simulation_guard = (
-            SimulationGuard(self, params.state_topic) if params.simulation else None
-        )
+        simulated = params.simulation, not self._watchdog.enabled
+        self._simulation_guard = SimulationGuard(self, params.state_topic, *simulated)
         idle = params.idle_service or interface.WAM_IDLE
         self._idle = unanswered(self, idle, interface.IDLE_QOS)
-        subscribe = self.create_subscription
+        subscribe, state_in = self.create_subscription, interface.STATE_IN
         on_state, on_velocity = with_info(self._on_state), with_info(self._on_velocity)
-        self._states = subscribe(
-            JointState, params.state_topic, on_state, interface.STATE_IN, raw=True
-        )
+        self._states = subscribe(JointState, params.state_topic, on_state, state_in, raw=True)
         if params.hold_to_run:
             subscribe(Bool, interface.ENABLE, self._on_enable, interface.ENABLE_IN)
         if params.velocity_topic:
-            subscribe(JointState, params.velocity_topic, on_velocity, interface.STATE_IN)
+            subscribe(JointState, params.velocity_topic, on_velocity, state_in)
         self._descriptions: Subscription | None = None
         self._await_description()
         serve = self.create_service
         serve(Trigger, interface.STOP, self._on_stop)
         serve(Trigger, interface.RESET, self._answering(self._reset))
         serve(SetBool, interface.GRAVITY_COMPENSATION, self._on_gravity_compensation)
-        self._requests = MotionRequests(
-            params.joint_names, self._active_controller, self._preparation
-        )
+        active, replies = self._active_controller, self._preparation
+        self._requests = MotionRequests(params.joint_names, active, replies)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(0.1, self._supervise, clock=steady)
         self.create_timer(1.0, self._publish_report, clock=steady)
@@ -182,15 +171,15 @@ class TorqueController(LifecycleNode):
 
         In simulation it also requires that no node but a stand-in publishes states.
         """
-        reason = self._missing_state() or self._stranger() or self._other_clock() or None
-        reason = reason or self._missing_realtime()
-        reason = reason or self._unheard() or self._guard.begin()
-        if reason is None and self._controller.mode is not Mode.FAULT:
+        simulation = self._simulation_guard
+        reason = self._missing_state() or simulation.stranger() or simulation.other_clock()
+        reason = reason or self._missing_realtime() or self._unheard() or self._guard.begin()
+        if not reason and self._controller.mode is not Mode.FAULT:
             try:
                 self._controller.hold()
             except ControllerError as error:
                 reason = str(error)
-        if reason is not None:
+        if reason:
             self._guard.listen()
             self._report.refuse("activation", reason)
             return FAILURE
@@ -244,7 +233,8 @@ class TorqueController(LifecycleNode):
             self._answer_next()
         self._send(self._stale_torque(), "inactive")
         self._fall_silent()
-        self._guard.wait_until_received(RECEIPT_TIMEOUT)
+        # What a busy reader does not have when this process ends may be lost.
+        self._commands.wait_for_all_acked(Duration(seconds=RECEIPT_TIMEOUT))
 
     def _fall_silent(self) -> None:
         """Send no torque any more, and refuse the pending requests."""
@@ -282,9 +272,9 @@ class TorqueController(LifecycleNode):
             if now_ns - self._refused_ns < STATE_AGE_MAX_NS:
                 return f"joint states arrive, but are refused: {self._refusal}"
             unmatched = self._unmatched(params.state_topic, JointState, interface.STATE_IN)
-            there = self.count_publishers(params.state_topic)  # its clock would be known as well
-            clock = f"; {clock}" if there and (clock := self._other_clock()) else ""
-            return f"no joint state within the last second{unmatched}{clock}"
+            known = self.count_publishers(params.state_topic)  # its clock would be known as well
+            clock = self._simulation_guard.other_clock() if known else ""
+            return f"no joint state within the last second{unmatched}{clock and f'; {clock}'}"
         if params.velocity_topic and now_ns - self._qd_ns >= STATE_AGE_MAX_NS:
             unmatched = self._unmatched(params.velocity_topic, JointState, interface.STATE_IN)
             return f"no joint velocity on {params.velocity_topic} within the last second{unmatched}"
@@ -295,32 +285,19 @@ class TorqueController(LifecycleNode):
 
     def _unmatched(self, topic: str, kind: type, qos: QoSProfile) -> str:
         """Publishers from which nothing is received, as the end of a sentence; empty if none."""
-        types = (endpoints.type_name(kind),)
-        return "".join(
-            f"; {text}" for text in endpoints.unmatched_publishers(self, topic, types, qos)
-        )
+        found = endpoints.unmatched_publishers(self, topic, (endpoints.type_name(kind),), qos)
+        return "".join(f"; {text}" for text in found)
 
     def _unheard(self) -> str | None:
         """Drivers that do not receive the torques, if no other node does either."""
-        kind = endpoints.type_name(self._commands.msg_type)
-        unmatched, matched = endpoints.unmatched_subscriptions(
-            self, self._commands.topic_name, kind, self._command_qos
-        )
+        kind, topic = endpoints.type_name(self._commands.msg_type), self._commands.topic_name
+        unmatched, matched = endpoints.unmatched_subscriptions(self, topic, kind, self._command_qos)
         return None if matched or not unmatched else "; ".join(unmatched)
 
-    def _stranger(self) -> str | None:
-        """Publisher of joint states that a simulation must not answer; None on an arm."""
-        return None if self._simulation_guard is None else self._simulation_guard.stranger()
-
-    def _other_clock(self) -> str:
-        """Clock of a stand-in that this node does not follow; empty on an arm."""
-        guard, lockstep = self._simulation_guard, not self._watchdog.enabled
-        return "" if guard is None else guard.other_clock(lockstep)
-
     def _missing_realtime(self) -> str | None:
-        if self._params.allow_no_realtime or self._granted.complete:
-            return None
         granted = self._granted
+        if self._params.allow_no_realtime or granted.complete:
+            return None
         return (
             f"no real-time scheduling (SCHED_FIFO {granted.scheduling}; locked memory "
             f"{granted.memory}): grant both, or set allow_no_realtime"
@@ -476,15 +453,13 @@ class TorqueController(LifecycleNode):
 
     def _await_description(self) -> None:
         if not self._params.urdf:
-            self._descriptions = self.create_subscription(
-                String, interface.ROBOT_DESCRIPTION, self._on_description, interface.LATCHED
-            )
+            described = interface.ROBOT_DESCRIPTION, self._on_description, interface.LATCHED
+            self._descriptions = self.create_subscription(String, *described)
 
     def _on_description(self, message: String) -> None:
         self._urdf = message.data
 
     def _active_controller(self) -> Controller | None:
-        """The controller while it is active, else None."""
         return self._controller if self._active else None
 
     def _on_cancel(self, id: str) -> None:
@@ -508,7 +483,7 @@ class TorqueController(LifecycleNode):
         """Stop the arm for a person, and report it at once to whoever waits for something else."""
         self._requests.stop(self._controller)
         answer = attempt(self._active_controller(), Controller.stop)
-        self._report.publish(self._condition(), *self._figures())
+        self._report.publish(self._condition(), *self._figures)
         return answer
 
     def _on_gravity_compensation(
@@ -532,9 +507,8 @@ class TorqueController(LifecycleNode):
 
         def answer(asked: Any, response: Trigger.Response) -> Trigger.Response:  # noqa: ANN401
             self._requests.expire()
-            return fill(
-                response, attempt(self._active_controller(), lambda core: request(core, asked))
-            )
+            core = self._active_controller()
+            return fill(response, attempt(core, lambda core: request(core, asked)))
 
         return answer
 
@@ -545,11 +519,10 @@ class TorqueController(LifecycleNode):
             self._autostart = self.trigger_configure() is SUCCESS
         if self._autostart and self._controller is not None and self._missing_state() is None:
             self._autostart = self.trigger_activate() is not SUCCESS
-        if self._active and self._simulation_guard is not None:
-            if (stranger := self._simulation_guard.intruder()) is not None:
-                self._fall_silent()  # at once: a last torque would reach a robot
-                self._report.refuse("joint states", stranger)
-                self.trigger_deactivate()
+        if self._active and (stranger := self._simulation_guard.intruder()) is not None:
+            self._fall_silent()  # at once: a last torque would reach a robot
+            self._report.refuse("joint states", stranger)
+            self.trigger_deactivate()
         if self._active and (intruder := self._guard.intruder()):
             self._controller.fault(Fault(FaultKind.SECOND_COMMANDER, intruder))
         if self._active:
@@ -567,13 +540,8 @@ class TorqueController(LifecycleNode):
                 self._controller.fault(fault)
         if self._active and not self._commands.get_subscription_count():  # looked up only then
             warning = self._unheard() or warning
-        self._last_figures = figures, warning
-        self._report.publish(self._condition(), *self._figures())
-
-    def _figures(self) -> tuple[dict[str, str], str]:
-        """Figures of the last second with the last stop, and the warning of the loop."""
-        figures, warning = self._last_figures
-        return {**figures, LAST_STOP: self._requests.last_stop}, warning
+        self._figures = figures, warning
+        self._report.publish(self._condition(), *self._figures)
 
     def _condition(self) -> Condition:
         core = self._controller
@@ -585,6 +553,7 @@ class TorqueController(LifecycleNode):
             active=self._active,
             missing_state=self._missing_state(),
             granted=self._granted,
+            last_stop=self._requests.last_stop,
         )
 
 

@@ -100,13 +100,11 @@ class BodyTrackerParams(MocapTopics, Params, TrackerSettings):
                 f"set either pose_topic or markers_topic, not {self.pose_topic!r} and "
                 f"{self.markers_topic!r}"
             )
-        of_topic = get_args(OfMarkers if self.markers_topic else OfPose)
-        if self.message_type not in ("", *of_topic):
-            topic = "markers_topic" if self.markers_topic else "pose_topic"
-            raise ValueError(
-                f"message_type {self.message_type!r} is not one of {topic}; "
-                f"allowed are {list(of_topic)}"
-            )
+        topic = "markers_topic" if self.markers_topic else "pose_topic"
+        allowed = get_args(OfMarkers if self.markers_topic else OfPose)
+        if self.message_type not in ("", *allowed):
+            text = f"message_type {self.message_type!r} is not one of {topic}"
+            raise ValueError(f"{text}; allowed are {list(allowed)}")
         if self.message_type.endswith("/PoseArray") and not self.source_body.isdecimal():
             raise ValueError(
                 f"body_in_message {self.body_in_message!r} must be the index of the pose: 0, 1, ..."

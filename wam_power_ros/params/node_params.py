@@ -53,23 +53,16 @@ class Params(BaseModel):
     def of(cls: type[P], node: Node) -> P:
         """Read the parameters of `node` and make them read-only.
 
-        Raises:
-            ValueError: Keys are unknown, of a wrong type, out of range, or missing without
-                defaults; the message names them. Or a file of `--params-file` is malformed.
+        A ValueError names keys that are unknown, missing, of a wrong type or out of range, and a
+        file of `--params-file` that is malformed.
         """
         if cls.file:
             cls._complete(node)
         for file in () if cls.file else parameter_file.given(sys.argv):
             parameter_file.read(file)
         given = node.get_parameters_by_prefix("").items()
-        values = {
-            name: parameter.value
-            if isinstance(parameter.value, (bool, int, float, str))
-            else tuple(parameter.value or ())
-            for name, parameter in given
-            if not name.startswith(parameter_file.ROS_PARAMETERS)
-        }
-        params = cls._checked(node.get_name(), values)
+        values = {k: plain(() if it.value is None else it.value) for k, it in given}
+        params = cls.of_values(node.get_name(), values)
         cls._describe(node)
         return params
 
@@ -88,23 +81,23 @@ class Params(BaseModel):
         setup = overlay.of_files(files, namespace, name, kind)
         passed: dict[str, Any] = {"use_sim_time": False}  # by ROS, from the files
         foreign: set[str] = set()
-        for other in overlay.STAND_INS if kind in overlay.STAND_INS else ():
-            foreign |= setup[other].keys()
+        if kind in overlay.STAND_INS:
+            foreign = {each for other in overlay.STAND_INS for each in setup[other]}
         for file in files:
             sections = parameter_file.of_nodes(file, namespace)
             common = sections.get(parameter_file.ALL_NODES, {})
             foreign |= common.keys()
             passed |= common | sections.get(name, {})
-        given = {each: _plain(node.get_parameter_or(each).value) for each in setup[kind]}
+        given = {each: plain(node.get_parameter_or(each).value) for each in setup[kind]}
         words = {k: v for k, v in given.items() if v is not None and v != passed.get(k)}
         setup = overlay.of_files(files, namespace, name, kind, words)
         for each in foreign - setup[kind].keys():
-            if node.has_parameter(each) and not each.startswith(parameter_file.ROS_PARAMETERS):
+            if node.has_parameter(each) and not parameter_file.of_ros(each):
                 node.undeclare_parameter(each)
         for each, value in setup[kind].items():
             if not node.has_parameter(each):
                 node.declare_parameter(each, value)
-            elif _plain(node.get_parameter(each).value) == passed.get(each):
+            elif plain(node.get_parameter(each).value) == passed.get(each):
                 node.set_parameters([Parameter(each, value=value)])
 
     @classmethod
@@ -113,16 +106,16 @@ class Params(BaseModel):
         from rcl_interfaces.msg import ParameterDescriptor
 
         comments = parameter_file.comments(share(f"config/{cls.file}")) if cls.file else {}
+        properties = cls.model_json_schema()["properties"]
         for name in cls.model_fields.keys() - cls.constants:
-            field = cls.model_fields[name]
-            sentences = (comments.get(name), field.description and f"Range: {field.description}")
-            given = node.get_parameter(name)
+            about = properties[name].get("description")
+            sentences = (comments.get(name), about and f"Range: {about}")
             descriptor = ParameterDescriptor(
-                type=given.type_.value,
+                type=node.get_parameter(name).type_.value,
                 description=". ".join(filter(None, sentences)),
                 additional_constraints=AT_REST if name in cls.settable else AT_START,
                 read_only=name not in cls.settable,
-                **_range(field.metadata, given.value),
+                **_range(properties[name]),
             )
             node.set_descriptor(name, descriptor)
         clock = ParameterDescriptor(
@@ -140,11 +133,10 @@ class Params(BaseModel):
 
         def on_set(given: Sequence[Parameter[Any]]) -> SetParametersResult:
             nonlocal known
-            own = {each.name: each.value for each in given if each.name in type(self).settable}
-            own = {k: v if isinstance(v, (str, int, float)) else tuple(v) for k, v in own.items()}
+            own = {it.name: plain(it.value) for it in given if it.name in type(self).settable}
             try:
                 values = known.model_dump(exclude=type(self).constants) | own
-                accept(changed := self._checked(node.get_name(), values))
+                accept(changed := self.of_values(node.get_name(), values))
             except ValueError as error:
                 return SetParametersResult(successful=False, reason=str(error))
             known = changed
@@ -162,12 +154,11 @@ class Params(BaseModel):
     def of_values(cls: type[P], owner: str, values: Mapping[str, object]) -> P:
         """Check values from YAML for a node; parameters that ROS itself defines are ignored."""
         own = {
-            name: value
+            name: tuple(value) if isinstance(value, list) else value
             for name, value in values.items()
-            if not name.startswith(parameter_file.ROS_PARAMETERS)
+            if not parameter_file.of_ros(name)
         }
-        lists = {name: tuple(value) for name, value in own.items() if isinstance(value, list)}
-        return cls._checked(owner, own | lists)
+        return cls._checked(owner, own)
 
     @classmethod
     def _checked(cls: type[P], owner: str, values: Mapping[str, object]) -> P:
@@ -201,25 +192,20 @@ class Params(BaseModel):
         return f"{key} = {shown}: {rule}{reason}"
 
 
-def _plain(value: object) -> object:
+def plain(value: object) -> object:
     """A list for any sequence but text, to compare values of ROS and of YAML."""
     return value if value is None or isinstance(value, (str, int, float)) else list(value)
 
 
-def _range(rules: Sequence[object], value: object) -> dict[str, list[Any]]:
-    """Range of a number from its rules, as a field of a descriptor; empty for other values."""
+def _range(schema: Mapping[str, Any]) -> dict[str, list[Any]]:
+    """Range of a number, as a field of a descriptor; empty for other values."""
     from rcl_interfaces.msg import FloatingPointRange, IntegerRange
 
-    bounds = {
-        name: bound
-        for rule in rules
-        for name in ("gt", "ge", "lt", "le")
-        if (bound := getattr(rule, name, None)) is not None
-    }
-    low, high = bounds.get("gt", bounds.get("ge")), bounds.get("lt", bounds.get("le"))
-    if low is None or high is None or type(value) not in (int, float):
+    low = schema.get("minimum", schema.get("exclusiveMinimum"))
+    high = schema.get("maximum", schema.get("exclusiveMaximum"))
+    if low is None or high is None:
         return {}
-    if type(value) is int:
+    if schema["type"] == "integer":
         return {"integer_range": [IntegerRange(from_value=int(low), to_value=int(high))]}
     limits = FloatingPointRange(from_value=float(low), to_value=float(high))
     return {"floating_point_range": [limits]}

@@ -12,7 +12,6 @@ import difflib
 import itertools
 import reprlib
 from collections.abc import Mapping, Sequence
-from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,13 +37,6 @@ NODES = (
     "optitrack_sim",
 )
 STAND_INS = ("wam_sim", "optitrack_sim")
-WITH_BODY = (
-    "pancake_tracker",
-    "tag_camera",
-    "natnet_client",
-    "demonstration_recorder",
-    "optitrack_sim",
-)  # that of the task
 SOURCES = ("torque_controller", "pancake_tracker")  # the others' parameters are derived from theirs
 REGION = "guarded_region"  # parameter of the controller; a simulated scene has the same one
 SIMULATION = "simulation"  # file in config/ with what a simulation changes
@@ -65,11 +57,7 @@ class Setup(dict[str, dict[str, Any]]):
         return names
 
     def arm(self) -> Arm | None:
-        """Build the model of the arm; None without a URDF file.
-
-        Raises:
-            ValueError: The URDF lacks joints or links that the set-up names.
-        """
+        """Model of the arm, None without a URDF; a ValueError names joints and links it lacks."""
         from wam_power_ros.control.arm import Arm, guarded_points
         from wam_power_ros.control.corrections import Corrections
 
@@ -86,9 +74,8 @@ class Setup(dict[str, dict[str, Any]]):
             return Arm(urdf, names, tool, guarded, corrections, base, limits)
         except ValueError as error:
             where = "model_joint_names, base_frame, tool_frame, position_limits, guarded_links"
-            raise ValueError(
-                f"{controller['urdf']}: {error} (torque_controller: urdf, {where})"
-            ) from None
+            text = f"{controller['urdf']}: {error} (torque_controller: urdf, {where})"
+            raise ValueError(text) from None
 
     def changed(self, changes: Mapping[str, Mapping[str, Any]]) -> Setup:
         """Set-up with other values of some parameters, by node."""
@@ -98,31 +85,28 @@ class Setup(dict[str, dict[str, Any]]):
 def known() -> list[str]:
     """Names of the set-ups in config/."""
     stems = sorted(file.stem for file in share("config").glob("*.yaml"))
-    return [
-        s for s in stems if "." not in s and s not in (*NODES, SIMULATION, LOCKSTEP)
-    ]  # no NAME.TASK
+    others = (*NODES, SIMULATION, LOCKSTEP)
+    return [stem for stem in stems if "." not in stem and stem not in others]  # no NAME.TASK
 
 
 def find(name: str) -> Path:
     """Return the file of a set-up: config/NAME.yaml, or the path itself.
 
-    Raises:
-        ValueError: There is no such file; the message lists the set-ups in config/.
+    A ValueError that there is no such file lists the set-ups in config/.
     """
     given = Path(name).expanduser()
     if given.suffix == ".yaml" and given.is_file():
         return given.resolve()
     if name not in known():
-        hint = installed.did_you_mean(name, known())
-        raise ValueError(
-            f"no set-up {name!r}: give the path of a .yaml file or one of {known()}{hint}"
-        )
+        advice = f"give the path of a .yaml file or one of {known()}"
+        raise ValueError(f"no set-up {name!r}: {advice}{installed.did_you_mean(name, known())}")
     return share(f"config/{name}.yaml")
 
 
 def summary(name: str) -> str:
     """First sentence of the comment at the top of a set-up in config/."""
-    comment = takewhile(lambda line: line.startswith("#"), find(name).read_text().splitlines())
+    lines = find(name).read_text().splitlines()
+    comment = itertools.takewhile(lambda line: line.startswith("#"), lines)
     return " ".join(line.strip("# ") for line in comment).partition(". ")[0].rstrip(".")
 
 
@@ -139,9 +123,9 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
 
     Raises:
         ValueError: The task is unknown, has no set-up or another body than a file says, or a node
-            has another base frame than the controller. A file
-            cannot be found or read, names an unknown node or parameter, gives a value of another
-            kind than the node's own file, or sets `simulation` for a real arm.
+            has another base frame than the controller. A file cannot be read, names an unknown
+            node or parameter, gives a value of another kind than the node's own file, or sets
+            `simulation` for a real arm.
     """
     own = _own()
     files = [installed.task_setup(task, share("config"))] if task else []
@@ -156,12 +140,11 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
         first = _derived(*(own[source] for source in SOURCES))
     parameters = _folded(own, _over(own, first), [(None, {"pancake_tracker": of_task}), *given])
     parameters["learner"] |= {"task": task} if task else {}
-    for node in WITH_BODY if task else ():
-        if (body := {"body": parameters[node]["body"]}) != of_task:
-            where = f"{body} of {node} contradicts task {task!r}, {of_task}: choose another --task"
-            raise ValueError(f"{where}, or omit it in {', '.join(map(str, files))}")
     base = parameters["torque_controller"]["base_frame"]
     for node, values in parameters.items():
+        if task and (body := {"body": values.get("body", of_task["body"])}) != of_task:
+            where = f"{body} of {node} contradicts task {task!r}, {of_task}: choose another --task"
+            raise ValueError(f"{where}, or omit it in {', '.join(map(str, files))}")
         if (own_base := values.get("base_frame", base)) != base:
             text = f"base_frame {own_base!r} of {node} is not that of torque_controller, {base!r}"
             raise ValueError(f"{text}: give it there, the other nodes have it from there")
@@ -209,9 +192,8 @@ def of_files(
         kind: Its name in `NODES`.
         own_values: Parameters of the node from its command line, which replace those of files.
 
-    Raises:
-        ValueError: A file is malformed, or a section has an unknown parameter or a value of another
-            kind than the node's own file.
+    A ValueError names a file that is malformed, or an unknown parameter or a value of another kind
+    than the node's own file in it.
     """
     own, defaults = _own(), {share(f"config/{each}.yaml").resolve() for each in NODES}
     others = [path for path in map(Path.resolve, files) if path not in defaults]
@@ -284,7 +266,6 @@ _Plain.add_representer(list, lambda to, items: to.represent_sequence(_SEQ, items
 
 
 def _read(file: Path, namespace: str = "") -> Parameters:
-    """Read the parameters by node from one file, see `parameter_file.of_nodes`."""
     found = parameter_file.of_nodes(file, namespace)
     for values in found.values():  # the URDF path may be relative to the set-up file
         if values.get("urdf") and (urdf := file.parent / str(values["urdf"])).is_file():
@@ -305,7 +286,11 @@ def _sections(
     every = {name: values for node in own.values() for name, values in node.items()}
     _check(file, "every node", common, every)
     sections: Parameters = {
-        node: {name: value for name, value in common.items() if name in own[node] or _of_ros(name)}
+        node: {
+            name: value
+            for name, value in common.items()
+            if name in own[node] or parameter_file.of_ros(name)
+        }
         for node in NODES
     }
     for name, values in found.items():
@@ -319,17 +304,16 @@ def _sections(
     for topic, other in itertools.permutations(("pose_topic", "markers_topic")):
         if tracker.get(topic) and other not in tracker:
             tracker[other] = ""  # a source replaces that of a file before
-    return {node: _for_ros(values, own[node]) for node, values in sections.items() if values}
-
-
-def _of_ros(name: object) -> bool:
-    """Whether ROS itself defines a parameter."""
-    return str(name).startswith(parameter_file.ROS_PARAMETERS)
+    return {
+        node: {name: _of_kind(value, own[node].get(name, value)) for name, value in values.items()}
+        for node, values in sections.items()
+        if values
+    }
 
 
 def _check(file: Path, node: str, values: Mapping[str, Any], own: Mapping[str, Any]) -> None:
     for name, value in values.items():
-        if _of_ros(name):
+        if parameter_file.of_ros(name):
             continue
         if name not in own:
             near = difflib.get_close_matches(str(name), own, n=1)
@@ -350,15 +334,11 @@ def _same_kind(value: object, default: object) -> bool:
     return type(value) is type(default) or (type(value) is int and type(default) is float)
 
 
-def _for_ros(values: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
-    """Values of the kinds of the own file, as ROS tells a whole number from a float.
+def _of_kind(value: Any, default: Any) -> Any:  # noqa: ANN401 - of any kind
+    """Value of the kind of a default, as ROS tells a whole number from a float.
 
     A list of both, or an empty one, ends a node before it can say which parameter it is.
     """
-    return {name: _of_kind(value, own.get(name, value)) for name, value in values.items()}
-
-
-def _of_kind(value: Any, default: Any) -> Any:  # noqa: ANN401 - of any kind
     if isinstance(value, list):
         return [_of_kind(item, default[0]) for item in value] or [""]
     return float(value) if isinstance(default, float) else value
@@ -403,10 +383,7 @@ def _derived(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Parameters:
             "velocity": "empty" if arm["velocity_topic"] else "filled",
             "effort": {"torque": "filled", "none": "empty"}.get(arm["effort"], arm["effort"]),
         },
-        "optitrack_sim": {
-            **{name: mocap[name] for name in cameras},
-            "frame": mocap["mocap_frame"],
-        },
+        "optitrack_sim": {name: mocap[name] for name in cameras} | {"frame": mocap["mocap_frame"]},
     }
     if mocap["latency_offset"]:  # stamps are later than the exposure
         derived["optitrack_sim"] |= {"stamps": "receipt", "latency": mocap["latency_offset"]}

@@ -18,12 +18,11 @@ import yaml
 
 from wam_power_ros import plain_yaml
 
-ROS_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")  # prefixes
+_OF_ROS = ("use_sim_time", "start_type_description_service", "qos_overrides.")  # prefixes
 ALL_NODES = "**"  # name, without namespace, of the section of all nodes: `/**`
 _TAG = "tag:yaml.org,2002:"
 _INT = re.compile(r"[-+]?(0|[1-9][0-9]*)$")
-_COMMENTED = re.compile(r"    (\w+):(?:[^#]*)(?:# ?(.*))?$")  # a parameter and its comment
-_CONTINUED = re.compile(r"     +# ?(.*)$")  # next line of the comment
+_COMMENTED = re.compile(r"^    (\w+):[^#\n]*((?:#.*)?(?:\n     +#.*)*)", re.MULTILINE)
 _FLOAT = re.compile(
     r"[-+]?([0-9]+\.[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?$|[-+]?[0-9]+[eE][-+]?[0-9]+$"
 )
@@ -78,11 +77,8 @@ Loader.add_implicit_resolver(_TAG + "float", _FLOAT, list("-+.0123456789"))
 def read(file: Path, loader: type = Loader) -> dict[str, dict[str, Any]]:
     """Read the parameters by node from one file; names of nodes include their namespace.
 
-    A file that ROS itself is to read needs the loader `PlainLoader`.
-
-    Raises:
-        ValueError: The file is not a regular file, too large, not YAML, or does not contain
-            parameters by node. The message names the file and, for a duplicate key, both lines.
+    A file that ROS itself is to read needs the loader `PlainLoader`. A ValueError names the file
+    that cannot be read and, for a duplicate key, both lines.
     """
     nodes = plain_yaml.read(file, loader)
     try:
@@ -112,10 +108,8 @@ def _mapping(value: object, where: str) -> dict[Any, Any]:
 def of_nodes(file: Path, namespace: str = "") -> dict[str, dict[str, Any]]:
     """Read the parameters by name of the node, without its namespace; ALL_NODES for all.
 
-    With a namespace, such as `/left` or `/`, those of its nodes alone.
-
-    Raises:
-        ValueError: As for `read`, or the file has a node in two namespaces and none is given.
+    With a namespace, such as `/left` or `/`, those of its nodes alone. A ValueError as for `read`,
+    or if the file has a node in two namespaces and none is given.
     """
     found: dict[str, dict[str, Any]] = {}
     for path, values in read(file).items():
@@ -131,19 +125,17 @@ def of_nodes(file: Path, namespace: str = "") -> dict[str, dict[str, Any]]:
 
 def comments(file: Path) -> dict[str, str]:
     """Comments by parameter in a file of config/: beside the value, and in the lines below it."""
-    found: dict[str, str] = {}
-    name = ""
-    for line in file.read_text(encoding="utf-8").splitlines():
-        if match := _COMMENTED.match(line):
-            name, found[match[1]] = match[1], match[2] or ""
-        elif name and (continued := _CONTINUED.match(line)):
-            found[name] = f"{found[name]} {continued[1]}".strip()
-        else:
-            name = ""
-    return {name: text for name, text in found.items() if text}
+    commented = _COMMENTED.findall(file.read_text(encoding="utf-8"))
+    lines = {name: [line.strip("# ") for line in text.splitlines()] for name, text in commented}
+    return {name: " ".join(texts).strip() for name, texts in lines.items() if any(texts)}
 
 
 def given(arguments: Sequence[str]) -> list[Path]:
     """Files of the options `--params-file` among the arguments of a process."""
     pairs = itertools.pairwise(arguments)
     return [Path(value) for option, value in pairs if option == "--params-file"]
+
+
+def of_ros(name: object) -> bool:
+    """Whether ROS itself defines a parameter."""
+    return str(name).startswith(_OF_ROS)

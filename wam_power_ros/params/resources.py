@@ -20,8 +20,7 @@ _LEVELS = 4  # folders above a xacro file in which packages are looked for
 def share(relative: str) -> Path:
     """Return the existing path of a file or folder that comes with the package.
 
-    Raises:
-        FileNotFoundError: There is no such file or folder; the message lists the searched folders.
+    A FileNotFoundError lists the searched folders.
     """
     package = Path(__file__).resolve().parents[1]
     checkout = package.parent
@@ -40,10 +39,7 @@ def robot_description(urdf: str) -> str:
     Its path is absolute, from ~, as for `share`, or of a sourced package: package://NAME/FILE.
     Packages that the file names are those of the sourced workspaces, and folders with a
     package.xml beside the file or above it: a vendor's description without ROS.
-
-    Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: A xacro file cannot be expanded; the message says what is missing.
+    A FileNotFoundError if there is none; a ValueError says what a xacro file lacks.
     """
     file = _in_package(urdf) if urdf.startswith(PACKAGE_URL) else share(os.path.expanduser(urdf))
     if file.suffix == ".xacro":

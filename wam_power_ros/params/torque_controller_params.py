@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -27,9 +27,7 @@ if TYPE_CHECKING:
 JOINTS_MAX = 16
 Joints = Annotated[
     tuple[Annotated[str, Field(min_length=1)], ...],
-    Field(
-        min_length=1, max_length=JOINTS_MAX, description="the most joints that a policy can have"
-    ),
+    Field(min_length=1, max_length=JOINTS_MAX, description="as many as a policy can have"),
 ]
 GuardedNames = Annotated[tuple[str, ...], Field(min_length=1, max_length=8)]
 Length = Annotated[float, Field(ge=-5.0, le=5.0)]
@@ -37,14 +35,10 @@ Unit = Annotated[float, Field(ge=-1.0, le=1.0)]
 Corner = tuple[Length, Length, Length]
 REACH = "in m: no arm of these set-ups reaches 5 m"
 Speed = Annotated[float, Field(ge=0.05, le=6.0)]
-Friction = Annotated[
-    tuple[Annotated[float, Field(ge=-1.0, le=100.0)], ...],
-    Field(min_length=1, max_length=JOINTS_MAX, description="in N m or N m s/rad; -1: the URDF's"),
-]
-FrictionShares = Annotated[
-    tuple[Annotated[float, Field(ge=-0.5, le=0.5)], ...],
-    Field(min_length=1, max_length=JOINTS_MAX, description="of the Coulomb friction"),
-]
+Friction = Annotated[float, Field(ge=-1.0, le=100.0)]
+FrictionShare = Annotated[float, Field(ge=-0.5, le=0.5)]
+JointZero = Annotated[float, Field(ge=-0.2, le=0.2)]
+Scale = Annotated[float, Field(ge=0.5, le=1.5)]
 PositionLimits = Annotated[
     tuple[Annotated[float, Field(ge=-12.6, le=12.6)], ...],
     Field(min_length=1, max_length=2 * JOINTS_MAX, description="in rad, or m of a slide"),
@@ -53,17 +47,17 @@ Kilograms = Annotated[float, Field(ge=-5.0, le=20.0)]
 Moment = Annotated[float, Field(ge=-5.0, le=5.0)]
 Tilt = Annotated[float, Field(ge=-0.35, le=0.35)]
 # Bounds on a real arm, stricter than in simulation, where nobody can be hurt.
-STATE_TIMEOUT_MAX = 0.02  # [s] after which libfranka and Universal Robots stop
-STIFFNESS_MAX = 2800.0  # [1/s^2] stable with 8 ms of delay and a damping of 32 1/s
-TORQUE_RATE_MAX = 2000.0  # [N m/s] enough for any toss; see `safety.Limits`
+ON_AN_ARM = {
+    "state_timeout": 0.02,  # [s] after which libfranka and Universal Robots stop
+    "stiffness_max": 2800.0,  # [1/s^2] stable with 8 ms of delay and a damping of 32 1/s
+    "torque_rate_max": 2000.0,  # [N m/s] enough for any toss; see `safety.Limits`
+}
 
 
 def require_same_joints(joint_names: Sequence[str], model_joint_names: Sequence[str]) -> None:
-    """Refuse names of the driver that are not those of the model's joints, one by one.
+    """Refuse, by a ValueError, names of the driver that are not those of the model, one by one.
 
-    Raises:
-        ValueError: Their numbers differ, or a name stands at another joint of the model that has
-            the same name: the driver's joints would be taken for each other.
+    A name that stands at another joint of the model is one: joints would be taken for each other.
     """
     if len(model_joint_names) != len(joint_names):
         raise ValueError(
@@ -77,6 +71,11 @@ def require_same_joints(joint_names: Sequence[str], model_joint_names: Sequence[
                 "base to tip. The order in the joint states does not matter, they are matched by "
                 "name; torques are sent in this order"
             )
+
+
+def _each(why: str) -> Any:  # noqa: ANN401 - as Field
+    """Field of a value for each joint, whose range `why` explains to who is refused."""
+    return Field(min_length=1, max_length=JOINTS_MAX, description=why)
 
 
 class TorqueControllerParams(Params, MotionSettings):
@@ -106,26 +105,13 @@ class TorqueControllerParams(Params, MotionSettings):
     base_frame: str = Field(min_length=1)
     tool_frame: str
     position_limits: PositionLimits
-    joint_zeros: Annotated[
-        tuple[Annotated[float, Field(ge=-0.2, le=0.2)], ...],
-        Field(min_length=1, max_length=JOINTS_MAX, description="in rad: re-zero an arm beyond 0.2"),
-    ]
-    torque_scales: Annotated[
-        tuple[Annotated[float, Field(ge=0.5, le=1.5)], ...],
-        Field(
-            min_length=1, max_length=JOINTS_MAX, description="beyond, the torques' unit is wrong"
-        ),
-    ]
-    coulomb_friction: Friction
-    viscous_friction: Friction
-    friction_asymmetry: FrictionShares
-    low_speed_friction: FrictionShares
-    link_masses: Annotated[
-        tuple[Annotated[float, Field(ge=0.5, le=1.5)], ...],
-        Field(
-            min_length=1, max_length=JOINTS_MAX, description="beyond, the URDF is of another arm"
-        ),
-    ]
+    joint_zeros: tuple[JointZero, ...] = _each("in rad: re-zero an arm beyond 0.2")
+    torque_scales: tuple[Scale, ...] = _each("beyond, the torques' unit is wrong")
+    coulomb_friction: tuple[Friction, ...] = _each("in N m; -1: the URDF's")
+    viscous_friction: tuple[Friction, ...] = _each("in N m s/rad; -1: the URDF's")
+    friction_asymmetry: tuple[FrictionShare, ...] = _each("of the Coulomb friction")
+    low_speed_friction: tuple[FrictionShare, ...] = _each("of the Coulomb friction")
+    link_masses: tuple[Scale, ...] = _each("beyond, the URDF is of another arm")
     payload: tuple[Kilograms, Moment, Moment, Moment] = Field(
         description="in kg and kg m: beyond the tool that the URDF describes"
     )
@@ -143,9 +129,7 @@ class TorqueControllerParams(Params, MotionSettings):
     )
     guarded_names: GuardedNames
     guarded_links: GuardedNames
-    guarded_points: Annotated[
-        tuple[Length, ...], Field(min_length=1, max_length=24, description=REACH)
-    ]
+    guarded_points: tuple[Length, ...] = Field(min_length=1, max_length=24, description=REACH)
     elbow_speed_max: float = Field(
         ge=0.05,
         le=3.0,
@@ -169,11 +153,7 @@ class TorqueControllerParams(Params, MotionSettings):
 
     @classmethod
     def of(cls, node: Node) -> Self:
-        """Read the parameters as `Params.of`; simulated time would disable a real arm's watchdog.
-
-        Raises:
-            ValueError: As for `Params.of`, or a real arm has simulated time.
-        """
+        """As `Params.of`; simulated time is refused, which would disable a real arm's watchdog."""
         params = super().of(node)
         if not params.simulation and node.get_parameter("use_sim_time").value:
             raise ValueError(
@@ -192,23 +172,17 @@ class TorqueControllerParams(Params, MotionSettings):
                 f"set_point_period = {self.set_point_period} must be 0 or at least the period of "
                 f"the states, {self.period}: a set point answers a state"
             )
-        if not self.simulation:
-            if self.autostart:
-                raise ValueError(
-                    "autostart = True: must be false on a real arm (simulation: false), where a "
-                    "person activates the controller"
-                )
-            for name, upper in (
-                ("state_timeout", STATE_TIMEOUT_MAX),
-                ("stiffness_max", STIFFNESS_MAX),
-                ("torque_rate_max", TORQUE_RATE_MAX),
-            ):
-                value = getattr(self, name)
-                if not 0.0 < value <= upper:
-                    raise ValueError(
-                        f"{name} = {value} must be above 0 and at most {upper:g} on a real arm "
-                        "(simulation: false)"
-                    )
+        if self.simulation:
+            return self
+        if self.autostart:
+            raise ValueError(
+                "autostart = True: must be false on a real arm (simulation: false), where a "
+                "person activates the controller"
+            )
+        for name, upper in ON_AN_ARM.items():
+            if not 0.0 < (value := getattr(self, name)) <= upper:
+                text = f"{name} = {value} must be above 0 and at most {upper:g} on a real arm"
+                raise ValueError(f"{text} (simulation: false)")
         return self
 
     @property
@@ -231,19 +205,21 @@ class TorqueControllerParams(Params, MotionSettings):
         """What was measured on this arm."""
         return Corrections.of_parameters(self.model_dump())
 
-    def controller(self, urdf: str, latched: Fault | None = None) -> Controller:
-        """Build the controller for the arm of a URDF, with a fault that is still latched.
-
-        Raises:
-            ValueError: The URDF does not have the joints and frames that these parameters name, or
-                limits contradict each other.
-        """
-        from wam_power_ros.control.reference_output import controller_of
-
+    def arm(self, urdf: str) -> Arm:
+        """Build the model of the arm of a URDF; a ValueError names joints and frames it lacks."""
         guarded = guarded_points(self.guarded_names, self.guarded_links, self.guarded_points)
         names, tool = self.model_joint_names, self.tool_frame
         base, allowed = self.base_frame, self.position_limits
-        arm = Arm(urdf, names, tool, guarded, self.corrections, base, allowed)
+        return Arm(urdf, names, tool, guarded, self.corrections, base, allowed)
+
+    def controller(self, urdf: str, latched: Fault | None = None) -> Controller:
+        """Build the controller for the arm of a URDF, with a fault that is still latched.
+
+        A ValueError names joints and frames that the URDF lacks, or contradicting limits.
+        """
+        from wam_power_ros.control.reference_output import controller_of
+
+        arm = self.arm(urdf)
         limits = limits_of(
             arm,
             torque=self.torque_share * arm.tau_max,

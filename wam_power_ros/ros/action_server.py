@@ -17,14 +17,9 @@ from rclpy.node import Node
 from wam_power_ros.ros import outcomes
 from wam_power_ros.ros.outcomes import Answer, Code
 
-Begin = Callable[[str, Any], Answer | None]
-
 
 class Action:
-    """Server of one action.
-
-    Attributes:
-        under_way: Ids of the goals that have not ended, oldest first.
+    """Server of one action; `under_way` has its goals that have not ended by id, oldest first.
 
     Args:
         begin: Called with the id and the goal; returns the answer that ends it, or None if `finish`
@@ -38,7 +33,7 @@ class Action:
         node: Node,
         kind: Any,  # noqa: ANN401 - any action
         name: str,
-        begin: Begin,
+        begin: Callable[[str, Any], Answer | None],
         cancel: Callable[[str], object] | None = None,
         result: Callable[..., object] | None = None,
     ) -> None:

@@ -7,7 +7,7 @@ are imported when they are used: no robot has all of them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from importlib import import_module
 from typing import Any, TypeAlias
@@ -19,7 +19,6 @@ from wam_power_ros import rotations
 from wam_power_ros.params.body_tracker_params import BodyTrackerParams, missing_package
 from wam_power_ros.ros import interface, pose_messages
 from wam_power_ros.ros.pose_messages import MarkersReading, PoseReading
-from wam_power_ros.ros.stamps import sensor_stamp
 from wam_power_ros.tracking.frame_tree import FrameTree
 
 TF_TYPE = "tf2_msgs/msg/TFMessage"
@@ -28,36 +27,27 @@ Message: TypeAlias = Any  # of one of many types
 
 
 def message_class(name: str) -> type:
-    """Class of messages such as `nav_msgs/msg/Odometry`.
-
-    Raises:
-        ValueError: Its package is not installed; the message says how to install it.
-    """
+    """Class of messages of a type; a ValueError says how to install its package."""
     if text := missing_package(name):
         raise ValueError(text)
     package, _, kind = name.split("/")
     return getattr(import_module(f"{package}.msg"), kind)
 
 
-def _found(items: Sequence[Message], names: list[str], body: str) -> Message:
-    if body not in names:
-        raise ValueError(f"the message has no body {body!r}; it has {names[:20]}")
-    return items[names.index(body)]
+def _found(items: dict[str, Message], body: str) -> Message:
+    if body not in items:
+        raise ValueError(f"the message has no body {body!r}; it has {list(items)[:20]}")
+    return items[body]
 
 
 def _in_array(message: Message, body: str) -> PoseReading:
-    names = [str(number) for number in range(len(message.poses))]
-    return pose_messages.reading(message, _found(message.poses, names, body))
+    poses = {str(number): pose for number, pose in enumerate(message.poses)}
+    return pose_messages.reading(message, _found(poses, body))
 
 
-def _in_named(message: Message, body: str) -> PoseReading:
-    names = [each.name for each in message.poses]
-    return pose_messages.reading(message, _found(message.poses, names, body).pose)
-
-
-def _in_bodies(message: Message, body: str) -> PoseReading:
-    names = [each.rigid_body_name for each in message.rigidbodies]
-    return pose_messages.reading(message, _found(message.rigidbodies, names, body).pose)
+def _in_list(items: str, name: str, message: Message, body: str) -> PoseReading:
+    named = {getattr(each, name): each for each in getattr(message, items)}
+    return pose_messages.reading(message, _found(named, body).pose)
 
 
 def _in_tf(message: Message, body: str) -> PoseReading | None:
@@ -74,23 +64,20 @@ def _inner(message: Message, _: str) -> PoseReading:
 def _points(message: Message, _: str) -> MarkersReading:
     places = [each.translation for each in message.markers]
     points = np.array([[it.x, it.y, it.z] for it in places]).reshape(-1, 3)
-    finite = np.isfinite(points).all(axis=1)
-    return MarkersReading(sensor_stamp(message), message.header.frame_id, points[finite])
+    return pose_messages.of_markers(message, points)
 
 
 Read: TypeAlias = Callable[[Message, str], Reading | None]
 # Type of message -> reading of one and the name or index of the body in it; None if /tf does not
 # have it this time. A ValueError names what is wrong.
 SOURCES: dict[str, Read] = {
-    "geometry_msgs/msg/PoseStamped": lambda message, _: pose_messages.reading(
-        message, message.pose
-    ),
+    "geometry_msgs/msg/PoseStamped": lambda message, _: pose_messages.pose(message),
     "geometry_msgs/msg/PoseWithCovarianceStamped": _inner,
     "nav_msgs/msg/Odometry": _inner,
     "geometry_msgs/msg/TransformStamped": lambda message, _: pose_messages.transform(message),
     "geometry_msgs/msg/PoseArray": _in_array,
-    "motion_capture_tracking_interfaces/msg/NamedPoseArray": _in_named,
-    "mocap4r2_msgs/msg/RigidBodies": _in_bodies,
+    "motion_capture_tracking_interfaces/msg/NamedPoseArray": partial(_in_list, "poses", "name"),
+    "mocap4r2_msgs/msg/RigidBodies": partial(_in_list, "rigidbodies", "rigid_body_name"),
     TF_TYPE: _in_tf,
     "sensor_msgs/msg/PointCloud2": lambda message, _: pose_messages.markers(message),
     "mocap4r2_msgs/msg/Markers": _points,
@@ -103,18 +90,10 @@ def bare(frame: str) -> str:
 
 
 class BodySource:
-    """The topic of one body, or of markers: its messages as arrays in the mocap_frame.
-
-    Attributes:
-        topic: Topic, resolved.
-    """
+    """The resolved `topic` of a body, or of markers: messages as arrays in the mocap_frame."""
 
     def __init__(self, node: Node, params: BodyTrackerParams) -> None:
-        """Prepare to read; the caller subscribes.
-
-        Raises:
-            ValueError: The package of the message type is not installed.
-        """
+        """Prepare to read; the caller subscribes. A ValueError names a missing package."""
         self.topic = node.resolve_topic_name(params.topic)
         self.kind = message_class(params.source_type)
         self._read = SOURCES[params.source_type]
@@ -145,15 +124,11 @@ class BodySource:
             raise ValueError(f"frame_id is not mocap_frame, and by /tf {error}") from None
         rotation = rotations.matrix(quat_xyzw)
         if isinstance(reading, MarkersReading):
-            return reading._replace(
-                frame=self._frame, points=reading.points @ rotation.T + position
-            )
-        return PoseReading(
-            reading.stamp_ns,
-            self._frame,
-            position + rotation @ reading.position,
-            rotations.multiply(quat_xyzw, reading.quat_xyzw),
-        )
+            points = reading.points @ rotation.T + position
+            return MarkersReading(reading.stamp_ns, self._frame, points)
+        placed = position + rotation @ reading.position
+        turned = rotations.multiply(quat_xyzw, reading.quat_xyzw)
+        return PoseReading(reading.stamp_ns, self._frame, placed, turned)
 
     @property
     def missing(self) -> str:

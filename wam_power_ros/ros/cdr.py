@@ -33,11 +33,7 @@ class StateReader:
         self._layout: _Layout | None = None  # of the last message with our joints
 
     def __call__(self, data: bytes) -> JointReading | None:
-        """Read one message like `JointStateReader`.
-
-        Raises:
-            ValueError: When that raises it, or the bytes are not a JointState.
-        """
+        """Read one message like `JointStateReader`; bytes that are none are a ValueError."""
         numbers = None if self._layout is None else self._layout.numbers(data)
         if numbers is not None:
             return self._reader.reading(*numbers)
@@ -70,29 +66,27 @@ class _Layout:
         self._add_doubles(len(message.effort))
         self._struct = struct.Struct(self._format)
 
+    def _add(self, code: str, size: int, alignment: int) -> int:
+        """Append a field, after a gap of any content, and return its offset."""
+        gap = (_ORIGIN - self._size) % alignment
+        self._format, offset = f"{self._format}{gap}x{code}", self._size + gap
+        self._size = offset + size
+        return offset
+
     def _add_count(self, count: int) -> None:
-        self._pad(4)
-        self._format, self._size = self._format + "I", self._size + 4
+        self._add("I", 4, 4)
         self._fixed.append(count)
 
     def _add_text(self, text: str) -> None:
         encoded = text.encode() + b"\0"
         self._add_count(len(encoded))
-        self._format, self._size = f"{self._format}{len(encoded)}s", self._size + len(encoded)
+        self._add(f"{len(encoded)}s", len(encoded), 1)
         self._fixed.append(encoded)
 
     def _add_doubles(self, count: int) -> tuple[int, int]:
         """Append an array of doubles; returns its length and offset."""
         self._add_count(count)
-        if count:
-            self._pad(8)
-        offset = self._size
-        self._format, self._size = f"{self._format}{8 * count}x", offset + 8 * count
-        return count, offset
-
-    def _pad(self, alignment: int) -> None:
-        gap = (_ORIGIN - self._size) % alignment  # of any content: senders do not clear it
-        self._format, self._size = f"{self._format}{gap}x", self._size + gap
+        return count, self._add(f"{8 * count}x", 8 * count, 8 if count else 1)
 
     def numbers(self, data: bytes) -> tuple[int, np.ndarray, np.ndarray | None] | None:
         """Stamp [ns], positions, and velocities or None; None when the layout differs."""

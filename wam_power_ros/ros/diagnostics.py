@@ -52,9 +52,8 @@ class Diagnostics:
 
     def __init__(self, node: Node, part: str, hardware_id: str) -> None:
         self._node, self._of = node, (component(node, part), hardware_id)
-        self._publisher = node.create_publisher(
-            DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
-        )
+        topic, qos = interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
+        self._publisher = node.create_publisher(DiagnosticArray, topic, qos)
 
     def publish(self, level: str, text: str, values: Mapping[str, object]) -> None:
         """Publish as `diagnostics_message` has it, with the time of the node."""

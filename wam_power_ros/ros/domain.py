@@ -31,11 +31,7 @@ class DomainError(network.VariableError):
 
 
 def exported(environment: Mapping[str, str]) -> int:
-    """Domain in ROS_DOMAIN_ID, 0 if it is not set.
-
-    Raises:
-        DomainError: It is not a number from 0 to DOMAIN_MAX.
-    """
+    """Domain in ROS_DOMAIN_ID, 0 if it is not set; a DomainError if it is none."""
     text = environment.get("ROS_DOMAIN_ID", "").strip() or "0"
     if not (text.isascii() and text.isdigit() and int(text) <= DOMAIN_MAX):
         raise DomainError(f"ROS_DOMAIN_ID={text!r} is not a whole number from 0 to {DOMAIN_MAX}")
@@ -51,10 +47,7 @@ def shared(domain: int) -> dict[str, str]:
 def private_domain() -> Iterator[int]:
     """Hold a domain for a simulation, which no other process on this machine holds or uses.
 
-    It is never the domain in ROS_DOMAIN_ID, which may be a robot's.
-
-    Raises:
-        DomainError: All are in use.
+    It is never that of ROS_DOMAIN_ID, which may be a robot's. A DomainError if all are in use.
     """
     used, named = network.ports_in_use(), os.environ.get("ROS_DOMAIN_ID", "").strip()
     domains = [domain for domain in PRIVATE_DOMAINS if str(domain) != named]
@@ -70,26 +63,24 @@ def private_domain() -> Iterator[int]:
             yield domain
             return
     first, last = PRIVATE_DOMAINS[0], PRIVATE_DOMAINS[-1]
-    raise DomainError(
-        f"every DDS domain from {first} to {last} is in use on this machine; end a simulation"
-    )
+    text = f"every DDS domain from {first} to {last} is in use on this machine"
+    raise DomainError(f"{text}; end a simulation")
 
 
 def hold(domain: int, namespace: str = "") -> ExitStack | None:
     """Hold a domain until the returned locks are closed or the process ends.
 
-    With a namespace only that one, beside those of other processes.
-
-    Returns:
-        The locks; None if a parent process holds the domain, as its environment says (`shared`).
-
-    Raises:
-        DomainError: Another process holds it, or its lock cannot be read.
+    With a namespace only that one, beside those of other processes. None if a parent process holds
+    the domain, as its environment says (`shared`); a DomainError if another does, or its lock
+    cannot be read.
     """
     if os.environ.get(HELD) == str(domain):
         return None
+    name = namespace.strip("/").replace("/", "__")
+    files = [(_lock_file(domain), bool(name))]  # and whether others may lock it as well
+    files += [(_lock_file(f"{domain}_{name}"), False)] if name else []
     with ExitStack() as held:
-        for file, shared in lock_files(domain, namespace):
+        for file, shared in files:
             try:
                 held.enter_context(_locked(file, fcntl.LOCK_SH if shared else fcntl.LOCK_EX))
             except PermissionError:
@@ -98,20 +89,13 @@ def hold(domain: int, namespace: str = "") -> ExitStack | None:
                     "or remove it while nobody uses the domain"
                 ) from None
             except BlockingIOError:
-                where = f"namespace {namespace} of " if namespace.strip("/") else ""
+                where = f"namespace {namespace} of " if name else ""
                 raise DomainError(
                     f"{where}DDS domain {domain} is in use on this machine by another session "
                     f"(`fuser {file}` names its process); end it, or choose another domain: "
                     "export ROS_DOMAIN_ID=N"
                 ) from None
         return held.pop_all()
-
-
-def lock_files(domain: int, namespace: str = "") -> list[tuple[Path, bool]]:
-    """Files that a holder of a domain locks, and whether others beside it may lock each as well."""
-    name = namespace.strip("/").replace("/", "__")
-    own = [(_lock_file(f"{domain}_{name}"), False)] if name else []
-    return [(_lock_file(domain), bool(name)), *own]
 
 
 def ports(domain: int) -> range:
@@ -125,7 +109,6 @@ def _lock_file(domain: int | str) -> Path:
 
 
 def _locked(path: Path, operation: int = fcntl.LOCK_EX) -> IO[str]:
-    """Open and lock a file."""
     try:
         file = path.open("a")
         if os.fstat(file.fileno()).st_uid == os.getuid():

@@ -12,7 +12,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from wam_power_ros.ros.simulation_guard import UNNAMED, described
+from wam_power_ros.ros.guards import UNNAMED, described
 
 BEST_EFFORT, RELIABLE = ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE
 VOLATILE, LATCHED = DurabilityPolicy.VOLATILE, DurabilityPolicy.TRANSIENT_LOCAL
@@ -27,12 +27,9 @@ def type_name(kind: type) -> str:
 def unmatched_publishers(
     node: Node, topic: str, types: Sequence[str], qos: QoSProfile | None = None
 ) -> list[str]:
-    """Describe the publishers of a topic from which a subscription receives nothing.
+    """Describe the publishers of a topic, relative or resolved, from which nothing is received.
 
-    Args:
-        topic: Topic, relative or resolved.
-        types: Full names of the expected message types; empty for any.
-        qos: QoS of the subscription; None if it adapts to the publishers.
+    Without types any is expected; without a QoS the subscription adapts to the publishers.
 
     Returns:
         One sentence each, with both sides.
@@ -40,8 +37,7 @@ def unmatched_publishers(
     topic, found = node.resolve_topic_name(topic), []
     wanted = f"{' or '.join(types)}{'' if qos is None else f' (at least {_said(qos)})'}"
     for info in node.get_publishers_info_by_topic(topic):
-        why = _difference(info, types, info.qos_profile, qos or info.qos_profile)
-        if why:
+        if why := _difference(info, types, info.qos_profile, qos or info.qos_profile):
             given = f"{info.topic_type} ({_said(info.qos_profile)})"
             found.append(f"{_node(info)} publishes {given} on {topic}, not {wanted}: {why}")
     return sorted(found)
@@ -50,25 +46,20 @@ def unmatched_publishers(
 def unmatched_subscriptions(
     node: Node, topic: str, kind: str, qos: QoSProfile
 ) -> tuple[list[str], int]:
-    """Describe the subscriptions of other nodes that receive nothing from a publisher.
+    """Describe the subscriptions of other nodes that receive nothing, and count those that do.
 
     Returns:
-        One sentence each, with both sides, and the number of the other nodes' subscriptions that
-        match.
+        One sentence each, with both sides, and the count.
     """
-    topic, found, matched = node.resolve_topic_name(topic), [], 0
-    own = node.get_name(), node.get_namespace()
-    for info in node.get_subscriptions_info_by_topic(topic):
-        if (info.node_name, info.node_namespace) == own:
-            continue
-        why = _difference(info, (kind,), qos, info.qos_profile)
-        wanted = f"{info.topic_type} (at least {_said(info.qos_profile)})"
-        given = f"{kind} ({_said(qos)})"
-        if why:
-            text = f"{_node(info)} subscribes to {topic} as {wanted}, published is {given}: {why}"
-            found.append(text)
-        matched += not why
-    return sorted(found), matched
+    topic, own = node.resolve_topic_name(topic), (node.get_name(), node.get_namespace())
+    infos, found = node.get_subscriptions_info_by_topic(topic), []
+    others = [info for info in infos if (info.node_name, info.node_namespace) != own]
+    for info in others:
+        if why := _difference(info, (kind,), qos, info.qos_profile):
+            wanted = f"{info.topic_type} (at least {_said(info.qos_profile)})"
+            given = f"published is {kind} ({_said(qos)})"
+            found.append(f"{_node(info)} subscribes to {topic} as {wanted}, {given}: {why}")
+    return sorted(found), len(others) - len(found)
 
 
 def _difference(
@@ -98,6 +89,5 @@ def _words(policy: ReliabilityPolicy | DurabilityPolicy) -> str:
 
 
 def _node(info: TopicEndpointInfo) -> str:
-    if info.node_name == UNNAMED:
-        return described(UNNAMED)
-    return described(f"{info.node_namespace.strip('/')}/{info.node_name}".lstrip("/"))
+    known = info.node_name != UNNAMED
+    return described(f"{info.node_namespace}/{info.node_name}".strip("/") if known else UNNAMED)

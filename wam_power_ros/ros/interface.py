@@ -29,7 +29,6 @@ DIAGNOSTICS = "/diagnostics"
 CLOCK = "/clock"
 LOG = "/rosout"
 ENABLE = "controller/enable"
-
 REPLAY = "controller/replay"  # a movement to follow, for who wants no answer
 
 # Actions
@@ -55,34 +54,21 @@ WAM_IDLE = "wam/idle"
 
 # Topics and services of a tracked body begin with its name; its frame is the name itself
 BODY_LEAVES = ("pose", "state", "truth", "drop")  # the last two: stand-in only
-SCENE_LEAVES = ("truth",)  # of a task without a body
-SCENE = "scene"
+SCENE = "scene"  # in the place of a body, for the truth of a task without one
 _BODY = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _RESERVED = {SCENE, "end_effector", "end"}
 
 
 def body_topic(body: str, leaf: str) -> str:
-    """Topic or service of a tracked body, such as `ball/state`.
+    """Topic or service of a tracked body, such as `ball/state`; without one, `scene/truth` alone.
 
-    Args:
-        body: Name of the body; empty for a task without one, which has `scene/truth`.
-        leaf: One of `BODY_LEAVES`.
-
-    Raises:
-        ValueError: When there is no such topic, or the name of the body is not acceptable.
+    A ValueError if the name of the body is not acceptable.
     """
-    leaves = BODY_LEAVES if body else SCENE_LEAVES
-    if leaf not in leaves:
-        raise ValueError(f"no topic {leaf!r} of body {body!r}; there are {list(leaves)}")
-    return f"{_checked(body) if body else SCENE}/{leaf}"
+    return f"{SCENE if (body, leaf) == ('', 'truth') else _checked(body)}/{leaf}"
 
 
 def rollout_topic(body: str) -> str:
-    """Topic of a tracked body's path through a rollout, such as `rollout/ball`.
-
-    Raises:
-        ValueError: When the name of the body is not acceptable.
-    """
+    """Topic of a body's path in a rollout, as `rollout/ball`; a ValueError as for `body_topic`."""
     return f"rollout/{_checked(body)}"
 
 
@@ -100,7 +86,8 @@ def frame(namespace: str, name: str) -> str:
     return f"{namespace}/{name}".lstrip("/")
 
 
-def _qos(depth: int, reliability: str = "RELIABLE", durability: str = "VOLATILE") -> QoSProfile:
+def qos(depth: int, reliability: str = "RELIABLE", durability: str = "VOLATILE") -> QoSProfile:
+    """QoS that keeps the last `depth` messages; policies by their names in rclpy."""
     return QoSProfile(
         depth=depth,
         reliability=ReliabilityPolicy[reliability],
@@ -109,25 +96,25 @@ def _qos(depth: int, reliability: str = "RELIABLE", durability: str = "VOLATILE"
 
 
 # QoS: publish reliable, subscribe best effort, except for latched topics
-STATE_OUT = _qos(10)
-STATE_IN = _qos(10, "BEST_EFFORT")
-COMMAND = _qos(1)
+STATE_OUT = qos(10)
+STATE_IN = qos(10, "BEST_EFFORT")
+COMMAND = qos(1)
 # For readers that must lose nothing while they write to a disk: four seconds at 500 Hz.
 # Lockstep waits for the controller alone, so states and torques are kept for a recorder.
-DEEP = _qos(2000)
-DEEP_IN = _qos(2000, "BEST_EFFORT")
-STATE_RECORD = _qos(2000, "BEST_AVAILABLE")
-MOCAP = _qos(500)  # a path needs every frame: two seconds at 240 Hz
-MOCAP_BEST_EFFORT = _qos(500, "BEST_EFFORT")
-LATCHED = _qos(1, durability="TRANSIENT_LOCAL")
-FIXED = _qos(100, durability="TRANSIENT_LOCAL")  # of /tf_static, as tf2 subscribes
-REPLAYS = _qos(10)
-DIAGNOSTICS_QOS = _qos(10)
-LOG_QOS = _qos(1000, durability="TRANSIENT_LOCAL")
-CLOCK_QOS = _qos(1, "BEST_EFFORT")
-ENABLE_OUT, ENABLE_IN = _qos(1), _qos(1, "BEST_EFFORT")
+DEEP = qos(2000)
+DEEP_IN = qos(2000, "BEST_EFFORT")
+STATE_RECORD = qos(2000, "BEST_AVAILABLE")
+MOCAP = qos(500)  # a path needs every frame: two seconds at 240 Hz
+MOCAP_BEST_EFFORT = qos(500, "BEST_EFFORT")
+LATCHED = qos(1, durability="TRANSIENT_LOCAL")
+FIXED = qos(100, durability="TRANSIENT_LOCAL")  # of /tf_static, as tf2 subscribes
+REPLAYS = qos(10)
+DIAGNOSTICS_QOS = qos(10)
+LOG_QOS = qos(1000, durability="TRANSIENT_LOCAL")
+CLOCK_QOS = qos(1, "BEST_EFFORT")
+ENABLE_OUT, ENABLE_IN = qos(1), qos(1, "BEST_EFFORT")
 # A request to idle that is delayed by a cut network would drop an arm that is held again by then.
-IDLE_QOS = _qos(1)
+IDLE_QOS = qos(1)
 IDLE_QOS.lifespan = Duration(seconds=0.2)
 
 

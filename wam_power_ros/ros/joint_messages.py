@@ -10,12 +10,14 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
+from rclpy.duration import Duration
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from wam_power_ros.ros import pose_messages
@@ -50,14 +52,9 @@ class JointStateReader:
         self._index: np.ndarray | None = None
 
     def __call__(self, message: JointState) -> JointReading | None:
-        """Read one message.
+        """Read one message; None when it holds none of our joints (another device's).
 
-        Returns:
-            The reading, or None when the message holds none of our joints (another device's).
-
-        Raises:
-            ValueError: When some of our joints are missing or doubled, or a length or value is not
-                acceptable.
+        A ValueError if some of our joints are missing or doubled, or a length or value is wrong.
         """
         names = message.name
         if names != self._last_names:
@@ -73,11 +70,7 @@ class JointStateReader:
         return self.reading(nanoseconds(message.header.stamp), q, qd)
 
     def reading(self, stamp_ns: int, q: np.ndarray, qd: np.ndarray | None) -> JointReading:
-        """Check and order the numbers of a message that has the joint names of the last one.
-
-        Raises:
-            ValueError: When a value is not acceptable.
-        """
+        """Check and order the numbers of a message that has the joint names of the last one."""
         if self._index is not None:
             q = q[self._index]
             qd = None if qd is None else qd[self._index]
@@ -90,22 +83,15 @@ class JointStateReader:
         return JointReading(checked_stamp(stamp_ns), q, qd)
 
     def velocity(self, message: JointState) -> np.ndarray | None:
-        """Read a message of a separate velocity topic; without names, values are in our order.
+        """Velocities (nj,) [rad/s] of a separate topic; without names, values are in our order.
 
-        Returns:
-            Velocities (nj,) [rad/s], or None when the message holds none of our joints.
-
-        Raises:
-            ValueError: As for a joint state.
+        None when the message holds none of our joints; a ValueError as for a joint state.
         """
-        names = message.name
-        if not names:
-            qd = _joint_values("velocity", message.velocity, len(self.joint_names))
-        else:
-            index = self.lookup(names)
-            if index is None:
-                return None
-            qd = _joint_values("velocity", message.velocity, len(names))[index]
+        index = self.lookup(message.name) if message.name else slice(None)
+        if index is None:
+            return None
+        size = len(message.name) or len(self.joint_names)
+        qd = _joint_values("velocity", message.velocity, size)[index]
         if not np.isfinite(qd).all():
             raise ValueError(f"velocity {qd.tolist()} must be finite")
         return qd
@@ -145,24 +131,11 @@ class JointStateWriter:
         self, stamp_ns: int, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, frame: str = ""
     ) -> JointState:
         """Fill the message: q (nj,) [rad], qd (nj,) [rad/s], tau (nj,) [N m]; each may be empty."""
-        message = self._message
-        message.header.stamp = time_message(stamp_ns)
-        message.header.frame_id = frame
-        message.position = array("d", _plain(q))
-        message.velocity = array("d", _plain(qd))
-        message.effort = array("d", _plain(tau))
+        message, given = self._message, (q, qd, tau)
+        message.header.stamp, message.header.frame_id = time_message(stamp_ns), frame
+        values = (array("d", np.asarray(each, dtype=float).tobytes()) for each in given)
+        message.position, message.velocity, message.effort = values
         return message
-
-
-def nameless_velocities(stamp_ns: int, qd: np.ndarray) -> JointState:
-    """Message with velocities (nj,) [rad/s] only, without names."""
-    message = JointState(velocity=array("d", qd))
-    message.header.stamp = time_message(stamp_ns)
-    return message
-
-
-def _plain(values: np.ndarray | Sequence[float]) -> Sequence[float]:
-    return values.tolist() if isinstance(values, np.ndarray) else values
 
 
 class JointMovement(NamedTuple):
@@ -175,9 +148,7 @@ class JointMovement(NamedTuple):
 def movement(message: JointTrajectory, joint_names: Sequence[str]) -> JointMovement:
     """Read times and positions of a movement, matched by joint name.
 
-    Raises:
-        ValueError: When joints are missing or doubled, a length does not fit or a value is not
-            finite.
+    A ValueError if joints are missing or doubled, a length is wrong or a value not finite.
     """
     index = JointStateReader(joint_names).lookup(message.joint_names)
     if index is None or not message.points:
@@ -195,9 +166,8 @@ def movement_message(joint_names: Sequence[str], movement: JointMovement) -> Joi
     """Movement as a trajectory message."""
     message = JointTrajectory(joint_names=list(joint_names))
     for t, q in zip(movement.t, movement.q, strict=True):
-        sec, nanosec = divmod(round(float(t) * 1e9), 1_000_000_000)
         point = JointTrajectoryPoint(positions=array("d", q))
-        point.time_from_start.sec, point.time_from_start.nanosec = sec, nanosec
+        point.time_from_start = Duration(nanoseconds=round(float(t) * 1e9)).to_msg()
         message.points.append(point)
     return message
 
@@ -210,6 +180,7 @@ class TorqueReading(NamedTuple):
     tau: np.ndarray  # (nj,) [N m] or [rad]; or a pose (7,), see `TorqueWriter`
 
 
+@dataclass(frozen=True)
 class TorqueWriter:
     """Torques or positions -> command message, labelled with the state they were computed from.
 
@@ -217,63 +188,43 @@ class TorqueWriter:
     frame_id, a JointState the stamp in its header and the label as frame_id. Real drivers read
     none of them. A PoseStamped has the stamp in its header, and as frame_id the base frame alone,
     which drivers compare; to a stand-in the label follows.
-
-    Args:
-        joint_names: Joints in the order of the commands.
-        command_type: One of `COMMAND_TYPES`.
-        set_point_period: Time in which a position is to be reached [s]; 0 for torques.
-        frame: Frame of the poses.
-        to_stand_in: Whether poses are labelled.
     """
 
-    def __init__(
-        self,
-        joint_names: Sequence[str],
-        command_type: str,
-        set_point_period: float = 0.0,
-        frame: str = "",
-        to_stand_in: bool = True,
-    ) -> None:
-        if command_type not in COMMAND_TYPES:
-            raise ValueError(f"command_type {command_type!r} must be one of {list(COMMAND_TYPES)}")
-        self.message_type = COMMAND_TYPES[command_type]
-        self._states = JointStateWriter(joint_names) if command_type == "joint_state" else None
-        self._positions = set_point_period > 0.0
-        self._frame, self._labelled = frame, to_stand_in
-        self._trajectory = None
-        if command_type == "trajectory":  # stamp 0: from its arrival on
-            self._trajectory = JointTrajectory(joint_names=list(joint_names))
-            self._point = JointTrajectoryPoint()
-            self._point.time_from_start.nanosec = round(set_point_period * 1e9)
-            self._trajectory.points = [self._point]
-        size = len(joint_names)
-        self._dimension = MultiArrayDimension(size=size, stride=size)
-        self._message = Float64MultiArray()
-        self._message.layout.dim = [self._dimension]
+    joint_names: Sequence[str]  # in the order of the commands
+    command_type: str  # one of `COMMAND_TYPES`
+    set_point_period: float = 0.0  # in which a position is to be reached [s]; 0 for torques
+    frame: str = ""  # of the poses
+    to_stand_in: bool = True  # poses are labelled
+
+    @property
+    def message_type(self) -> type[Command]:
+        """Type of the messages."""
+        return COMMAND_TYPES[self.command_type]
 
     def __call__(self, stamp_ns: int, label: str, tau: np.ndarray) -> Command:
-        """Fill the message with tau (nj,) [N m] or [rad], or a pose (7,)."""
-        if self._states is not None:
-            q, torques = (tau, ()) if self._positions else ((), tau)
-            return self._states(stamp_ns, q, (), torques, frame=label)
-        if self.message_type is PoseStamped:
-            frame = f"{self._frame} {label}" if self._labelled else self._frame
+        """Message with tau (nj,) [N m] or [rad], or a pose (7,)."""
+        names, stamped = list(self.joint_names), f"{stamp_ns} {label}"
+        if self.command_type == "joint_state":
+            q, torques = (tau, ()) if self.set_point_period else ((), tau)
+            return JointStateWriter(names)(stamp_ns, q, (), torques, frame=label)
+        if self.command_type == "pose":
+            frame = f"{self.frame} {label}" if self.to_stand_in else self.frame
             return pose_messages.pose_message(stamp_ns, frame, tau[:3], tau[3:])
-        if self._trajectory is not None:
-            self._trajectory.header.frame_id = f"{stamp_ns} {label}"
-            self._point.positions = array("d", tau.tolist())
-            return self._trajectory
-        self._dimension.label = f"{stamp_ns} {label}"
-        self._message.data = array("d", tau.tolist())
-        return self._message
+        values = array("d", tau.tolist())
+        if self.command_type == "trajectory":  # stamp 0: from its arrival on
+            point = JointTrajectoryPoint(positions=values)
+            point.time_from_start.nanosec = round(self.set_point_period * 1e9)
+            message = JointTrajectory(joint_names=names, points=[point])
+            message.header.frame_id = stamped
+            return message
+        dimension = MultiArrayDimension(label=stamped, size=len(names), stride=len(names))
+        return Float64MultiArray(layout=MultiArrayLayout(dim=[dimension]), data=values)
 
 
 def torque(message: Command, joint_names: Sequence[str], base_frame: str = "") -> TorqueReading:
     """Read a command as a driver does; the last point of a trajectory.
 
-    Raises:
-        ValueError: When the length, the names or the frame of a pose are wrong, or a value is not
-            finite.
+    A ValueError if length, names or the frame of a pose are wrong, or a value is not finite.
     """
     if isinstance(message, PoseStamped):
         frame, _, label = message.header.frame_id.partition(" ")
@@ -283,20 +234,19 @@ def torque(message: Command, joint_names: Sequence[str], base_frame: str = "") -
         pose = np.concatenate([reading.position, reading.quat_xyzw])
         return TorqueReading(reading.stamp_ns, label, pose)
     if isinstance(message, JointState):
-        if message.name != list(joint_names):
-            raise ValueError(f"names {message.name} must be {list(joint_names)}")
-        values, label = message.effort or message.position, message.header.frame_id
-        stamp_ns = nanoseconds(message.header.stamp) or None
+        names, values = message.name, message.effort or message.position
+        stamp_ns, label = nanoseconds(message.header.stamp) or None, message.header.frame_id
     else:
         if isinstance(message, JointTrajectory):
-            if message.joint_names != list(joint_names) or not message.points:
-                raise ValueError(f"points of {message.joint_names} must be of {list(joint_names)}")
-            values, labels = message.points[-1].positions, [message.header.frame_id]
+            names, stamped = message.joint_names, message.header.frame_id
+            values = message.points[-1].positions if message.points else ()
         else:
-            values = message.data
-            labels = [dimension.label for dimension in message.layout.dim] or [""]
-        number, _, label = labels[0].partition(" ")
+            names, values = list(joint_names), message.data
+            stamped = message.layout.dim[0].label if message.layout.dim else ""
+        number, _, label = stamped.partition(" ")
         stamp_ns = int(number) if number.isascii() and number.isdigit() else None
+    if names != list(joint_names):
+        raise ValueError(f"names {names} must be {list(joint_names)}")
     tau = _joint_values("command", values, len(joint_names)).copy()
     if not np.isfinite(tau).all():
         raise ValueError(f"command {tau.tolist()} must be finite")

@@ -7,9 +7,7 @@ answers (tested from another network namespace). A profile of Fast DDS binds the
 sets up discovery as LOCALHOST does and needs SYSTEM_DEFAULT, because under LOCALHOST rmw_fastrtps
 adds its own transports on every interface.
 
-Fast DDS 2.14 also has shared memory, which is left out: a process that stood still for a second,
-beside others that come and are killed, can stay deaf to one sender for good, although both run on
-(5 of 331 times; with UDP alone, 0 of 307).
+Shared memory of Fast DDS is left out: docs/decisions/06-udp-only.md.
 
 rclpy is imported only where it is asked which middleware it has loaded: `domain` needs none.
 """
@@ -81,11 +79,7 @@ def unconfined_middleware() -> str | None:
 
 
 def check(environment: Mapping[str, str]) -> None:
-    """Refuse variables that ROS and Fast DDS ignore without a word.
-
-    Raises:
-        VariableError: The range of discovery is none, or a profile does not exist.
-    """
+    """Refuse, by a VariableError, variables that ROS and Fast DDS ignore without a word."""
     get = environment.get
     if (given := get(RANGE) or RANGES[0]) not in RANGES:
         raise VariableError(f"{RANGE}={given} is not one of {', '.join(RANGES)}: correct it")
@@ -97,8 +91,7 @@ def check(environment: Mapping[str, str]) -> None:
 def confine(environment: MutableMapping[str, str]) -> None:
     """Set the variables that select transports: on loopback unless the environment asks for more.
 
-    Args:
-        environment: Variables of a process that has not initialised rclpy yet; changed.
+    It is that of a process that has not initialised rclpy yet, and is changed.
     """
     own = profile()
     if environment.pop("ROS_LOCALHOST_ONLY", "0") == "1":  # overrules the range, for all interfaces
@@ -135,6 +128,22 @@ def wider_reach(environment: Mapping[str, str]) -> str | None:
     if Path(own.here).exists():
         return f"sockets set by the profile {own.here}"
     return None
+
+
+def exposed(environment: Mapping[str, str]) -> str | None:
+    """Reason why others on the network can command this arm; None if they cannot.
+
+    What each node may do where SROS2 is enforced is in `security/policy.xml`.
+    """
+    get, reason = environment.get, wider_reach(environment)
+    enforced = get("ROS_SECURITY_ENABLE") == "true" and get("ROS_SECURITY_STRATEGY") == "Enforce"
+    if enforced or get(RANGE) == "OFF" or reason is None:
+        return None
+    return (
+        f"anybody on the network can command this arm: {reason}, security not enforced. Remove "
+        f"that setting and set {RANGE}=LOCALHOST to bind sockets to this machine's "
+        "loopback interface, or enforce security: see SECURITY.md"
+    )
 
 
 def ports_in_use() -> set[int]:

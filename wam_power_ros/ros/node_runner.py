@@ -39,10 +39,8 @@ RCLError = rclpy_implementation.RCLError  # error of the middleware, such as inv
 def init(context: Context | None = None, domain: int | None = None) -> None:
     """Initialise rclpy, on the loopback interface only unless the environment asks for more.
 
-    Context and domain are those of the process and of ROS_DOMAIN_ID by default.
-
-    Raises:
-        ValueError: A variable of the environment cannot be used, or a parameter file is malformed.
+    Context and domain are those of the process and of ROS_DOMAIN_ID by default. A ValueError names
+    a variable of the environment or a parameter file that cannot be used.
     """
     network.check(os.environ)
     for file in parameter_file.given(sys.argv):
@@ -53,14 +51,6 @@ def init(context: Context | None = None, domain: int | None = None) -> None:
         os.environ["ROS_LOG_DIR"] = str(Path(tempfile.gettempdir()) / f"ros_log_{os.getuid()}")
     signals = SignalHandlerOptions.NO  # its handlers end all communication at once
     rclpy.init(context=context, domain_id=domain, signal_handler_options=signals)
-
-
-def started(
-    make_node: Callable[[], N], context: Context | None = None, domain: int | None = None
-) -> N:
-    """Initialise rclpy, as `init` does, and make a node in its context."""
-    init(context, domain)
-    return make_node()
 
 
 def executor_for(node: Node) -> Executor:
@@ -107,20 +97,17 @@ def run(
 ) -> int:
     """Run a node until SIGINT or SIGTERM, after which it can still send.
 
-    Args:
-        make_node: Makes the node; raises ValueError for invalid parameters. If the node has a
-            method `close`, it is called at the end, to finish files and send the last command.
-        spin: Dispatches callbacks until the function it is given returns True.
-
-    Returns:
-        Exit status: 0 after a signal, 2 when the parameters were refused.
+    Its method `close`, if it has one, is called at the end, to finish files and send the last
+    command. Returns the exit status: 0 after a signal, 2 if `make_node` refused the parameters by
+    a ValueError.
     """
     received: list[int] = []
     for number in SIGNALS:
         signal.signal(number, lambda signum, _: received.append(signum))
     node = None
     try:
-        node = started(make_node)
+        init()
+        node = make_node()
         spin(node, lambda: bool(received))
     except (ValueError, RCLError) as error:
         if node is not None:
@@ -173,13 +160,10 @@ def participant(
     context: Context | None = None,
     on_loopback: bool = False,
 ) -> Iterator[N]:
-    """Make a node; its context is shut down at the end.
+    """Make a node; its context, by default that of the process, is shut down at the end.
 
-    Args:
-        domain: DDS domain; that of ROS_DOMAIN_ID by default.
-        context: Context of the node; that of the process by default.
-        on_loopback: Whether the node reaches this machine only, as a simulation does, even if the
-            environment asks for more.
+    With `on_loopback` it reaches this machine only, as a simulation does, even if the environment
+    asks for more.
     """
     # The middleware reads its transports from the environment and nowhere else.
     node, before = None, dict(os.environ)
@@ -187,7 +171,8 @@ def participant(
         try:
             if on_loopback:
                 os.environ.update(network.ON_LOOPBACK)
-            node = started(make_node, context, domain)
+            init(context, domain)
+            node = make_node()
         finally:
             for name in os.environ.keys() - before.keys():
                 del os.environ[name]
@@ -202,12 +187,8 @@ def participant(
 def run_script(make_node: Callable[[], N], work: Callable[[N], int | None]) -> int:
     """Run a script that needs a node, and whose main thread dispatches no callbacks.
 
-    Args:
-        work: Does the work of the script; its result is the exit status, 0 if None.
-
-    Returns:
-        Exit status: that of `work`, REFUSED after an exception that is reported without a
-        traceback, INTERRUPTED after a signal.
+    Returns the exit status: that of `work`, 0 if None; REFUSED after an exception that is reported
+    without a traceback; INTERRUPTED after a signal.
     """
     interrupt_on_signals()
     try:

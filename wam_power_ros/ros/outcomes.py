@@ -41,20 +41,13 @@ _CODES = {getattr(Outcome, code.name): code for code in Code if code is not Code
 
 @dataclass(frozen=True)
 class Answer:
-    """Outcome of a request.
-
-    Attributes:
-        text: Sentence for a person.
-        stop: Id of the stop by which a person ended it, "" if none did.
-        speed: Speed at which a replay that is TOO_FAST is possible, relative to the one asked for.
-        under_way: Whether the trial after which a session pauses is under way.
-    """
+    """Outcome of a request."""
 
     code: Code
-    text: str = ""
-    stop: str = ""
-    speed: float = math.nan
-    under_way: bool = False
+    text: str = ""  # sentence for a person
+    stop: str = ""  # id of the stop by which a person ended it, "" if none did
+    speed: float = math.nan  # at which a replay that is TOO_FAST is possible, relative to its own
+    under_way: bool = False  # the trial after which a session pauses
 
     @property
     def success(self) -> bool:
@@ -74,8 +67,7 @@ NO_ANSWER = Answer(Code.UNKNOWN, "no answer")
 class ServiceError(RuntimeError):
     """A service or an action did not appear, did not answer or refused; the message names it.
 
-    Attributes:
-        answer: Refusal; None without an answer.
+    `answer` is the refusal; None without an answer.
     """
 
     def __init__(self, text: str, answer: Answer | None = None) -> None:
@@ -120,11 +112,7 @@ class Ended:
 
     @classmethod
     def of(cls, end: RolloutEnd) -> Ended:
-        """Read a message.
-
-        Raises:
-            ValueError: The kind of the fault is unknown.
-        """
+        """Read a message; a ValueError if the kind of the fault is unknown."""
         fault = Fault(FaultKind(end.fault), end.text) if end.fault else None
         start_ns = nanoseconds(end.header.stamp)
         return cls(end.policy_id, start_ns, fault, end.region, end.stop)

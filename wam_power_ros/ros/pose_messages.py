@@ -49,8 +49,7 @@ def fill_pose(pose: object, position: Sequence[float], quat_xyzw: Sequence[float
     o.x, o.y, o.z, o.w = (float(value) for value in quat_xyzw)
 
 
-def _pose_arrays(pose: object) -> tuple[np.ndarray, np.ndarray]:
-    p, o = pose.position, pose.orientation
+def _arrays(p: Any, o: Any) -> tuple[np.ndarray, np.ndarray]:  # noqa: ANN401 - of messages
     return np.array([p.x, p.y, p.z]), np.array([o.x, o.y, o.z, o.w])
 
 
@@ -72,18 +71,17 @@ def pose(message: PoseStamped) -> PoseReading:
 def reading(message: object, pose: object) -> PoseReading:
     """Read a Pose in a message with a header; the quaternion comes back normalised.
 
-    Raises:
-        ValueError: When the stamp is not set, a value is not finite, or the quaternion is not of
-            unit length (1e-3).
+    A ValueError if the stamp is not set, a value is not finite, or the quaternion is not of unit
+    length (1e-3).
     """
-    return _checked(message, sensor_stamp(message), *_pose_arrays(pose))
+    return _checked(message, sensor_stamp(message), *_arrays(pose.position, pose.orientation))
 
 
 def transform(message: TransformStamped, stamped: bool = True) -> PoseReading:
     """Read the pose of the child frame, see `reading`; static ones need no stamp."""
-    p, o = message.transform.translation, message.transform.rotation
     stamp_ns = sensor_stamp(message) if stamped else nanoseconds(message.header.stamp)
-    return _checked(message, stamp_ns, np.array([p.x, p.y, p.z]), np.array([o.x, o.y, o.z, o.w]))
+    arrays = _arrays(message.transform.translation, message.transform.rotation)
+    return _checked(message, stamp_ns, *arrays)
 
 
 def _checked(
@@ -100,23 +98,22 @@ def _checked(
 def markers(message: PointCloud2) -> MarkersReading:
     """Read unlabelled markers.
 
-    Raises:
-        ValueError: When the stamp is not set, float32 x, y or z is missing, or a length is wrong.
+    A ValueError if the stamp is not set, float32 x, y or z is missing, or a length is wrong.
     """
     fields = {field.name: field for field in message.fields}
     for name in "xyz":
         if name not in fields or fields[name].datatype != PointField.FLOAT32:
             raise ValueError(f"point cloud fields {sorted(fields)} must hold float32 x, y and z")
-    layout = np.dtype(
-        {
-            "names": list("xyz"),
-            "formats": [(">" if message.is_bigendian else "<") + "f4"] * 3,
-            "offsets": [fields[name].offset for name in "xyz"],
-            "itemsize": message.point_step,
-        }
-    )
-    cloud = np.frombuffer(bytes(message.data), dtype=layout)
+    formats = [(">" if message.is_bigendian else "<") + "f4"] * 3
+    layout = {"names": list("xyz"), "formats": formats, "itemsize": message.point_step}
+    layout["offsets"] = [fields[name].offset for name in "xyz"]
+    cloud = np.frombuffer(bytes(message.data), dtype=np.dtype(layout))
     points = np.column_stack([cloud[name] for name in "xyz"]).astype(float)  # (m, 3)
+    return of_markers(message, points)
+
+
+def of_markers(message: object, points: np.ndarray) -> MarkersReading:
+    """Markers at points (m, 3) [m] in a message with a header, see `markers`."""
     finite = np.isfinite(points).all(axis=1)
     return MarkersReading(sensor_stamp(message), message.header.frame_id, points[finite])
 
@@ -148,20 +145,15 @@ def odometry_message(state: StateReading, child_frame: str) -> Odometry:
 
 
 def odometry(message: Odometry) -> StateReading:
-    """Read a state, its twist rotated into the frame of the pose.
-
-    Raises:
-        ValueError: When the stamp is not set, a value is not finite, or the quaternion is not of
-            unit length (1e-3).
-    """
-    reading = pose(PoseStamped(header=message.header, pose=message.pose.pose))
+    """Read a state, its twist rotated into the frame of the pose; a ValueError as for `reading`."""
+    placed = reading(message, message.pose.pose)
     linear, angular = message.twist.twist.linear, message.twist.twist.angular
     twist = np.array([[linear.x, linear.y, linear.z], [angular.x, angular.y, angular.z]])
     if not np.isfinite(twist).all():
         raise ValueError(f"twist {twist.tolist()} must be finite")
-    velocity, angular_velocity = twist @ rotations.matrix(reading.quat_xyzw).T
+    velocity, angular_velocity = twist @ rotations.matrix(placed.quat_xyzw).T
     variance = float(message.pose.covariance[0])
-    return StateReading(*reading, velocity, angular_velocity, variance)
+    return StateReading(*placed, velocity, angular_velocity, variance)
 
 
 class PathReading(NamedTuple):
@@ -188,14 +180,13 @@ def path_message(path: EndEffectorPath | BodyPath, start_ns: int, frame: str) ->
 def path(message: Path) -> PathReading:
     """Read a rollout's path; its values are checked by `EndEffectorPath` and `BodyPath`.
 
-    Raises:
-        ValueError: When the stamp is not set, or those of the poses do not increase.
+    A ValueError if the stamp is not set, or those of the poses do not increase.
     """
     start_ns = sensor_stamp(message)
     t = np.array([(nanoseconds(item.header.stamp) - start_ns) * 1e-9 for item in message.poses])
     if np.any(np.diff(t) <= 0.0):
         raise ValueError("stamps of the poses of a path must increase")
-    arrays = [_pose_arrays(item.pose) for item in message.poses]
+    arrays = [_arrays(item.pose.position, item.pose.orientation) for item in message.poses]
     position = np.array([item[0] for item in arrays]).reshape(-1, 3)  # (M, 3)
     quat_xyzw = np.array([item[1] for item in arrays]).reshape(-1, 4)  # (M, 4)
     return PathReading(start_ns, t, position, quat_xyzw)
@@ -213,18 +204,13 @@ def ground_truth_message(truth: TruthReading) -> GroundTruth:
     """Message about the ground truth of a rollout."""
     message = GroundTruth(policy_id=truth.policy_id)
     message.header.stamp = time_message(truth.end_ns)
-    message.values = [
-        KeyValue(key=key, value=json.dumps(value)) for key, value in truth.values.items()
-    ]
+    texts = {key: json.dumps(value) for key, value in truth.values.items()}
+    message.values = [KeyValue(key=key, value=text) for key, text in texts.items()]
     return message
 
 
 def ground_truth(message: GroundTruth) -> TruthReading:
-    """Read a message about the ground truth of a rollout.
-
-    Raises:
-        ValueError: When a value is not JSON.
-    """
+    """Read the ground truth of a rollout; a ValueError if a value is not JSON."""
     what = "a value of the ground truth"
     values = {each.key: plain_json.parse(each.value, what) for each in message.values}
     return TruthReading(message.policy_id, nanoseconds(message.header.stamp), values)

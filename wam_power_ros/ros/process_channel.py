@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import mmap
 import os
 import socket
@@ -18,7 +19,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 MESSAGE_MAX = 65536  # size of a message without its arrays [byte]
-_ALIGNMENT = 64  # of each array in the shared memory [byte]
 
 
 class Message(NamedTuple):
@@ -31,8 +31,7 @@ class Message(NamedTuple):
 class Channel:
     """One end of a connection between two processes; `pair` makes both ends.
 
-    Args:
-        end: Socket; if it is non-blocking, so are `send` and `receive`.
+    If its socket is non-blocking, so are `send` and `receive`.
     """
 
     def __init__(self, end: socket.socket) -> None:
@@ -41,34 +40,27 @@ class Channel:
     def send(
         self, values: Mapping[str, object], arrays: Mapping[str, np.ndarray] | None = None
     ) -> io.FileIO | None:
-        """Send a message.
+        """Send a message; returns the shared memory of its arrays, None without any.
 
-        Returns:
-            Shared memory of the arrays, None without any. If the caller keeps it until the receiver
-            has released the arrays, the memory is freed in this process, not in the receiver.
+        If the caller keeps it until the receiver has released the arrays, the memory is freed in
+        this process, not in the receiver.
 
         Raises:
             BlockingIOError: The other process has not read the messages before.
             OSError: The other process has ended; or there is no memory for the arrays.
             ValueError: The values take more than MESSAGE_MAX bytes.
         """
-        layout: dict[str, tuple[int, tuple[int, ...]]] = {}
-        shared, size = None, 0
-        if arrays:
-            shared = io.FileIO(os.memfd_create("arrays"), "r+")
-            for name, array in arrays.items():
-                layout[name] = (size, array.shape)
-                plain = np.ascontiguousarray(array, dtype=np.float64)
-                os.pwrite(shared.fileno(), plain.tobytes() or b"\0", size)
-                size += -(-max(plain.nbytes, 1) // _ALIGNMENT) * _ALIGNMENT
-        data = json.dumps([values, layout, size]).encode()
+        shapes = {name: array.shape for name, array in (arrays or {}).items()}
+        data = json.dumps([values, shapes]).encode()
         if len(data) > MESSAGE_MAX:
             raise ValueError(f"message of {len(data)} bytes; at most {MESSAGE_MAX} allowed")
-        if shared is None:
+        if not arrays:
             self._socket.send(data)
-        else:
-            os.truncate(shared.fileno(), size)
-            socket.send_fds(self._socket, [data], [shared.fileno()])
+            return None
+        shared = io.FileIO(os.memfd_create("arrays"), "r+")
+        for array in arrays.values():
+            shared.write(np.ascontiguousarray(array, dtype=np.float64).tobytes())
+        socket.send_fds(self._socket, [data], [shared.fileno()])
         return shared
 
     def receive(self) -> Message | None:
@@ -86,20 +78,18 @@ class Channel:
             return self.receive()
         if not data:
             raise EOFError("the other process has ended")
-        values, layout, size = json.loads(data)
+        values, shapes = json.loads(data)
         if not descriptors:
             return Message(values, {})
         try:
-            memory = mmap.mmap(descriptors[0], size, prot=mmap.PROT_READ)
+            memory = mmap.mmap(descriptors[0], 0, prot=mmap.PROT_READ)
         except OSError as error:
-            raise MemoryError(f"{size} bytes cannot be mapped: {error}") from None
+            raise MemoryError(f"arrays {shapes} cannot be mapped: {error}") from None
         finally:
             os.close(descriptors[0])
-        arrays = {
-            name: np.frombuffer(memory, float, int(np.prod(shape)), start).reshape(shape)
-            for name, (start, shape) in layout.items()
-        }
-        return Message(values, arrays)
+        ends = np.cumsum([math.prod(shape) for shape in shapes.values()])
+        parts = zip(shapes.items(), np.split(np.frombuffer(memory), ends[:-1]), strict=True)
+        return Message(values, {name: part.reshape(shape) for (name, shape), part in parts})
 
     def fileno(self) -> int:
         """File descriptor of the socket."""

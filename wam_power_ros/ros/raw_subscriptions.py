@@ -3,20 +3,19 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import NamedTuple
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rosbags.interfaces import Qos
 
 from wam_power_ros.bags import layout
 from wam_power_ros.ros import endpoints, interface
+from wam_power_ros.ros.body_sources import message_class
 from wam_power_ros.ros.interface import is_latched, is_reliable
 
 DISCOVERY_PERIOD = 0.25  # [s] between looks at the graph
@@ -43,14 +42,11 @@ class RawTopics:
         topics: Mapping[str, Sequence[str]],
         on_message: Callable[[str, bytes], None],
     ) -> None:
-        """Subscribe to topics.
+        """Subscribe to topics with their expected types, none for that of the first publisher.
 
-        Args:
-            topics: Expected message types by topic, none for any: that of the first publisher.
-            on_message: Gets the resolved topic and the bytes of each message.
+        `on_message` gets the resolved topic and the bytes of each message.
         """
         self._node, self._on_message = node, on_message
-        self._topics = {node.resolve_topic_name(topic): topic for topic in topics}
         self._types = {node.resolve_topic_name(topic): topics[topic] for topic in topics}
         self.unmatched: dict[str, list[str]] = {}  # topic -> publishers that are not received
         self._subscribed: dict[str, _Subscribed] = {}
@@ -60,24 +56,18 @@ class RawTopics:
     @property
     def names(self) -> list[str]:
         """Resolved names of the topics."""
-        return list(self._topics)
+        return list(self._types)
 
-    def msgtype(self, name: str) -> str:
-        """Message type of a subscribed topic."""
-        return self._subscribed[name].msgtype
-
-    def offered(self, name: str) -> list[Qos]:
-        """QoS of the publishers of a subscribed topic, for the metadata of a bag."""
-        infos = self._node.get_publishers_info_by_topic(name)
-        known = self._subscribed[name]
-        return [
-            layout.qos(is_reliable(info), is_latched(info), info.qos_profile.depth)
-            for info in infos
-        ] or [layout.qos(known.reliable, known.latched)]
+    def layout_of(self, name: str) -> tuple[str, list[Qos]]:
+        """Message type of a subscribed topic and QoS of its publishers, for a bag."""
+        known, infos = self._subscribed[name], self._node.get_publishers_info_by_topic(name)
+        offered = [(is_reliable(it), is_latched(it), it.qos_profile.depth) for it in infos]
+        own = [(known.reliable, known.latched)]
+        return known.msgtype, [layout.qos(*each) for each in offered or own]
 
     def discover(self) -> None:
         """Subscribe to every topic that has a publisher."""
-        for name in self._topics:
+        for name in self._types:
             infos = self._node.get_publishers_info_by_topic(name)
             if not infos:
                 self.unmatched.pop(name, None)
@@ -117,21 +107,14 @@ class RawTopics:
                 return
             self._node.destroy_subscription(known.subscription)  # a new publisher offers less
         elif msgtype not in layout.TYPES.fielddefs:
-            self._node.get_logger().error(
-                f"{name}: cannot record message type {msgtype}", once=True
-            )
+            text = f"{name}: cannot record message type {msgtype}"
+            self._node.get_logger().error(text, once=True)
             return
-        qos = QoSProfile(
-            depth=interface.STATE_RECORD.depth,
-            reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-            durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+        qos = interface.qos(
+            interface.STATE_RECORD.depth,
+            "RELIABLE" if reliable else "BEST_EFFORT",
+            "TRANSIENT_LOCAL" if latched else "VOLATILE",
         )
-        package, _, message = msgtype.split("/")
-        subscription = self._node.create_subscription(
-            getattr(importlib.import_module(f"{package}.msg"), message),
-            self._topics[name],
-            partial(self._on_message, name),
-            qos,
-            raw=True,
-        )
+        kind, receive = message_class(msgtype), partial(self._on_message, name)
+        subscription = self._node.create_subscription(kind, name, receive, qos, raw=True)
         self._subscribed[name] = _Subscribed(msgtype, reliable, latched, subscription)

@@ -28,11 +28,7 @@ class Granted:
 def request(priority: int) -> Granted:
     """Request SCHED_FIFO in every thread of the process, locked memory and a frozen heap.
 
-    Args:
-        priority: Real-time priority, 1 to 99; 0 requests nothing.
-
-    Returns:
-        What was granted; a refusal raises nothing.
+    The priority is 1 to 99; 0 requests nothing. A refusal raises nothing, it is returned.
     """
     if priority == 0:
         return Granted()

@@ -25,20 +25,12 @@ def time_message(stamp_ns: int) -> Time:
 
 
 def sensor_stamp(message: object) -> int:
-    """Stamp of a sensor message [ns].
-
-    Raises:
-        ValueError: When the stamp is not set: such messages cannot be put in order.
-    """
+    """Stamp of a sensor message [ns], see `checked_stamp`."""
     return checked_stamp(nanoseconds(message.header.stamp))
 
 
 def checked_stamp(stamp_ns: int) -> int:
-    """Return the stamp of a sensor message [ns] if it is set.
-
-    Raises:
-        ValueError: When it is not set.
-    """
+    """Return the stamp of a sensor message [ns]; a ValueError if it is not set."""
     if stamp_ns <= 0:
         raise ValueError(f"stamp is {stamp_ns} ns; the driver must stamp its messages")
     return stamp_ns
