@@ -25,7 +25,6 @@ from reproduction.studies import (
     grounds,
     new_goals,
     rated,
-    stopping,
     two_axes,
 )
 
@@ -96,9 +95,6 @@ STUDIES = {
         new_goals.jobs,
         new_goals.line,
         runs=new_goals.runs,
-    ),
-    "stopping": Table(
-        stopping.PLACES, stopping.RULES, stopping.HELD_OUT, stopping.jobs, stopping.line
     ),
     "two_axes": Table(
         two_axes.PLACES,

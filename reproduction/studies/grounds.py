@@ -93,10 +93,7 @@ LEARNERS = {
     "hindsight": Learner("return, landing error, rotation", "hindsight"),
     "corrections": Learner("landing error, rotation", "corrections_only"),
     "power": Learner("return", "return_only"),
-    **{
-        name: Learner("return", "return_only", name)
-        for name in ("cma_es", "pi2_bb", "random", "bayesian_optimization")
-    },
+    **{name: Learner("return", "return_only", name) for name in ("cma_es", "pi2_bb", "random")},
 }
 
 

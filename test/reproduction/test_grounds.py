@@ -18,7 +18,7 @@ def test_learners_of_a_ground_differ_only_in_the_learner_and_what_it_is_told() -
     found = grounds.jobs([1], ["novice"], list(grounds.LEARNERS))
     own = {"task_settings", "learner", "learner_settings", "practice"}
     blank = {"name": "", "changes": 0}
-    searched = ("model_based", "hindsight", "power", "bayesian_optimization")
+    searched = ("model_based", "hindsight", "power")
     plain = preset("flip", "hindsight", **found[0].arguments["changes"])
     for job, (learner, row) in zip(found, grounds.LEARNERS.items(), strict=True):
         assert {**job.arguments, **blank} == {**found[0].arguments, **blank}
