@@ -16,7 +16,7 @@ from wam_power_ros.plotting import BLUE, GREEN, INK, dress, shared_legend
 from wam_power_ros.regions import Region
 from wam_power_ros.tasks.reach.figures import OBSTACLE, side_and_top
 
-LEARNT, ROLLOUT, EXECUTED = "#1d5c3a", "#8fc3a5", "#e3a72f"
+LEARNT, ROLLOUT = "#1d5c3a", "#8fc3a5"
 MARGIN = 0.03  # around the paths [m]
 
 
@@ -28,7 +28,6 @@ class Panel:
     obstacle: Region
     learnt: np.ndarray  # of the learnt policy, drawn bold
     rollouts: Sequence[np.ndarray] = ()  # further ones
-    executed: np.ndarray | None = None  # by the arm
 
     @property
     def start(self) -> np.ndarray:
@@ -50,7 +49,6 @@ def paths(panels: Mapping[str, Panel]) -> Figure:
     for panel in panels.values():
         sphere = panel.obstacle
         other = [sphere.centre + sphere.radius * np.array([[-1.0] * 3, [1.0] * 3]), panel.learnt]
-        other += [] if panel.executed is None else [panel.executed]
         drawn = np.concatenate([*panel.demonstrations, *panel.rollouts, *other])
         for view in side_and_top(panel.goal - panel.start):
             seen = (drawn - panel.start) @ view.T
@@ -92,7 +90,5 @@ def _draw(axes: Axes, panel: Panel, view: np.ndarray) -> None:
     for path in panel.demonstrations:
         plot(path, color=BLUE, lw=1.1, label="demonstrations")
     plot(panel.learnt, color=LEARNT, lw=2.6, label="learnt")
-    if panel.executed is not None:
-        plot(panel.executed, color=EXECUTED, lw=1.2, ls="--", label="executed")
     plot(panel.learnt[0], "o", color=GREEN, ms=6, label="start")
     plot(panel.goal, "s", color=GREEN, ms=8, label="goal")

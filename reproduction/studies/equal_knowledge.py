@@ -18,13 +18,8 @@ import numpy as np
 from reproduction.jobs import Job, study_of
 from reproduction.rivals.learners import RIVALS, RandomSearch
 from reproduction.rivals.reach_model import ReachModel
-from reproduction.studies.reaching_runs import (
-    demonstrated_return,
-    generator,
-    learn_many,
-    scales,
-    synthetic,
-)
+from reproduction.studies.reaching import generator, learn_many, scales
+from reproduction.studies.reaching_scenario import synthetic
 from wam_power_ros import installed
 from wam_power_ros.learning.learner import Learner
 from wam_power_ros.learning.parametrization import parametrization_of
@@ -150,7 +145,7 @@ def runs(learner: str, noise: float, seeds: list[int], rollouts: int) -> dict[st
     noises = scales(choice.stiffness, choice.attractor)
     parameters = parametrization_of(scenario.policy, "full", noises)
     if name == "nothing":
-        returns = [demonstrated_return(scenario)] * len(seeds)
+        returns = [scenario.demonstrated_return] * len(seeds)
         return {"early": returns, "final": returns}
     learners = []
     for seed in seeds:

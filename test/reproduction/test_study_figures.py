@@ -59,20 +59,18 @@ def test_a_flipped_pancake_shows_its_other_side() -> None:
     assert mark.get_ydata()[0] == pytest.approx(np.interp(0.9, pancake.t, pancake.position[:, 2]))
 
 
-def a_panel(executed: np.ndarray | None = None) -> Panel:
+def a_panel() -> Panel:
     """Half a metre along y, with a sphere half way."""
     path = np.linspace([0.4, -0.25, 0.3], [0.4, 0.25, 0.3], 21)
     demonstrations = [path, path + np.array([0.0, 0.0, 0.01])]
     learnt = path + np.array([0.0, 0.0, 0.1])
-    return Panel(demonstrations, Region("box", (0.4, 0.0, 0.3), 0.09), learnt, [path], executed)
+    return Panel(demonstrations, Region("box", (0.4, 0.0, 0.3), 0.09), learnt, [path])
 
 
 def test_reaching_is_drawn_along_the_movement_with_the_obstacle_half_way() -> None:
-    drawn = paths({"diagonal": a_panel(), "full": a_panel(np.zeros((5, 3)))})
+    drawn = paths({"diagonal": a_panel(), "full": a_panel()})
     side = drawn.axes[0]
     (sphere,) = side.patches
     assert sphere.center[0] == pytest.approx(0.25) and sphere.radius == 0.09
     learnt = next(line for line in side.lines if line.get_label() == "learnt")
     np.testing.assert_allclose(learnt.get_xdata(), np.linspace(0.0, 0.5, 21))
-    labels = [{line.get_label() for line in axes.lines} for axes in drawn.axes]
-    assert ["executed" in names for names in labels] == [False, True, False, True]
