@@ -41,7 +41,6 @@ from typing import Any, Literal
 
 from joblib import Parallel, delayed, parallel_config
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from wam_power_ros import durable_files, plain_json
 from wam_power_ros.params.resources import share
@@ -65,7 +64,6 @@ DATA = ("config", "urdf", "bags")
 LIBRARIES = ("numpy", "scipy", "pin", "mujoco", "cmaes")  # other versions may change last digits
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 RESULT_MAX = 100_000_000  # largest result of a job, some thousand times a usual one [byte]
-SPEED_PERIOD = 3600.0  # [s], window for estimating the remaining time; a run takes a minute
 Scale = Literal["full", "quick"]
 Results = dict[str, dict[str, dict[str, Any]]]  # study -> key -> result
 # What a worker returns: job, result as JSON text, traceback, and times [s] with host.
@@ -154,27 +152,16 @@ def run(
     if missing:
         console.print(f"{len(missing)} runs to compute, with {workers} processes.", highlight=False)
     failed: list[str] = []
-    left_of = (TextColumn("left"), TimeRemainingColumn(), TextColumn("{task.description}"))
-    shown = Progress(
-        *(BarColumn(bar_width=30), MofNCompleteColumn(), *left_of),
-        console=console,
-        disable=not console.is_terminal,
-        speed_estimate_period=SPEED_PERIOD,
-    )
-    with shown as progress, contextlib.ExitStack() as stack:
-        task = progress.add_task("", total=len(jobs), completed=len(results))
-        for job, text, error, times in _compute(missing, workers, stack):
+    with contextlib.ExitStack() as stack:
+        for done, (job, text, error, times) in enumerate(_compute(missing, workers, stack), 1):
             if error:
                 failed.append(f"{job.name}: {error}")
             else:
                 _write(job, folder, text, times)
                 results[job.name] = plain_json.parse(text, job.name, RESULT_MAX)
             remaining[job.study] -= 1
-            progress.update(task, advance=1, description=job.study)
             if not remaining[job.study]:
-                minutes = (time.monotonic() - start) / 60.0
-                left = remaining.total()
-                done = len(missing) - left
+                left, minutes = len(missing) - done, (time.monotonic() - start) / 60.0
                 estimate = f", about {math.ceil(minutes / done * left)} min left" if left else ""
                 console.print(
                     f"{job.study}: done; {done} of {len(missing)} runs{estimate}", highlight=False
