@@ -111,12 +111,6 @@ class Job:
         return folder / self.study / f"{self.key}.json"
 
 
-def study_of(place: str, learner: str) -> str:
-    """Name of the study of a learner at a place, of which both may hold any characters."""
-    plain = "".join(c if c.isalnum() or c == "." else "-" for c in place)
-    return f"{plain}-{learner.replace('+', '-')}"
-
-
 class JobError(Exception):
     """Some jobs failed; the message has the name and traceback of each."""
 

@@ -223,7 +223,7 @@ def _shown(sessions: Sessions) -> dict[str, Figure]:
     shown = {}
     for name, paths in kept.items():
         pan, pancake = ({k: np.array(v) for k, v in path.items()} for path in paths.values())
-        rollout = Rollout(EndEffectorPath(name, **pan), BodyPath(name, **pancake))
+        rollout = Rollout(EndEffectorPath("shown", **pan), BodyPath("shown", **pancake))
         shown[name] = side_view(rollout, "pancake")
     return shown
 
