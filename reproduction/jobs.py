@@ -27,7 +27,6 @@ import json
 import math
 import os
 import platform
-import re
 import signal
 import time
 import traceback
@@ -62,7 +61,6 @@ NOT_HASHED = (  # sources that cannot change a result; the studies run without R
 )
 DATA = ("config", "urdf", "bags")
 LIBRARIES = ("numpy", "scipy", "pin", "mujoco", "cmaes")  # other versions may change last digits
-NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 RESULT_MAX = 100_000_000  # largest result of a job, some thousand times a usual one [byte]
 Scale = Literal["full", "quick"]
 Results = dict[str, dict[str, dict[str, Any]]]  # study -> key -> result
@@ -79,27 +77,12 @@ class Job:
         key: Name of its file there, such as "seed-301".
         function: Function of an importable module, deterministic in its arguments.
         arguments: Keyword arguments.
-
-    Raises:
-        ValueError: `study` or `key` is not a file name, or `arguments` are not JSON data of finite
-            numbers.
     """
 
     study: str
     key: str
     function: Callable[..., dict[str, Any]]
     arguments: dict[str, Any] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        for name in (self.study, self.key):
-            if not NAME.fullmatch(name):
-                raise ValueError(
-                    f"{name!r} must be a file name of letters, digits, '.', '_' and '-'"
-                )
-        try:
-            _json(self.arguments)
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"arguments of {self.name}: {error}") from None
 
     @property
     def name(self) -> str:

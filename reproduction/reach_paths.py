@@ -17,7 +17,6 @@ from wam_power_ros.regions import Region
 from wam_power_ros.tasks.reach.figures import OBSTACLE, side_and_top
 
 LEARNT, ROLLOUT = "#1d5c3a", "#8fc3a5"
-MARGIN = 0.03  # around the paths [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,31 +44,14 @@ def paths(panels: Mapping[str, Panel]) -> Figure:
 
     Axes are those of `side_and_top`, from the mean start of the demonstrations to their mean end.
     """
-    boxes = []  # lowest and highest drawn coordinates of each panel and view
-    for panel in panels.values():
-        sphere = panel.obstacle
-        other = [sphere.centre + sphere.radius * np.array([[-1.0] * 3, [1.0] * 3]), panel.learnt]
-        drawn = np.concatenate([*panel.demonstrations, *panel.rollouts, *other])
-        for view in side_and_top(panel.goal - panel.start):
-            seen = (drawn - panel.start) @ view.T
-            boxes.append((seen.min(axis=0) - MARGIN, seen.max(axis=0) + MARGIN))
-    low, high = (  # (2 views, 2 axes)
-        np.stack([edge([box[k] for box in boxes[row::2]], axis=0) for row in (0, 1)])
-        for k, edge in enumerate((np.min, np.max))
-    )
-    low[:, 0], high[:, 0] = low[:, 0].min(), high[:, 0].max()
-    width = 4.4
-    heights = width * (high - low)[:, 1] / (high - low)[:, 0]
-    figure = Figure(figsize=(width * len(panels) + 0.6, heights.sum() + 1.4), layout="compressed")
-    grid = figure.subplots(2, len(panels), squeeze=False, height_ratios=heights)
+    figure = Figure(figsize=(4.4 * len(panels) + 0.6, 5.4), layout="constrained")
+    grid = figure.subplots(2, len(panels), squeeze=False, sharex=True, sharey="row")
     for column, (title, panel) in zip(grid.T, panels.items(), strict=True):
         views = side_and_top(panel.goal - panel.start)
-        for row, (axes, view) in enumerate(zip(column, views, strict=True)):
+        for axes, view in zip(column, views, strict=True):
             _draw(axes, panel, view)
-            axes.set(xlim=(low[row, 0], high[row, 0]), ylim=(low[row, 1], high[row, 1]))
             axes.set_aspect("equal")
         column[0].set_title(title, fontsize=10, color=INK)
-        column[0].tick_params(labelbottom=False)
         column[1].set_xlabel("along the movement [m]")
     grid[0, 0].set_ylabel("up [m]")
     grid[1, 0].set_ylabel("aside [m]")

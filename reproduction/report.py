@@ -108,7 +108,7 @@ def render(
         runs_min=RUNS_MIN,
         cpu=duration(job_cache.spent(jobs, results_folder)[1]),
         machine=MACHINE,
-        processor=_processor(),
+        processor=platform.processor() or platform.machine(),
         cores=os.cpu_count(),
         system=f"{platform.system()} {platform.release()}",
         versions=", ".join(job_cache.versions((*job_cache.LIBRARIES, "joblib"))),
@@ -118,15 +118,6 @@ def render(
         anchor=html_page.anchor,
     )
     return html_page.page("Flipping pancakes: the paper reproduced", [Markup(body)])
-
-
-def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return platform.processor() or platform.machine()
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.machine()
 
 
 def _seeds(seed: int | None = None, seeds: Sequence[int] = (), **_: object) -> list[int]:
