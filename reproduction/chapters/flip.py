@@ -17,7 +17,7 @@ from reproduction.chapter import Study
 from reproduction.jobs import Results
 from reproduction.paper_curves import FIG5, K33
 from reproduction.studies import flip_sessions
-from reproduction.studies.flip_sessions import ABLATION, HINDSIGHT, LONG, PAPER
+from reproduction.studies.flip_sessions import ABLATION, HINDSIGHT, PAPER
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
 from wam_power_ros.reporting.figures import stiffness
 from wam_power_ros.reporting.terminal import counted
@@ -98,7 +98,7 @@ class Sessions:
 
 def values(results: Results) -> dict[str, Any]:
     """Names of the template; ignores results of other studies."""
-    hindsight, paper, long = (Sessions([*results[s].values()]) for s in (HINDSIGHT, PAPER, LONG))
+    hindsight, paper = (Sessions([*results[s].values()]) for s in (HINDSIGHT, PAPER))
     ablated = {
         name.removeprefix(ABLATION): runs
         for name, runs in results.items()
@@ -116,7 +116,7 @@ def values(results: Results) -> dict[str, Any]:
         "paper_shown": _shown(paper),
         **_hindsight(hindsight),
         **_robustness(hindsight),
-        **_paper(paper, long),
+        **_paper(paper),
         **_stiffness(hindsight, paper),
         **_ablation(ablation),
     }
@@ -159,11 +159,11 @@ def _robustness(sessions: Sessions) -> dict[str, Any]:
     }
 
 
-def _paper(sessions: Sessions, long: Sessions) -> dict[str, Any]:
+def _paper(sessions: Sessions) -> dict[str, Any]:
     """The paper's preset beside Fig. 5."""
     six = Sessions(sessions.runs[:6])
     rows = []
-    for name, some in (("50", sessions), ("50, the first six sessions", six), ("100", long)):
+    for name, some in (("50", sessions), ("50, the first six sessions", six)):
         means = [f"{returns.mean():.2f}" for returns in some.gain]
         apex = f"{column(some.retests, 'apex').mean():.2f}"
         rows.append([name, f"{len(some)}", *means, *outcome_cells(some.retests)[:3], apex])

@@ -33,7 +33,7 @@ from wam_power_ros.practice.session_log import Record
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.flip.task import Flip
 
-HINDSIGHT, PAPER, LONG = "pancake-hindsight", "pancake-paper", "pancake-paper-100"  # studies
+HINDSIGHT, PAPER = "pancake-hindsight", "pancake-paper"  # studies
 ABLATION = "pancake-ablation-"
 HELD_OUT = range(301, 331)  # seeds not used for tuning
 TUNING = range(21, 23)  # for "quick"
@@ -245,9 +245,8 @@ def jobs(scale: Scale) -> list[Job]:
     one = slice(1 if quick else None)  # only the first of several items in "quick"
     series = 2 if quick else 3  # demonstrations
     # The paper's rollouts do not include reproductions of demonstrations that are not chosen.
-    budgets = {count: series - 1 + (3 if quick else count) for count in (50, 100)}
+    budget = series - 1 + (3 if quick else 50)
     retests = {"retests": 1 if quick else 30}
-    fewer = {"retests": 1 if quick else 10}
     common = {"demonstrations": series, "repeats": 1 if quick else 3}
     hindsight = {
         **common,
@@ -256,7 +255,7 @@ def jobs(scale: Scale) -> list[Job]:
     }
     paper = {**common, "name": "paper", "pitch_rate": NOVICE}
     conditions = dict(list(CONDITIONS.items())[one])
-    changes = {count: {**fewer, "budget": budgets[count], "confirm": 0} for count in budgets}
+    changes = {"retests": 1 if quick else 10, "budget": budget, "confirm": 0}
     wanted: list[Job] = []
 
     def add(study: str, some: Sequence[int], **arguments: object) -> None:
@@ -266,9 +265,8 @@ def jobs(scale: Scale) -> list[Job]:
     for seed in seeds:
         add(HINDSIGHT, [seed], **hindsight, carried=conditions, keep_paths=seed == seeds[0])
     for seed in seeds[one]:
-        add(PAPER, [seed], **paper, changes=changes[50], keep_paths=seed == seeds[0])
-    add(LONG, seeds[:4][one], **paper, changes=changes[100])
+        add(PAPER, [seed], **paper, changes=changes, keep_paths=seed == seeds[0])
     for variant in LESS[2 if quick else 0 :]:
-        some = {**changes[50], "variant": variant}
+        some = {**changes, "variant": variant}
         add(f"{ABLATION}{variant}", seeds[:8][one], **paper, changes=some)
     return wanted

@@ -90,7 +90,6 @@ def results(default: list[dict[str, Any]]) -> dict[str, dict[str, dict[str, Any]
     return {
         "pancake-hindsight": {f"seed-{seed}": session for seed, session in enumerate(default)},
         "pancake-paper": few,
-        "pancake-paper-100": few,
         "pancake-ablation-diagonal": few,
     }
 
