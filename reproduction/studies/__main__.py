@@ -29,7 +29,6 @@ from reproduction.studies.table import study_of
 
 STUDIES = {
     "grounds": grounds.TABLE,
-    "elsewhere": grounds.ELSEWHERE,
     "ball_in_cup": ball_in_cup.TABLE,
     "equal_knowledge": equal_knowledge.TABLE,
     "new_goals": new_goals.TABLE,

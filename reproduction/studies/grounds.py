@@ -4,15 +4,13 @@
     python -m reproduction.studies grounds --table grounds.csv
 
 The reproduction of a novice's demonstration is never a true flip, so this task separates the
-learners, unlike that of a practised demonstrator (`flip_sessions`). `elsewhere` runs the final
-policies in other worlds, too.
+learners, unlike that of a practised demonstrator (`flip_sessions`).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -44,7 +42,7 @@ TURNED = {  # the arm stands turned about the vertical: joint 1 begins elsewhere
 # Not on the usual grounds: seen by a camera with tags, and turned.
 OTHER = {"camera with tags": {"condition": {"mocap": {"camera": True}}}, **TURNED}
 # Arguments of `flip_sessions.session` by ground; one demonstration of a novice unless it says more.
-# The worlds of the last two are drawn from the seed, one for the session or one for each rollout.
+# The unknown world is drawn from the seed.
 _DIFFERENCES: Mapping[str, Mapping[str, Any]] = {
     "novice": {},
     "hand 4.5 rad/s": {"pitch_rate": 4.5},
@@ -59,15 +57,12 @@ _DIFFERENCES: Mapping[str, Mapping[str, Any]] = {
     "pancake of 0.08 m": {"condition": {"body_size": 0.08 / PANCAKE_RADIUS}},
     "pancake of 0.12 m": {"condition": {"body_size": 0.12 / PANCAKE_RADIUS}},
     "unknown world": {"condition": {"unknown": "session"}},
-    "varied world": {"condition": {"unknown": "rollout"}},
     **OTHER,
 }
 GROUNDS = {
     name: {"demonstrations": 1, "pitch_rate": NOVICE, **different}
     for name, different in _DIFFERENCES.items()
 }
-# Final policies are run again in as many other worlds as there are re-tests.
-_CARRIED = {"carried": {"elsewhere": {"unknown": "rollout"}}, "repeats": RETESTS}
 
 
 def of_preset(told: str, preset: str, learner: str = "", **changes: Any) -> Row:  # noqa: ANN401
@@ -117,12 +112,10 @@ def line(sessions: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         many that turned over and were caught, however far in the air; "confirmed": those that
         their stopping rule ended; "wrong": those of them that are not solved; "rollouts": median
         and worst decile of their number; "to_streak": median number before those that confirmed;
-        "true": mean and lowest decile of the share of true flips in the re-tests; "elsewhere": the
-        same for the runs in other worlds, None without such runs.
+        "true": mean and lowest decile of the share of true flips in the re-tests.
     """
     true = np.array([_share(s["retests"]) for s in sessions])
     landed = np.array([_share(s["retests"], "landed") for s in sessions])
-    elsewhere = np.array([_share(s["carried"].get("elsewhere")) for s in sessions])
     ended = [s for s in sessions if s["ended_by"] == "confirmation"]
     before = [s["used"] - s["confirmed"] for s in ended]
     used = [s["used"] for s in sessions]
@@ -136,18 +129,13 @@ def line(sessions: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "wrong": sum(_share(s["retests"]) < SOLVED / RETESTS for s in ended),
         "rollouts": (float(np.median(used)), float(worst)),
         "to_streak": float(np.median(before)) if before else None,
-        "true": _mean_and_decile(true),
-        "elsewhere": _mean_and_decile(elsewhere) if any(s["carried"] for s in sessions) else None,
+        "true": (float(true.mean()), float(np.quantile(true, 0.1))),
     }
 
 
-def _share(runs: Sequence[Mapping[str, Any]] | None, outcome: str = "true_flip") -> float:
+def _share(runs: Sequence[Mapping[str, Any]], outcome: str = "true_flip") -> float:
     """Share of runs with an outcome; 0 for a session without a final policy."""
-    return float(np.mean([run[outcome] for run in runs or []] or [0]))
-
-
-def _mean_and_decile(shares: np.ndarray) -> tuple[float, float]:
-    return float(shares.mean()), float(np.quantile(shares, 0.1))
+    return float(np.mean([run[outcome] for run in runs] or [0]))
 
 
 TABLE = Table(
@@ -156,7 +144,6 @@ TABLE = Table(
     range(FIRST, FIRST + 10),
     session,
     line,
-    (GROUNDS.keys() - {"hand 4.0 rad/s", "varied world", *OTHER}, ("model_based", "hindsight")),
+    (GROUNDS.keys() - {"hand 4.0 rad/s", *OTHER}, ("model_based", "hindsight")),
     row,
 )
-ELSEWHERE = replace(TABLE, places={name: {**own, **_CARRIED} for name, own in GROUNDS.items()})
