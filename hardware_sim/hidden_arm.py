@@ -83,15 +83,12 @@ class HiddenArm:
         return friction * (self.asymmetry + slow * np.tanh(qd / _SIGN_SPEED))
 
 
-def drawn(
-    settings: WorldSettings, seed: int, rollout_id: str = ""
-) -> tuple[WorldSettings, HiddenArm]:
+def drawn(settings: WorldSettings, seed: int) -> tuple[WorldSettings, HiddenArm]:
     """Draw what is unknown by `settings.unknown`; everything is uniform in its range.
 
-    "": nothing. "session" and "rollout": body mass 70 to 130 % and radius 80 to 120 % of nominal,
-    its friction 0.1 to 0.5, torque constants 95 to 105 %, payload up to 0.12 kg. "lab": see
-    `_first_day`. In all but the first a command delay of 2 to 8 ms. Without the id of a rollout it
-    is drawn for all of them.
+    "": nothing. "session": body mass 70 to 130 % and radius 80 to 120 % of nominal, its friction
+    0.1 to 0.5, torque constants 95 to 105 %, payload up to 0.12 kg. "lab": see `_first_day`. In
+    all but the first a command delay of 2 to 8 ms.
     """
     n = len(settings.model_joint_names)
     if not settings.unknown:
@@ -101,7 +98,7 @@ def drawn(
         hidden, changes = _first_day(rng, n), {}
         delay = int(rng.integers(1, 5))
     else:
-        rng = np.random.default_rng([seed, zlib.crc32(f"unknown world{rollout_id}".encode())])
+        rng = np.random.default_rng([seed, zlib.crc32(b"unknown world")])
         changes = {
             "body_mass": float(rng.uniform(0.7, 1.3)),
             "body_size": float(rng.uniform(0.8, 1.2)),

@@ -71,7 +71,7 @@ class WorldSettings(BaseModel):
     torque_scale_sd: Spread = 0.01
     friction_sd: Spread = 0.1
     friction_share: Spread = 1.0
-    unknown: Literal["", "session", "rollout", "lab"] = ""
+    unknown: Literal["", "session", "lab"] = ""
     friction: Spread = 0.2
     body_offset_sd: Spread = 0.003
     body_mass: Scale = 1.0

@@ -74,10 +74,10 @@ class World:
         mocap: MocapSettings | None = None,
         hidden: HiddenArm | None = None,
     ) -> None:
-        self._nominal = settings = settings or WorldSettings()
-        mocap = mocap or MocapSettings()
-        self._make_scene, self._given = make_scene, hidden
-        self.seed = seed
+        self.settings, found = drawn(settings or WorldSettings(), seed)
+        self.hidden = hidden or found
+        self.seed, settings, mocap = seed, self.settings, mocap or MocapSettings()
+        self.scene = make_scene(settings)
         self.urdf = robot_description(settings.urdf)
         names, tool, guarded = settings.model_joint_names, settings.tool_frame, settings.guarded
         base, limits = settings.base_frame, settings.position_limits
@@ -117,13 +117,10 @@ class World:
             )
         return cls(make_scene, params, params.seed, cameras)
 
-    def _build(self, rollout_id: str = "") -> None:
-        """Draw what is unknown, in a rollout or in all; compile scene and physics."""
-        settings, hidden = drawn(self._nominal, self.seed, rollout_id)
-        self.settings, self.hidden = settings, self._given or hidden
+    def _build(self) -> None:
+        """Compile scene and physics."""
+        settings, n = self.settings, self.n
         self._drags = self.hidden.drags
-        self.scene = self._make_scene(settings)
-        n = self.n
         root = self.arm.root.translation, self.arm.root.rotation
         self.model = model = scene.build(self.urdf, self.scene, settings, self.hidden, root)
         self.data = data = mujoco.MjData(model)
@@ -164,8 +161,6 @@ class World:
         return self._resetting(rollout_id, q_start - self.hidden.zeros)
 
     def _resetting(self, rollout_id: str, q_start: np.ndarray) -> Iterator[None]:
-        if self._nominal.unknown == "rollout":
-            self._build(rollout_id)
         key = [self.seed, zlib.crc32(rollout_id.encode()), 1]
         self._mocap_rng = np.random.default_rng(key)
         model, data = self.model, self.data

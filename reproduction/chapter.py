@@ -67,8 +67,7 @@ class Claim:
 class Chapter:
     """A chapter of the report.
 
-    The template calls `claim` with the fields of a `Claim`, `table` and `figure`; a figure that
-    could not be drawn is the reason as text.
+    The template calls `claim` with the fields of a `Claim`, `table` and `figure`.
 
     Attributes:
         title: Heading.
@@ -97,15 +96,11 @@ class Chapter:
     def _claim(self, what: str, met: object = None, **fields: Any) -> None:  # noqa: ANN401
         self.claims.append(Claim(what, met=None if met is None else bool(met), **fields))
 
-    def _figure(self, name: str, caption: str, drawn: Figure | str) -> Markup:
-        if isinstance(drawn, str):
-            return html_page.figure("", f"{caption} Not drawn on this machine: {drawn}.")
+    def _figure(self, name: str, caption: str, drawn: Figure) -> Markup:
         if name in self.figures:
             raise ValueError(f"two figures with the same name: {name}")
         self.figures[name] = png = plotting.png(drawn)
-        photographs = any(axes.images for axes in drawn.axes)  # keep their colours in dark mode
-        style = "" if photographs else "drawn"
-        return html_page.figure(html_page.image(png, caption, "image/png", style), caption)
+        return html_page.figure(html_page.image(png, caption, "image/png", "drawn"), caption)
 
 
 @dataclass(frozen=True)

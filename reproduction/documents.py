@@ -4,7 +4,7 @@
     wam-power learn --in-process --seed 1 --demonstrations 1 --session flip
     MUJOCO_GL=egl python -m reproduction.documents flip
 
-writes docs/pictures/ and the tables between `<!-- table: NAME -->` and `<!-- end -->`.
+writes docs/pictures/ and the tables between `<!-- table: grounds -->` and `<!-- end -->`.
 """
 
 from __future__ import annotations
@@ -12,8 +12,7 @@ from __future__ import annotations
 import csv
 import re
 import sys
-from collections.abc import Mapping, Sequence
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +20,7 @@ import pinocchio
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.font_manager import findfont
-from matplotlib.patches import Ellipse, FancyBboxPatch
+from matplotlib.patches import Ellipse
 from PIL import Image, ImageDraw, ImageFont
 
 import wam_power_ros as power
@@ -38,7 +37,7 @@ from wam_power_ros.learning import policy
 from wam_power_ros.learning.learner import Learner
 from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import share
-from wam_power_ros.plotting import BLUE, GREEN, GRID, INK, ORANGE, STEEL, dress, side_by_side, svg
+from wam_power_ros.plotting import BLUE, GREEN, GRID, INK, ORANGE, STEEL, side_by_side, svg
 from wam_power_ros.practice import session
 from wam_power_ros.reporting import figures
 from wam_power_ros.tasks.flip.task import Flip
@@ -46,19 +45,8 @@ from wam_power_ros.tasks.flip.task import Flip
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 GROUNDS = DOCS / "evidence/grounds.csv"
 LEARNERS = {"model_based": BLUE, "hindsight": ORANGE}  # of that file
-TABLE = re.compile(r"(<!-- table: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
+TABLE = re.compile(r"(<!-- table: grounds -->\n).*?(<!-- end -->)", re.DOTALL)
 CROP = (95, 182, 600, 600)  # of frames of 640 pixels
-FLOORS = (  # of the package, from the ground; `test_architecture.py` has the whole table
-    "rotations  bags",
-    "learning",
-    "control  tracking  tasks",
-    "commissioning  practice  conformance  params",
-    "ros  reporting",
-    "client",
-    "nodes  console  hardware_sim",
-    "in_process  view",
-    "cli",
-)
 
 
 def grounds() -> dict[tuple[str, str], list[dict[str, int]]]:
@@ -66,9 +54,8 @@ def grounds() -> dict[tuple[str, str], list[dict[str, int]]]:
     found: dict[tuple[str, str], list[dict[str, int]]] = {}
     with GROUNDS.open() as file:
         for line in csv.DictReader(file):
-            counted = {name: int(line[name]) for name in ("true", "retests", "rollouts")}
-            counted["confirmed"] = line["confirmed"] == "True"
-            found.setdefault((line["ground"], line["learner"]), []).append(counted)
+            counts = {name: int(line[name]) for name in ("true", "retests", "rollouts")}
+            found.setdefault((line["ground"], line["learner"]), []).append(counts)
     return found
 
 
@@ -91,12 +78,9 @@ def table_of_grounds() -> str:
     return "\n".join(lines) + "\n"
 
 
-TABLES = {"grounds": table_of_grounds}
-
-
 def with_tables(text: str) -> str:
     """A page with its tables written anew."""
-    return TABLE.sub(lambda found: found[1] + TABLES[found[2]]() + found[3], text)
+    return TABLE.sub(lambda found: found[1] + table_of_grounds() + found[2], text)
 
 
 def figure_of_grounds() -> Figure:
@@ -163,10 +147,13 @@ def learners() -> Figure:
     figure, (axes,) = side_by_side(7.2, 3.4, 1.0)
     for name, color in (("power", BLUE), ("cma_es", ORANGE), ("pi2_bb", GREEN), ("random", STEEL)):
         kind = find("learner", RIVALS.get(name, name))
-        made = partial(_learner, kind)
         curves = []
+
+        def make(size: int, rng: np.random.Generator, kind: type = kind) -> Learner:
+            return kind(size, kind.Settings(), rng)
+
         for seed in range(12):
-            tries = power.practise(return_of, taught, np.random.default_rng(seed), 60, learner=made)
+            tries = power.practise(return_of, taught, np.random.default_rng(seed), 60, learner=make)
             curves.append([return_of(each.mean) for each in tries])
         low, middle, high = np.quantile(curves, (0.25, 0.5, 0.75), axis=0)
         rollout = np.arange(1, len(middle) + 1)
@@ -175,10 +162,6 @@ def learners() -> Figure:
     axes.set(xlabel="rollout", ylabel="return of the mean policy", ylim=(0.0, 1.0))
     axes.legend(loc="lower right", ncols=2, frameon=False, fontsize=8)
     return figure
-
-
-def _learner(kind: type, size: int, rng: np.random.Generator) -> Learner:
-    return kind(size, kind.Settings(), rng)
 
 
 def arm_with_frames() -> Figure:
@@ -230,114 +213,6 @@ def _note(
     axes.annotate(text, at, zorder=6, **options)
 
 
-def _boxes(width: float, height: float, boxes: Mapping[str, tuple[float, float, str]]) -> Figure:
-    """Labelled boxes: text -> centre and colour, in units of which a figure has 100 by 100."""
-    figure = Figure(figsize=(width, height), layout="constrained")
-    axes = figure.subplots()
-    axes.set(xlim=(0, 100), ylim=(0, 100))
-    axes.axis("off")
-    for text, (x, y, color) in boxes.items():
-        lines = text.split("\n")
-        wide, high = 2.6 + 1.02 * max(map(len, lines)) * 7.2 / width, 9.0 + 5.0 * (len(lines) - 1)
-        corner = (x - wide / 2, y - high / 2)
-        axes.add_patch(
-            FancyBboxPatch(corner, wide, high, boxstyle="round,pad=0.6", fc="white", ec=color, lw=2)
-        )
-        axes.text(x, y, text, ha="center", va="center", fontsize=8.5, color=INK)
-    return figure
-
-
-def _arrow(
-    figure: Figure,
-    start: tuple[float, float],
-    end: tuple[float, float],
-    text: str = "",
-    at: tuple[float, float] | None = None,
-) -> None:
-    axes = figure.axes[0]
-    style = {"arrowstyle": "-|>", "color": STEEL, "lw": 1.4, "shrinkA": 0, "shrinkB": 0}
-    axes.annotate("", end, start, arrowprops=style)
-    x, y = at or ((start[0] + end[0]) / 2, (start[1] + end[1]) / 2 + 2.5)
-    axes.text(x, y, text, ha="center", va="center", fontsize=7, color=STEEL)
-
-
-def nodes() -> Figure:
-    """The graph of the nodes in the simulation of a flip or on an arm."""
-    figure = _boxes(
-        7.6,
-        4.2,
-        {
-            "arm driver\nor wam_sim": (12, 82, STEEL),
-            "motion capture\nor optitrack_sim": (12, 20, STEEL),
-            "torque_controller": (50, 82, BLUE),
-            "pancake_tracker": (50, 20, BLUE),
-            "demonstration_recorder": (41, 51, BLUE),
-            "learner": (88, 51, ORANGE),
-        },
-    )
-    _arrow(figure, (22, 86), (39, 86), "/joint_states")
-    _arrow(figure, (39, 78), (22, 78), "torques, 500 Hz", (30.5, 75))
-    _arrow(figure, (24, 20), (40, 20), "/pancake/pose")
-    _arrow(figure, (12, 74), (29, 55), "/joint_states", (13, 62))
-    _arrow(figure, (12, 28), (29, 47), "/pancake/pose", (13, 40))
-    _arrow(figure, (61, 20), (86, 44), "/pancake/state, path of the pancake", (82, 29))
-    _arrow(figure, (86, 58), (61, 80), "actions: policies to execute", (82, 73))
-    _arrow(figure, (55, 51), (82, 51), "bags (MCAP)", (71, 54))
-    _arrow(figure, (58, 74), (58, 28), "path of the tool", (66, 40))
-    return figure
-
-
-def loop() -> Figure:
-    """The two processes of the torque controller."""
-    figure = _boxes(
-        7.6,
-        3.2,
-        {
-            "driver": (8, 72, STEEL),
-            "torque_controller, SCHED_FIFO\nread state · check · step · publish": (47, 72, BLUE),
-            "preparation worker\nparse · check · tabulate · log": (42, 20, BLUE),
-            "learner, scripts,\nwam-power": (84, 20, ORANGE),
-        },
-    )
-    _arrow(figure, (13, 78), (25, 78), "state", (19, 83))
-    _arrow(figure, (25, 66), (13, 66), "torque", (19, 60))
-    _arrow(figure, (42, 32), (42, 59), "tables in shared memory", (28, 45))
-    _arrow(figure, (52, 59), (52, 32), "modes, faults, paths", (64, 45))
-    _arrow(figure, (73, 24), (60, 24), "goals", (66, 30))
-    _arrow(figure, (60, 15), (73, 15), "results", (66, 9))
-    return figure
-
-
-def folders() -> Figure:
-    """The floors of the package: each imports only what is below it."""
-    figure = Figure(figsize=(7.2, 3.8), layout="constrained")
-    axes = figure.subplots()
-    dress(axes)
-    axes.grid(False)
-    for floor, names in enumerate(FLOORS):
-        sizes = {
-            name: sum(len(path.read_text().splitlines()) for path in _sources(name))
-            for name in names.split()
-        }
-        left = 0.0
-        for name, size in sizes.items():
-            pure = name in ("learning", "control", "tracking", "tasks", "conformance")
-            color = GREEN if pure else BLUE
-            axes.barh(floor, size, 0.72, left, color=color, alpha=0.25, ec=color)
-            inside = size > 75 * len(name)
-            place = left + size / 2 if inside else left + size + 90
-            anchor = "center" if inside else "left"
-            axes.text(place, floor, name, ha=anchor, va="center", fontsize=8, color=INK)
-            left += size if inside else size + 90 + 115 * len(name)
-    axes.set(yticks=[], xlabel="lines of Python; green: no ROS, no file, no clock", xlim=(0, 9500))
-    return figure
-
-
-def _sources(name: str) -> list[Path]:
-    root = DOCS.parent / (name if name == "hardware_sim" else f"wam_power_ros/{name}")
-    return [*root.rglob("*.py")] or [root.with_suffix(".py")]
-
-
 def film(folder: Path) -> list[Image.Image]:
     """The first rollout of a session beside the last one, in frames of half speed."""
     found = session.read(folder)
@@ -366,7 +241,7 @@ def film(folder: Path) -> list[Image.Image]:
 def main(arguments: Sequence[str]) -> int:
     """`python -m reproduction.documents [SESSION]`: write figures and tables of the documents."""
     pictures = DOCS / "pictures"
-    drawn = (demonstration, learners, arm_with_frames, nodes, loop, folders, figure_of_grounds)
+    drawn = (demonstration, learners, arm_with_frames, figure_of_grounds)
     for draw in drawn:
         (pictures / f"{draw.__name__}.svg").write_bytes(svg(draw()))
     for folder in map(Path, arguments):

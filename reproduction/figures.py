@@ -8,7 +8,6 @@ quantiles.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from itertools import pairwise
 
 import numpy as np
 from matplotlib import patheffects
@@ -49,12 +48,12 @@ def sessions_over_paper(
         color = COLORS[place - 1]
         rollout = np.arange(1, stacked.shape[1] + 1)
         usable = np.isfinite(stacked).any(axis=0)
-        mean, sd = _moments(stacked)
+        mean, sd = (of(stacked[:, usable], axis=0) for of in (np.nanmean, np.nanstd))
         # as in the paper, an error bar at every rollout; shifted a little for each name
-        bars = {"elinewidth": 0.6, "ecolor": _faint(color), "capsize": 1.5, "capthick": 0.6}
+        bars = {"elinewidth": 0.6, "ecolor": (color, 0.5), "capsize": 1.5, "capthick": 0.6}
         x = rollout[usable] + 0.16 * (place - 1)
         label = f"{name}, {counted(len(runs), 'session')}"
-        axes.errorbar(x, mean[usable], yerr=sd[usable], color=color, lw=1.8, label=label, **bars)
+        axes.errorbar(x, mean, yerr=sd, color=color, lw=1.8, label=label, **bars)
         early, late = first_and_last_five(runs)
         for ends in zip(early, late, strict=True):
             gain.plot([place - 0.28, place + 0.28], ends, color=color, lw=0.6, alpha=0.28)
@@ -103,7 +102,7 @@ def learner_curves(
         marks: Text -> value of a horizontal line, such as "paper, full" -> 0.73.
     """
     figure, (axes,) = side_by_side(8.6, 4.4, 1.0)
-    ends, longest = [], 0
+    longest = 0
     for place, (name, runs) in enumerate(curves.items()):
         stacked = stack(runs)
         color = COLORS[place % len(COLORS)]
@@ -113,11 +112,10 @@ def learner_curves(
         low, middle, high = np.nanquantile(stacked[:, usable], (0.25, 0.5, 0.75), axis=0)
         longest = max(longest, int(x[-1]))
         style = {"lw": 2.3} if strong else {"lw": 1.1, "ls": ("-", "--", "-.", ":")[place % 4]}
-        axes.plot(x, middle, color=color, zorder=3 if strong else 2, **style)
+        axes.plot(x, middle, color=color, zorder=3 if strong else 2, label=name, **style)
         if len(stacked) > 1:
             alpha = 0.14 if strong else 0.07
             axes.fill_between(x, low, high, color=color, alpha=alpha, lw=0)
-        ends.append((float(middle[-1]), int(x[-1]), name, color, strong))
     for text, value in (marks or {}).items():
         axes.axhline(value, color=GREY, lw=1.0, ls=":")
         style = {"ha": "right", "fontsize": 8, "color": STEEL, "path_effects": HALO}
@@ -126,42 +124,8 @@ def learner_curves(
     axes.set(xlabel="rollout", ylabel=ylabel)
     axes.set_xlim(0.0, longest)
     axes.xaxis.get_major_locator().set_params(integer=True)
-    _label_ends(axes, ends)
+    legend(axes)
     return figure
-
-
-def _label_ends(axes: Axes, ends: Sequence[tuple[float, int, str, str, bool]]) -> None:
-    """Write names beside the axes, close to the ends of their lines but without overlap."""
-    low, high = axes.get_ylim()
-    room = 0.052 * (high - low)
-    order = sorted(ends)
-    heights = [value for value, *_ in order]
-    for _ in range(200):  # push neighbours apart until none overlap
-        moved = False
-        for k, (a, b) in enumerate(pairwise(heights)):
-            if b - a < room - 1e-9:
-                middle = 0.5 * (a + b)
-                heights[k], heights[k + 1] = middle - room / 2, middle + room / 2
-                moved = True
-        if not moved:
-            break
-    right = axes.get_xlim()[1]
-    beside = {
-        "textcoords": "axes fraction",
-        "va": "center",
-        "fontsize": 8.5,
-        "annotation_clip": False,
-    }
-    for height, (value, _, name, color, strong) in zip(heights, order, strict=True):
-        axes.annotate(
-            name,
-            (right, value),
-            xytext=(1.035, (height - low) / (high - low)),
-            fontweight="bold" if strong else "normal",
-            color=color,
-            arrowprops={"arrowstyle": "-", "color": color, "lw": 0.6, "relpos": (0, 0.5)},
-            **beside,
-        )
 
 
 def stack(runs: Sequence[Sequence[float | None]]) -> np.ndarray:
@@ -177,20 +141,3 @@ def stack(runs: Sequence[Sequence[float | None]]) -> np.ndarray:
     for row, run in zip(stacked, runs, strict=True):
         row[: len(run)] = np.array(run, dtype=float)
     return stacked
-
-
-def _moments(stacked: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and standard deviation of the finite values of each column, NaN if there are none."""
-    finite = np.isfinite(stacked)
-    count = finite.sum(axis=0)
-    values = np.where(finite, stacked, 0.0)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        mean = values.sum(axis=0) / count
-        sd = np.sqrt((np.where(finite, stacked - mean, 0.0) ** 2).sum(axis=0) / count)
-    return mean, sd
-
-
-def _faint(color: str) -> str:
-    """Colour halfway between the given one and white."""
-    parts = [int(color[k : k + 2], 16) for k in (1, 3, 5)]
-    return "#" + "".join(f"{round(255 - 0.5 * (255 - part)):02x}" for part in parts)

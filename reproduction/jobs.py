@@ -27,7 +27,6 @@ import json
 import math
 import os
 import platform
-import re
 import signal
 import time
 import traceback
@@ -41,7 +40,6 @@ from typing import Any, Literal
 
 from joblib import Parallel, delayed, parallel_config
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from wam_power_ros import durable_files, plain_json
 from wam_power_ros.params.resources import share
@@ -63,9 +61,7 @@ NOT_HASHED = (  # sources that cannot change a result; the studies run without R
 )
 DATA = ("config", "urdf", "bags")
 LIBRARIES = ("numpy", "scipy", "pin", "mujoco", "cmaes")  # other versions may change last digits
-NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 RESULT_MAX = 100_000_000  # largest result of a job, some thousand times a usual one [byte]
-SPEED_PERIOD = 3600.0  # [s], window for estimating the remaining time; a run takes a minute
 Scale = Literal["full", "quick"]
 Results = dict[str, dict[str, dict[str, Any]]]  # study -> key -> result
 # What a worker returns: job, result as JSON text, traceback, and times [s] with host.
@@ -81,27 +77,12 @@ class Job:
         key: Name of its file there, such as "seed-301".
         function: Function of an importable module, deterministic in its arguments.
         arguments: Keyword arguments.
-
-    Raises:
-        ValueError: `study` or `key` is not a file name, or `arguments` are not JSON data of finite
-            numbers.
     """
 
     study: str
     key: str
     function: Callable[..., dict[str, Any]]
     arguments: dict[str, Any] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        for name in (self.study, self.key):
-            if not NAME.fullmatch(name):
-                raise ValueError(
-                    f"{name!r} must be a file name of letters, digits, '.', '_' and '-'"
-                )
-        try:
-            _json(self.arguments)
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"arguments of {self.name}: {error}") from None
 
     @property
     def name(self) -> str:
@@ -111,12 +92,6 @@ class Job:
     def path(self, folder: Path) -> Path:
         """File of its result in a folder of results."""
         return folder / self.study / f"{self.key}.json"
-
-
-def study_of(place: str, learner: str) -> str:
-    """Name of the study of a learner at a place, of which both may hold any characters."""
-    plain = "".join(c if c.isalnum() or c == "." else "-" for c in place)
-    return f"{plain}-{learner.replace('+', '-')}"
 
 
 class JobError(Exception):
@@ -154,27 +129,16 @@ def run(
     if missing:
         console.print(f"{len(missing)} runs to compute, with {workers} processes.", highlight=False)
     failed: list[str] = []
-    left_of = (TextColumn("left"), TimeRemainingColumn(), TextColumn("{task.description}"))
-    shown = Progress(
-        *(BarColumn(bar_width=30), MofNCompleteColumn(), *left_of),
-        console=console,
-        disable=not console.is_terminal,
-        speed_estimate_period=SPEED_PERIOD,
-    )
-    with shown as progress, contextlib.ExitStack() as stack:
-        task = progress.add_task("", total=len(jobs), completed=len(results))
-        for job, text, error, times in _compute(missing, workers, stack):
+    with contextlib.ExitStack() as stack:
+        for done, (job, text, error, times) in enumerate(_compute(missing, workers, stack), 1):
             if error:
                 failed.append(f"{job.name}: {error}")
             else:
                 _write(job, folder, text, times)
                 results[job.name] = plain_json.parse(text, job.name, RESULT_MAX)
             remaining[job.study] -= 1
-            progress.update(task, advance=1, description=job.study)
             if not remaining[job.study]:
-                minutes = (time.monotonic() - start) / 60.0
-                left = remaining.total()
-                done = len(missing) - left
+                left, minutes = len(missing) - done, (time.monotonic() - start) / 60.0
                 estimate = f", about {math.ceil(minutes / done * left)} min left" if left else ""
                 console.print(
                     f"{job.study}: done; {done} of {len(missing)} runs{estimate}", highlight=False

@@ -16,8 +16,7 @@ from wam_power_ros.plotting import BLUE, GREEN, INK, dress, shared_legend
 from wam_power_ros.regions import Region
 from wam_power_ros.tasks.reach.figures import OBSTACLE, side_and_top
 
-LEARNT, ROLLOUT, EXECUTED = "#1d5c3a", "#8fc3a5", "#e3a72f"
-MARGIN = 0.03  # around the paths [m]
+LEARNT, ROLLOUT = "#1d5c3a", "#8fc3a5"
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +27,6 @@ class Panel:
     obstacle: Region
     learnt: np.ndarray  # of the learnt policy, drawn bold
     rollouts: Sequence[np.ndarray] = ()  # further ones
-    executed: np.ndarray | None = None  # by the arm
 
     @property
     def start(self) -> np.ndarray:
@@ -46,32 +44,14 @@ def paths(panels: Mapping[str, Panel]) -> Figure:
 
     Axes are those of `side_and_top`, from the mean start of the demonstrations to their mean end.
     """
-    boxes = []  # lowest and highest drawn coordinates of each panel and view
-    for panel in panels.values():
-        sphere = panel.obstacle
-        other = [sphere.centre + sphere.radius * np.array([[-1.0] * 3, [1.0] * 3]), panel.learnt]
-        other += [] if panel.executed is None else [panel.executed]
-        drawn = np.concatenate([*panel.demonstrations, *panel.rollouts, *other])
-        for view in side_and_top(panel.goal - panel.start):
-            seen = (drawn - panel.start) @ view.T
-            boxes.append((seen.min(axis=0) - MARGIN, seen.max(axis=0) + MARGIN))
-    low, high = (  # (2 views, 2 axes)
-        np.stack([edge([box[k] for box in boxes[row::2]], axis=0) for row in (0, 1)])
-        for k, edge in enumerate((np.min, np.max))
-    )
-    low[:, 0], high[:, 0] = low[:, 0].min(), high[:, 0].max()
-    width = 4.4
-    heights = width * (high - low)[:, 1] / (high - low)[:, 0]
-    figure = Figure(figsize=(width * len(panels) + 0.6, heights.sum() + 1.4), layout="compressed")
-    grid = figure.subplots(2, len(panels), squeeze=False, height_ratios=heights)
+    figure = Figure(figsize=(4.4 * len(panels) + 0.6, 5.4), layout="constrained")
+    grid = figure.subplots(2, len(panels), squeeze=False, sharex=True, sharey="row")
     for column, (title, panel) in zip(grid.T, panels.items(), strict=True):
         views = side_and_top(panel.goal - panel.start)
-        for row, (axes, view) in enumerate(zip(column, views, strict=True)):
+        for axes, view in zip(column, views, strict=True):
             _draw(axes, panel, view)
-            axes.set(xlim=(low[row, 0], high[row, 0]), ylim=(low[row, 1], high[row, 1]))
             axes.set_aspect("equal")
         column[0].set_title(title, fontsize=10, color=INK)
-        column[0].tick_params(labelbottom=False)
         column[1].set_xlabel("along the movement [m]")
     grid[0, 0].set_ylabel("up [m]")
     grid[1, 0].set_ylabel("aside [m]")
@@ -92,7 +72,5 @@ def _draw(axes: Axes, panel: Panel, view: np.ndarray) -> None:
     for path in panel.demonstrations:
         plot(path, color=BLUE, lw=1.1, label="demonstrations")
     plot(panel.learnt, color=LEARNT, lw=2.6, label="learnt")
-    if panel.executed is not None:
-        plot(panel.executed, color=EXECUTED, lw=1.2, ls="--", label="executed")
     plot(panel.learnt[0], "o", color=GREEN, ms=6, label="start")
     plot(panel.goal, "s", color=GREEN, ms=8, label="goal")

@@ -14,15 +14,11 @@ import shlex
 import signal
 import sys
 import time
-from collections import Counter
 from collections.abc import Collection, Sequence
 from itertools import groupby
 from pathlib import Path
 
 from markupsafe import Markup
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
 from reproduction import jobs as job_cache
 from reproduction.chapter import RUNS_MIN, TEMPLATES, Chapter, table
@@ -43,7 +39,7 @@ def run(
     workers: int,
     only: Collection[str] = tuple(STUDIES),
 ) -> Path:
-    """Compute the missing results, write the report, print its overview; return its path.
+    """Compute the missing results, write the report, print the times; return its path.
 
     "quick" runs the same code with few seeds and small budgets, as a check.
 
@@ -71,25 +67,15 @@ def run(
         f"another. This time {cached} of them had been computed before; the rest and the report "
         f"took {duration(elapsed)} with {computer}."
     )
-    path = write(folder, scale, written, jobs, timing)
-    console = Console(file=sys.stdout)
-    console.print(overview(written))
-    console.print(f"\n{timing}", highlight=False)
-    return path
+    sys.stdout.write(f"{timing}\n")
+    return write(folder, scale, written, jobs, timing)
 
 
 def write(
     folder: Path, scale: Scale, chapters: Sequence[Chapter], jobs: Sequence[Job], timing: str
 ) -> Path:
-    """Write `report.html` and its figures into a folder with the results of all `jobs`.
-
-    Raises:
-        ValueError: Two figures have the same name.
-    """
+    """Write `report.html` and its figures into a folder with the results of all `jobs`."""
     (folder / "figures").mkdir(parents=True, exist_ok=True)
-    names = Counter(name for chapter in chapters for name in chapter.figures)
-    if twice := sorted(name for name, count in names.items() if count > 1):
-        raise ValueError(f"two figures with the same name: {', '.join(twice)}")
     for chapter in chapters:
         for name, png in chapter.figures.items():
             (folder / "figures" / f"{name}.png").write_bytes(png)
@@ -122,7 +108,7 @@ def render(
         runs_min=RUNS_MIN,
         cpu=duration(job_cache.spent(jobs, results_folder)[1]),
         machine=MACHINE,
-        processor=_processor(),
+        processor=platform.processor() or platform.machine(),
         cores=os.cpu_count(),
         system=f"{platform.system()} {platform.release()}",
         versions=", ".join(job_cache.versions((*job_cache.LIBRARIES, "joblib"))),
@@ -132,15 +118,6 @@ def render(
         anchor=html_page.anchor,
     )
     return html_page.page("Flipping pancakes: the paper reproduced", [Markup(body)])
-
-
-def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return platform.processor() or platform.machine()
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.machine()
 
 
 def _seeds(seed: int | None = None, seeds: Sequence[int] = (), **_: object) -> list[int]:
@@ -161,25 +138,6 @@ def duration(seconds: float) -> str:
         return f"{seconds:.2g} s" if seconds < 9.95 else f"{seconds:.0f} s"
     minutes = round(seconds / 60.0)
     return f"{minutes} min" if minutes < 100 else f"{minutes // 60} h {minutes % 60} min"
-
-
-def overview(chapters: Sequence[Chapter]) -> Table:
-    """Table of the claims of all chapters for the terminal."""
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for name, ratio in (("", 5), ("paper", 2), ("measured", 4)):
-        table.add_column(name, ratio=ratio)
-    table.add_column("verdict", no_wrap=True)
-    styles = {True: "green", False: "red", None: "dim"}
-    for chapter in chapters:
-        table.add_row(Text(chapter.title, style="bold"))
-        for claim in chapter.claims:
-            measured = Text(claim.ours)
-            details = ", ".join(text for text in (claim.spread, claim.count) if text)
-            measured.append(f"\n{details}" if details else "", style="dim")
-            verdict = Text(claim.verdict, style=styles[claim.holds])
-            table.add_row(Text(claim.what), Text(claim.paper), measured, verdict)
-        table.add_row()
-    return table
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -5,15 +5,20 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
 import numpy as np
 from toss_task import AnyArm
 
-from reproduction.studies.reaching_scenario import free_paths, midpoint
-from wam_power_ros.learning.demonstration import from_positions
+from hardware_sim.wam import JOINTS
+from reproduction.studies.reaching_scenario import Scenario, free_paths, midpoint
+from wam_power_ros.bags.reader import read_demonstration
+from wam_power_ros.control.arm import Arm
+from wam_power_ros.learning.demonstration import from_joint_samples, from_positions
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import EndEffectorPath, Rollout
+from wam_power_ros.params.resources import share
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session_log import Trial
 from wam_power_ros.practice.settings import preset
@@ -59,3 +64,12 @@ def practised(policy: Policy, seed: int, context: Mapping[str, Any] = CONTEXT) -
     while (trial := practice.next_trial()) is not None:
         practice.learn(trial, reached(practice.task, trial))
     return practice
+
+
+@cache
+def taught_scenario() -> Scenario:
+    """Scenario of the shipped demonstrations; it begins where the tool is at q_start."""
+    arm = Arm(share("urdf/wam7.urdf").read_text(), JOINTS)
+    bags = sorted(share("bags").glob("reach_*"))
+    shown = [from_joint_samples(arm, *read_demonstration(bag, JOINTS)) for bag in bags]
+    return Scenario(resampled(shown), Reach.policy_of(shown, "demonstration"), shown[0].position[0])

@@ -105,7 +105,7 @@ BUDGET = {
     "control": 5518,  # other programs; positions; +123: poses of the tool
     "commissioning": 1418,  # +165: a set-up proposed from a URDF; +116: its report, from cli/
     "tracking": 897,  # tags in images, from nodes/
-    "tasks": 3559,  # +93: what cannot be the pancake in the pan
+    "tasks": 3542,  # +93: what cannot be the pancake in the pan
     "practice": 2317,  # +32: tools and springs that failed; +46: candidates are fitted here
     "conformance": 1105,  # +13: frames of poses; +25: effort without gravity
     "bags": 2580,  # +246: sets of LeRobot, written and read
@@ -118,11 +118,11 @@ BUDGET = {
     "reporting": 808,
     "in_process": 509,  # a session on disk without nodes
     "cli": 2434,  # mistakes of a set-up, new-arm, sessions
-    "hardware_sim": 3344,  # +170: a camera films tags; +146: what stand-ins alone send
+    "hardware_sim": 3336,  # +170: a camera films tags; +146: what stand-ins alone send
     "launch": 161,
     "wam_power_interfaces": 159,  # its build without ROS
     "examples": 483,  # +106: five tasks of other libraries
-    "reproduction": 4285,  # rivals told less, two axes, stopping rules; +23: curves of the paper
+    "reproduction": 3354,  # rivals told less, two axes; curves of the paper
     "benchmark": 2266,  # the matrix of the reaction has a plant of its own
 }
 PURE = (

@@ -9,18 +9,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from scipy.stats import mannwhitneyu
 
-from reproduction import figures, filmstrip
+from reproduction import figures
 from reproduction.chapter import Study
-from reproduction.flights import flights as draw_flights
 from reproduction.jobs import Results
 from reproduction.paper_curves import FIG5, K33
 from reproduction.studies import flip_sessions
-from reproduction.studies.flip_sessions import ABLATION, HINDSIGHT, LONG, PAPER
-from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
+from reproduction.studies.flip_sessions import ABLATION, HINDSIGHT, PAPER
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
 from wam_power_ros.reporting.figures import stiffness
 from wam_power_ros.reporting.terminal import counted
+from wam_power_ros.tasks.side_view import side_view
 
 Row = Mapping[str, Any]  # a rollout in a result of the study
 RELIABLE = 0.9  # share of the re-tests of a final policy
@@ -97,7 +98,7 @@ class Sessions:
 
 def values(results: Results) -> dict[str, Any]:
     """Names of the template; ignores results of other studies."""
-    hindsight, paper, long = (Sessions([*results[s].values()]) for s in (HINDSIGHT, PAPER, LONG))
+    hindsight, paper = (Sessions([*results[s].values()]) for s in (HINDSIGHT, PAPER))
     ablated = {
         name.removeprefix(ABLATION): runs
         for name, runs in results.items()
@@ -115,7 +116,7 @@ def values(results: Results) -> dict[str, Any]:
         "paper_shown": _shown(paper),
         **_hindsight(hindsight),
         **_robustness(hindsight),
-        **_paper(paper, long),
+        **_paper(paper),
         **_stiffness(hindsight, paper),
         **_ablation(ablation),
     }
@@ -158,11 +159,11 @@ def _robustness(sessions: Sessions) -> dict[str, Any]:
     }
 
 
-def _paper(sessions: Sessions, long: Sessions) -> dict[str, Any]:
+def _paper(sessions: Sessions) -> dict[str, Any]:
     """The paper's preset beside Fig. 5."""
     six = Sessions(sessions.runs[:6])
     rows = []
-    for name, some in (("50", sessions), ("50, the first six sessions", six), ("100", long)):
+    for name, some in (("50", sessions), ("50, the first six sessions", six)):
         means = [f"{returns.mean():.2f}" for returns in some.gain]
         apex = f"{column(some.retests, 'apex').mean():.2f}"
         rows.append([name, f"{len(some)}", *means, *outcome_cells(some.retests)[:3], apex])
@@ -216,22 +217,15 @@ def _ablation(ablation: Mapping[str, Sessions]) -> dict[str, Any]:
     }
 
 
-def _shown(sessions: Sessions) -> dict[str, Any] | None:
-    """Figs. 3, 4 and 6 from the session that kept its paths, if any."""
-    shown = next((run["figure_paths"] for run in sessions.runs if run["figure_paths"]), None)
-    if shown is None:
-        return None
-    flights = {}
-    for key in ("demonstration", "reproduction", "answer"):
-        paths = shown[key]
-        pan, pancake = (
-            {k: np.array(v) for k, v in paths[body].items()} for body in ("pan", "pancake")
-        )
-        title = "final policy" if key == "answer" else key
-        flights[title] = (EndEffectorPath(key, **pan), BodyPath(key, **pancake), paths["t_f"])
-    last = shown["answer"]["t_f"] or 1.0
-    film = filmstrip.strip(shown["trace"], last + 0.25)
-    return {"flights": draw_flights(flights), "film": film}
+def _shown(sessions: Sessions) -> dict[str, Figure]:
+    """Figures of the rollouts of the session that kept its paths, if any, by name."""
+    kept = next((run["paths"] for run in sessions.runs if run["paths"]), {})
+    shown = {}
+    for name, paths in kept.items():
+        pan, pancake = ({k: np.array(v) for k, v in path.items()} for path in paths.values())
+        rollout = Rollout(EndEffectorPath("shown", **pan), BodyPath("shown", **pancake))
+        shown[name] = side_view(rollout, "pancake")
+    return shown
 
 
 def _variation(profiles: np.ndarray) -> np.ndarray:
@@ -267,7 +261,7 @@ def quantile_cells(sample: np.ndarray, form: str) -> list[str]:
 
 
 STUDY = Study(
-    "Flipping a pancake (Sec. III-B, Figs. 3 to 6)",
+    "Flipping a pancake (Sec. III-B, Figs. 3 to 5)",
     flip_sessions.jobs,
     values,
     Path(__file__).with_suffix(".html.j2"),

@@ -3,9 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,49 +15,38 @@ from reproduction import figures, reach_paths
 from reproduction.chapter import Study
 from reproduction.jobs import Results
 from reproduction.studies import reaching
-from reproduction.studies.reaching import SYNTHETIC
-from reproduction.studies.reaching_arm import EXECUTED, TAUGHT
-from reproduction.studies.reaching_runs import VARIANTS
+from reproduction.studies.reaching import SYNTHETIC, VARIANTS
+from reproduction.studies.reaching_scenario import RADIUS, synthetic
 from wam_power_ros.regions import Region
 
 PAPER_RETURNS = {"full": 0.73, "diagonal": 0.61}  # after 100 rollouts, mean of 10 experiments
 PAPER_RUNS = 10
 LEVEL = 0.73
-RUN_FIELDS = ("means", "best", "stuck", "paths")  # fields of a job with one value per run
 
 
 @dataclass(frozen=True, eq=False)
 class Runs:
-    """All runs of one variant on one scenario.
+    """All runs of one variant.
 
     Attributes:
         means: Return of the noise-free mean after each rollout. Shape (runs, rollouts).
         best: Highest return of a rollout of each run.
         stuck: Whether the last mean of each run meets the obstacle.
         paths: Path of the last mean of each run [m]. Shapes (T, 3).
-        start: Return of the demonstration.
-        panel: Makes a panel of the figure of paths, from others than demonstrations and obstacle.
     """
 
     means: np.ndarray
     best: Sequence[float]
     stuck: Sequence[bool]
     paths: Sequence[np.ndarray]
-    start: float
-    panel: Callable[..., reach_paths.Panel]
 
     @classmethod
     def of(cls, study: Mapping[str, Mapping[str, Any]], variant: str) -> Runs:
         """Join the jobs of a variant."""
         parts = [part for part in study.values() if part["variant"] == variant]
-        joined = ([value for part in parts for value in part[name]] for name in RUN_FIELDS)
-        means, best, stuck, paths = joined
-        first = parts[0]
-        shown = [np.array(path) for path in first["demonstrations"]]
-        obstacle = Region("obstacle", tuple(first["obstacle"]), first["radius"])
-        panel = partial(reach_paths.Panel, shown, obstacle)
-        arrays = [np.array(path) for path in paths]
-        return cls(np.array(means), best, stuck, arrays, first["start"], panel)
+        names = ("means", "best", "stuck", "paths")
+        means, best, stuck, paths = ([one for part in parts for one in part[n]] for n in names)
+        return cls(np.array(means), best, stuck, [np.array(path) for path in paths])
 
     @property
     def final(self) -> np.ndarray:
@@ -89,35 +77,28 @@ class Runs:
 
 def values(results: Results) -> dict[str, Any]:
     """Names of the template; ignores results of other studies."""
-    synthetic, taught = (
-        {variant: Runs.of(results[study], variant) for variant in VARIANTS}
-        for study in (SYNTHETIC, TAUGHT)
-    )
-    learnt, carried_out = {}, {}
-    for variant in VARIANTS:
-        some, one = synthetic[variant], results[EXECUTED][variant]
+    runs, scenario = {v: Runs.of(results[SYNTHETIC], v) for v in VARIANTS}, synthetic()
+    obstacle = Region("obstacle", tuple(scenario.obstacle.tolist()), RADIUS)
+    learnt = {}
+    for variant, some in runs.items():
         best = some.paths[int(np.argmax(some.final[:PAPER_RUNS]))]
-        learnt[variant] = some.panel(learnt=best, rollouts=some.paths[:PAPER_RUNS])
-        planned, path = np.array(one["planned"]), np.array(one["executed"])
-        carried_out[variant] = taught[variant].panel(learnt=planned, executed=path)
+        rollouts = some.paths[:PAPER_RUNS]
+        learnt[variant] = reach_paths.Panel(scenario.demonstrations, obstacle, best, rollouts)
+    full, diagonal = (runs[variant].final for variant in VARIANTS)
     return {
-        "synthetic": synthetic,
-        "taught": taught,
-        "executed": results[EXECUTED],
-        "p": {name: _p(some) for name, some in (("synthetic", synthetic), ("taught", taught))},
-        "rows": {
-            name: _rows(runs) for name, runs in (("synthetic", synthetic), ("taught", taught))
-        },
+        "runs": runs,
+        "start": scenario.demonstrated_return,
+        "p_value": float(ranksums(full, diagonal, alternative="greater").pvalue),
+        "rows": _rows(runs),
         "paper": PAPER_RETURNS,
         "paper_runs": PAPER_RUNS,
         "level": LEVEL,
         "curves": figures.learner_curves(
-            {variant: some.means.tolist() for variant, some in synthetic.items()},
+            {variant: some.means.tolist() for variant, some in runs.items()},
             ylabel="return (Eq. 4)",
             marks={f"paper, {name}": value for name, value in PAPER_RETURNS.items()},
         ),
         "learnt": reach_paths.paths(learnt),
-        "carried_out": reach_paths.paths(carried_out),
     }
 
 
@@ -128,11 +109,6 @@ def _rows(runs: Mapping[str, Runs]) -> list[list[str]]:
         returns = (final.mean(), np.median(final), final.std(ddof=1), np.mean(some.best))
         rows.append([variant, *(f"{value:.3f}" for value in returns), f"{some.stuck_share:.0%}"])
     return rows
-
-
-def _p(runs: Mapping[str, Runs]) -> float:
-    full, diagonal = (runs[variant].final for variant in VARIANTS)
-    return float(ranksums(full, diagonal, alternative="greater").pvalue)
 
 
 STUDY = Study(

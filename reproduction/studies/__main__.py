@@ -11,13 +11,11 @@ from __future__ import annotations
 import argparse
 import csv
 import sys
-from collections.abc import Callable, Collection, Mapping, Sequence
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from reproduction import jobs as job_cache
-from reproduction.jobs import Job, Results, study_of
 from reproduction.studies import (
     ball_in_cup,
     by_positions,
@@ -25,97 +23,18 @@ from reproduction.studies import (
     grounds,
     new_goals,
     rated,
-    stopping,
     two_axes,
 )
+from reproduction.studies.table import study_of
 
-
-def runs_of(results: Results, place: str, learner: str) -> Mapping[str, Any]:
-    """Runs of a learner at a place, whose study they alone are."""
-    return results[study_of(place, learner)]
-
-
-class Table(NamedTuple):
-    """A study of this form.
-
-    Attributes:
-        places: Names of the worlds in which the learners learn.
-        told: Learner -> what it is told of a rollout.
-        seeds: Seeds, which were not used for tuning.
-        jobs: Runs on some seeds, at some places, of some learners.
-        line: Statistics of the runs of a learner at a place.
-        usual: Places and learners that are run if none is named; None for all.
-        row: Figures of one run, a line of the file of `--table`; None for no such file.
-        runs: Runs of a learner at a place.
-    """
-
-    places: Collection[str]
-    told: Mapping[str, str]
-    seeds: Sequence[int]
-    jobs: Callable[[Sequence[int], Sequence[str], Sequence[str]], list[Job]]
-    line: Callable[[Sequence[Any]], Mapping[str, Any]]
-    usual: tuple[Collection[str] | None, Collection[str] | None] = (None, None)
-    row: Callable[[Mapping[str, Any]], Mapping[str, Any]] | None = None
-    runs: Callable[[Results, str, str], Mapping[str, Any]] = runs_of
-
-
-GROUNDS = Table(
-    grounds.GROUNDS,
-    {name: learner.told for name, learner in grounds.LEARNERS.items()},
-    range(grounds.FIRST, grounds.FIRST + 10),
-    grounds.jobs,
-    grounds.line,
-    (
-        grounds.GROUNDS.keys() - {"hand 4.0 rad/s", "varied world", *grounds.OTHER},
-        ("model_based", "hindsight"),
-    ),
-    grounds.row,
-)
 STUDIES = {
-    "grounds": GROUNDS,
-    "elsewhere": GROUNDS._replace(jobs=partial(grounds.jobs, elsewhere=True)),
-    "ball_in_cup": Table(
-        ball_in_cup.DEMONSTRATORS,
-        {name: learner.told for name, learner in ball_in_cup.LEARNERS.items()},
-        ball_in_cup.HELD_OUT,
-        ball_in_cup.jobs,
-        ball_in_cup.line,
-        (("novice",), None),
-    ),
-    "equal_knowledge": Table(
-        equal_knowledge.NOISES,
-        equal_knowledge.LEARNERS,
-        equal_knowledge.HELD_OUT,
-        equal_knowledge.jobs,
-        equal_knowledge.line,
-    ),
-    "new_goals": Table(
-        new_goals.GOALS,
-        new_goals.WAYS,
-        new_goals.HELD_OUT,
-        new_goals.jobs,
-        new_goals.line,
-        runs=new_goals.runs,
-    ),
-    "stopping": Table(
-        stopping.PLACES, stopping.RULES, stopping.HELD_OUT, stopping.jobs, stopping.line
-    ),
-    "two_axes": Table(
-        two_axes.PLACES,
-        {name: told for name, (told, _) in two_axes.LEARNERS.items()},
-        two_axes.HELD_OUT,
-        two_axes.jobs,
-        two_axes.line,
-        row=dict,
-    ),
-    "by_positions": Table(
-        by_positions.PLACES,
-        {name: "rollouts" for name in by_positions.OUTPUTS},
-        by_positions.HELD_OUT,
-        by_positions.jobs,
-        by_positions.line,
-    ),
-    "rated": Table(rated.PERSONS, rated.VARIANTS, rated.HELD_OUT, rated.jobs, rated.line),
+    "grounds": grounds.TABLE,
+    "ball_in_cup": ball_in_cup.TABLE,
+    "equal_knowledge": equal_knowledge.TABLE,
+    "new_goals": new_goals.TABLE,
+    "two_axes": two_axes.TABLE,
+    "by_positions": by_positions.TABLE,
+    "rated": rated.TABLE,
 }
 
 
@@ -126,7 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for name, table in STUDIES.items():
         options = chosen.add_parser(name)
         for flag, all_of, usual in zip(
-            ("--only", "--learners"), (table.places, table.told), table.usual, strict=True
+            ("--only", "--learners"), (table.places, table.learners), table.usual, strict=True
         ):
             default = [each for each in all_of if usual is None or each in usual]
             options.add_argument(flag, nargs="+", choices=[*all_of], default=default)
@@ -145,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     rows: list[dict[str, Any]] = []
     for place in given.only:
         for learner in given.learners:
-            found, told = table.runs(results, place, learner), table.told[learner]
+            found, told = results[study_of(place, learner)], table.learners[learner].told
             line = table.line(list(found.values()))
             sys.stdout.write(f"{place}, {learner} (learns from {told}): {line}\n")
             for key, one in found.items() if given.table else ():

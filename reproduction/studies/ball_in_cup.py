@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from reproduction.jobs import Job, study_of
-from reproduction.studies.grounds import Learner
+from reproduction.studies.grounds import of_preset
+from reproduction.studies.table import Table
 from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.params import overlay
 from wam_power_ros.practice.practice import Practice
@@ -32,15 +32,15 @@ DEMONSTRATORS: Mapping[str, Mapping[str, float]] = {  # arguments of `session`
     **{f"joint 1 at {angle} degrees": {"joint_1": angle} for angle in (-90, -45, 30, 90)},
 }
 LEARNERS = {
-    "model_based": Learner("miss, its rough slopes", "model_based"),
-    "cup": Learner("return, miss", "cup"),
-    "corrections": Learner("miss", "corrections_only"),
-    "power": Learner("return", "return_only"),
-    "cma_es": Learner("return", "return_only", "cma_es"),
-    "pi2_bb": Learner("return", "return_only", "pi2_bb"),
-    "adaptive_power": Learner("return", "return_only", "adaptive_power"),
-    "random": Learner("return", "return_only", "random"),
-    "kober": Learner("return", "kober"),
+    "model_based": of_preset("miss, its rough slopes", "model_based", retests=RETESTS),
+    "cup": of_preset("return, miss", "cup", retests=RETESTS),
+    "corrections": of_preset("miss", "corrections_only", retests=RETESTS),
+    "power": of_preset("return", "return_only", retests=RETESTS),
+    **{
+        name: of_preset("return", "return_only", name, retests=RETESTS)
+        for name in ("cma_es", "pi2_bb", "adaptive_power", "random")
+    },
+    "kober": of_preset("return", "kober", retests=RETESTS),
 }
 
 
@@ -95,20 +95,6 @@ def session(
     }
 
 
-def jobs(seeds: Sequence[int], demonstrators: Sequence[str], learners: Sequence[str]) -> list[Job]:
-    """Sessions of every learner with every demonstrator, ordered by seed."""
-    wanted = []
-    for seed in seeds:
-        for demonstrator in demonstrators:
-            for learner in learners:
-                row = LEARNERS[learner]
-                own = {"seed": seed, "name": row.preset, "changes": row.changes(RETESTS)}
-                own |= DEMONSTRATORS[demonstrator]
-                study = study_of(demonstrator, learner)
-                wanted.append(Job(study, f"seed-{seed}", session, own))
-    return wanted
-
-
 def line(sessions: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Statistics of the sessions of a row.
 
@@ -130,3 +116,6 @@ def line(sessions: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "confirmed": sum(each["confirmed"] for each in sessions),
         "rollouts": np.quantile([each["used"] for each in sessions], (0.5, 0.0, 1.0)).tolist(),
     }
+
+
+TABLE = Table(DEMONSTRATORS, LEARNERS, HELD_OUT, session, line, (("novice",), None))

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Mapping, Sequence
-from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from reproduction.jobs import Job, study_of
+from reproduction.studies.table import Row, Table
 from wam_power_ros.in_process import learn
 from wam_power_ros.params import overlay
 from wam_power_ros.practice.settings import preset
@@ -83,16 +82,17 @@ def session(seed: int, place: str, output: str) -> dict[str, Any]:
     }
 
 
-def jobs(seeds: Sequence[int], places: Sequence[str], outputs: Sequence[str]) -> list[Job]:
-    """A session of every place by every output."""
-    return [
-        Job(study_of(p, o), f"seed-{k}", session, {"seed": k, "place": p, "output": o})
-        for p, o, k in product(places, outputs, seeds)
-    ]
-
-
 def line(sessions: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Sessions without a failed re-test, and rollouts: median and range."""
     used = [each["used"] for each in sessions]
     spread = {"median": float(np.median(used)), "least": min(used), "most": max(used)}
     return {"solved": sum(each["solved"] for each in sessions), "rollouts": spread}
+
+
+TABLE = Table(
+    {place: {"place": place} for place in PLACES},
+    {output: Row("rollouts", {"output": output}) for output in OUTPUTS},
+    HELD_OUT,
+    session,
+    line,
+)

@@ -15,23 +15,22 @@ from typing import Any, NamedTuple, Protocol
 import cmaes
 import numpy as np
 
-from reproduction.jobs import Job, study_of
 from reproduction.rivals.learners import RIVALS, RandomSearch
 from reproduction.rivals.reach_model import ReachModel
-from reproduction.studies.reaching_runs import (
-    demonstrated_return,
-    generator,
-    learn_many,
-    scales,
-    synthetic,
-)
+from reproduction.studies.reaching import generator, learn_many, scales
+from reproduction.studies.reaching_scenario import synthetic
+from reproduction.studies.table import Row, Table
 from wam_power_ros import installed
 from wam_power_ros.learning.learner import Learner
 from wam_power_ros.learning.parametrization import parametrization_of
 
 HELD_OUT = range(481, 493)  # seeds not used for tuning
 ROLLOUTS = 50
-NOISES = {"exact returns": 0.0, "noisy returns": 0.02}  # standard deviation; Eq. 4 is at most 1
+# Standard deviation; Eq. 4 is at most 1
+NOISES = {
+    "exact returns": {"noise": 0.0, "rollouts": ROLLOUTS},
+    "noisy returns": {"noise": 0.02, "rollouts": ROLLOUTS},
+}
 CONTACT_SIGMAS = 3.0  # standard deviations from the free path's return that count as contact
 CANDIDATES, HALF_LIFE = 200, 16.0  # of the first exploration; rollouts until there are half of them
 GENERATIONS, POPULATION, STEP = 8, 25, 0.5  # of the planner: 200 predictions per rollout
@@ -150,7 +149,7 @@ def runs(learner: str, noise: float, seeds: list[int], rollouts: int) -> dict[st
     noises = scales(choice.stiffness, choice.attractor)
     parameters = parametrization_of(scenario.policy, "full", noises)
     if name == "nothing":
-        returns = [demonstrated_return(scenario)] * len(seeds)
+        returns = [scenario.demonstrated_return] * len(seeds)
         return {"early": returns, "final": returns}
     learners = []
     for seed in seeds:
@@ -170,24 +169,19 @@ def runs(learner: str, noise: float, seeds: list[int], rollouts: int) -> dict[st
     }
 
 
-def jobs(seeds: Sequence[int], noises: Sequence[str], learners: Sequence[str]) -> list[Job]:
-    """Runs of every learner at every noise, all seeds of one in a job."""
-    own = {"seeds": list(seeds), "rollouts": ROLLOUTS}
-    return [
-        Job(
-            study_of(noise, learner),
-            "runs",
-            runs,
-            {"learner": learner, "noise": NOISES[noise], **own},
-        )
-        for noise in noises
-        for learner in learners
-    ]
-
-
 def line(found: Sequence[Mapping[str, Any]]) -> dict[str, float]:
     """Mean and standard deviation of the final return, and mean return after 5 rollouts."""
     (runs_,) = found
     final = np.array(runs_["final"])
     values = {"mean": final.mean(), "sd": final.std(ddof=1), "after 5": np.mean(runs_["early"])}
     return {name: round(float(value), 3) for name, value in values.items()}
+
+
+TABLE = Table(
+    NOISES,
+    {name: Row(told, {"learner": name}) for name, told in LEARNERS.items()},
+    HELD_OUT,
+    runs,
+    line,
+    together=True,
+)

@@ -23,18 +23,17 @@ from hardware_sim.world import World
 from reproduction.jobs import Job, Scale
 from reproduction.rivals import learners  # noqa: F401 - sessions may name one of its classes
 from reproduction.studies.habits import HABITS
-from wam_power_ros import rotations
 from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.learning.demonstration import Demonstration, from_joint_samples
 from wam_power_ros.learning.dmp import activations
 from wam_power_ros.learning.policy import Policy, with_id
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session_log import Record
 from wam_power_ros.practice.settings import preset
-from wam_power_ros.tasks.flip.flight import observe_flight
 from wam_power_ros.tasks.flip.task import Flip
 
-HINDSIGHT, PAPER, LONG = "pancake-hindsight", "pancake-paper", "pancake-paper-100"  # studies
+HINDSIGHT, PAPER = "pancake-hindsight", "pancake-paper"  # studies
 ABLATION = "pancake-ablation-"
 HELD_OUT = range(301, 331)  # seeds not used for tuning
 TUNING = range(21, 23)  # for "quick"
@@ -117,18 +116,13 @@ def demonstrate(
     """
     shown = []
     for number in range(count):
-        script = _script(environment, seed, number, pitch_rate)
+        rng, level = np.random.default_rng([seed, number]), environment.world.settings.level
+        script: TossScript = wrist_flick(rng, pitch_rate=pitch_rate, level=level)
         if habit:
             script = HABITS[habit](script)
         stamps_ns, q = environment.demonstrate(script, f"demonstration-{number}")
         shown.append(from_joint_samples(environment.arm, stamps_ns, q))
     return shown
-
-
-def _script(environment: Environment, seed: int, number: int, pitch_rate: float) -> TossScript:
-    rng = np.random.default_rng([seed, number])
-    level = environment.world.settings.level
-    return wrist_flick(rng, pitch_rate=pitch_rate, level=level)
 
 
 # The sessions of the reproduction
@@ -150,8 +144,7 @@ def session(
 
     The seed is that of the demonstrator (see `teach`), the stand-in and the exploration;
     `condition` are arguments of `stand_in`. The final policy is run `repeats` times in each of the
-    conditions `carried`, by name. `keep_paths` keeps the paths of demonstration, reproduction and
-    final policy.
+    conditions `carried`, by name. `keep_paths` keeps the paths of reproduction and final policy.
     """
     environment = stand_in(seed, **(condition or {}))
     shown = demonstrate(environment, seed, demonstrations, pitch_rate, habit)
@@ -174,7 +167,7 @@ def session(
         "fires": _fires(curve),
         "carried": {},
         "k33": {},
-        "figure_paths": None,
+        "paths": {},
     }
     if best is None or parameters is None:  # no demonstration could be reproduced
         return result
@@ -188,8 +181,8 @@ def session(
             for rollout, truth in runs
         ]
     if keep_paths:
-        paths = _figure_paths(environment, seed, pitch_rate, demonstrated, answer)
-        result["figure_paths"] = paths
+        executed = {"reproduction": demonstrated, "final policy": answer}
+        result["paths"] = {name: _paths(environment, each) for name, each in executed.items()}
     return result
 
 
@@ -231,48 +224,17 @@ def _k33(policy: Policy) -> list[float]:
     return (activations(policy.basis, t) @ policy.stiffness[:, 2, 2]).tolist()
 
 
-def _figure_paths(
-    environment: Environment, seed: int, pitch_rate: float, demonstrated: Policy, answer: Policy
-) -> dict[str, Any]:
-    """Paths of demonstration, reproduction and final policy, and the trace of the last."""
-    number = int(demonstrated.id.rpartition("-")[2]) - 1  # as `teach` named it
-    world = environment.world
-    script = _script(environment, seed, number, pitch_rate)
-    environment.demonstrate(script, f"demonstration-{number}")
-    shown = {"demonstration": _traced(environment, world.trace)}
-    for name, policy in (("reproduction", demonstrated), ("answer", answer)):
-        rollout, _ = environment.run(policy)
-        pan, pancake = rollout.tool, rollout.body
-        flight = observe_flight(pan, pancake)[0]
-        shown[name] = {
-            "pan": _plain(pan.t, pan.position, pan.quat_xyzw),
-            "pancake": _plain(pancake.t, pancake.position, pancake.quat_xyzw),
-            "t_f": flight.t_f if flight.tossed else None,
-        }
-    shown["trace"] = world.trace.round(5).tolist()
-    return shown
+def _paths(environment: Environment, policy: Policy) -> dict[str, Any]:
+    """Paths of pan and pancake in a rollout of a policy."""
+    rollout, _ = environment.run(policy)
+    return {"pan": _plain(rollout.tool), "pancake": _plain(rollout.body)}
 
 
-def _traced(environment: Environment, rows: np.ndarray) -> dict[str, Any]:
-    """Paths of pan and pancake in a trace of the world, at 100 Hz."""
-    t = 0.01 * np.arange(len(rows))
-    n = environment.arm.n
-    poses = [environment.arm.tool_pose(q) for q in rows[:, :n]]
-    position = np.stack([place for place, _ in poses])
-    turned = np.stack([rotations.quat_xyzw(matrix) for _, matrix in poses])
-    pancake = rows[::3]
+def _plain(path: EndEffectorPath | BodyPath) -> dict[str, Any]:
     return {
-        "pan": _plain(t, position, turned),
-        "pancake": _plain(t[::3], pancake[:, n : n + 3], pancake[:, [n + 4, n + 5, n + 6, n + 3]]),
-        "t_f": None,
-    }
-
-
-def _plain(t: np.ndarray, position: np.ndarray, quat_xyzw: np.ndarray) -> dict[str, Any]:
-    return {
-        "t": t.round(4).tolist(),
-        "position": position.round(5).tolist(),
-        "quat_xyzw": quat_xyzw.round(6).tolist(),
+        "t": path.t.round(4).tolist(),
+        "position": path.position.round(5).tolist(),
+        "quat_xyzw": path.quat_xyzw.round(6).tolist(),
     }
 
 
@@ -283,9 +245,8 @@ def jobs(scale: Scale) -> list[Job]:
     one = slice(1 if quick else None)  # only the first of several items in "quick"
     series = 2 if quick else 3  # demonstrations
     # The paper's rollouts do not include reproductions of demonstrations that are not chosen.
-    budgets = {count: series - 1 + (3 if quick else count) for count in (50, 100)}
+    budget = series - 1 + (3 if quick else 50)
     retests = {"retests": 1 if quick else 30}
-    fewer = {"retests": 1 if quick else 10}
     common = {"demonstrations": series, "repeats": 1 if quick else 3}
     hindsight = {
         **common,
@@ -294,7 +255,7 @@ def jobs(scale: Scale) -> list[Job]:
     }
     paper = {**common, "name": "paper", "pitch_rate": NOVICE}
     conditions = dict(list(CONDITIONS.items())[one])
-    changes = {count: {**fewer, "budget": budgets[count], "confirm": 0} for count in budgets}
+    changes = {"retests": 1 if quick else 10, "budget": budget, "confirm": 0}
     wanted: list[Job] = []
 
     def add(study: str, some: Sequence[int], **arguments: object) -> None:
@@ -304,9 +265,8 @@ def jobs(scale: Scale) -> list[Job]:
     for seed in seeds:
         add(HINDSIGHT, [seed], **hindsight, carried=conditions, keep_paths=seed == seeds[0])
     for seed in seeds[one]:
-        add(PAPER, [seed], **paper, changes=changes[50], keep_paths=seed == seeds[0])
-    add(LONG, seeds[:4][one], **paper, changes=changes[100])
+        add(PAPER, [seed], **paper, changes=changes, keep_paths=seed == seeds[0])
     for variant in LESS[2 if quick else 0 :]:
-        some = {**changes[50], "variant": variant}
+        some = {**changes, "variant": variant}
         add(f"{ABLATION}{variant}", seeds[:8][one], **paper, changes=some)
     return wanted

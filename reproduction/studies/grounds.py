@@ -4,22 +4,21 @@
     python -m reproduction.studies grounds --table grounds.csv
 
 The reproduction of a novice's demonstration is never a true flip, so this task separates the
-learners, unlike that of a practised demonstrator (`flip_sessions`). `elsewhere` runs the final
-policies in other worlds, too.
+learners, unlike that of a practised demonstrator (`flip_sessions`).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from hardware_sim.scenes.flip import HOME, LEVEL
-from reproduction.jobs import Job, study_of
 from reproduction.rivals.learners import RIVALS
 from reproduction.studies.flip_sessions import NOVICE, session
+from reproduction.studies.table import Row, Table
 from wam_power_ros.tasks.flip.frames import PANCAKE_RADIUS
 
 BUDGET = 60  # rollouts
@@ -43,8 +42,8 @@ TURNED = {  # the arm stands turned about the vertical: joint 1 begins elsewhere
 # Not on the usual grounds: seen by a camera with tags, and turned.
 OTHER = {"camera with tags": {"condition": {"mocap": {"camera": True}}}, **TURNED}
 # Arguments of `flip_sessions.session` by ground; one demonstration of a novice unless it says more.
-# The worlds of the last two are drawn from the seed, one for the session or one for each rollout.
-GROUNDS: Mapping[str, Mapping[str, Any]] = {
+# The unknown world is drawn from the seed.
+_DIFFERENCES: Mapping[str, Mapping[str, Any]] = {
     "novice": {},
     "hand 4.5 rad/s": {"pitch_rate": 4.5},
     "hand 4.0 rad/s": {"pitch_rate": 4.0},
@@ -58,67 +57,34 @@ GROUNDS: Mapping[str, Mapping[str, Any]] = {
     "pancake of 0.08 m": {"condition": {"body_size": 0.08 / PANCAKE_RADIUS}},
     "pancake of 0.12 m": {"condition": {"body_size": 0.12 / PANCAKE_RADIUS}},
     "unknown world": {"condition": {"unknown": "session"}},
-    "varied world": {"condition": {"unknown": "rollout"}},
     **OTHER,
 }
-# Final policies are run again in as many other worlds as there are re-tests.
-ELSEWHERE = {"carried": {"elsewhere": {"unknown": "rollout"}}, "repeats": RETESTS}
-
-
-class Learner(NamedTuple):
-    """A learner of the table.
-
-    Attributes:
-        told: Measurements of a rollout that it receives.
-        preset: Name of the preset of the task.
-        name: Name of the learner, "" for that of the preset.
-        springs: Number of spring-dampers, 0 for that of the task.
-    """
-
-    told: str
-    preset: str
-    name: str = ""
-    springs: int = 0
-
-    def changes(self, retests: int) -> dict[str, Any]:
-        """Changes to the preset, with this number of re-tests."""
-        named = {"learner": {"name": RIVALS.get(self.name, self.name)}} if self.name else {}
-        return {"retests": retests, "springs": self.springs, **named}
-
-
-_PLANNER = Learner("return, landing error, rotation, a model of the toss", "model_based")
-LEARNERS = {
-    "model_based": _PLANNER,
-    "sixteen_springs": _PLANNER._replace(springs=16),
-    "hindsight": Learner("return, landing error, rotation", "hindsight"),
-    "corrections": Learner("landing error, rotation", "corrections_only"),
-    "power": Learner("return", "return_only"),
-    **{
-        name: Learner("return", "return_only", name)
-        for name in ("cma_es", "pi2_bb", "random", "bayesian_optimization")
-    },
+GROUNDS = {
+    name: {"demonstrations": 1, "pitch_rate": NOVICE, **different}
+    for name, different in _DIFFERENCES.items()
 }
 
 
-def arguments(ground: str) -> dict[str, Any]:
-    """Arguments of `flip_sessions.session` on a ground."""
-    return {"demonstrations": 1, "pitch_rate": NOVICE, **GROUNDS[ground]}
+def of_preset(told: str, preset: str, learner: str = "", **changes: Any) -> Row:  # noqa: ANN401
+    """A learner of the name, that of a preset without one, in sessions of this preset."""
+    if learner:
+        changes["learner"] = {"name": RIVALS.get(learner, learner)}
+    return Row(told, {"name": preset, "changes": changes})
 
 
-def jobs(
-    seeds: Sequence[int], grounds: Sequence[str], learners: Sequence[str], elsewhere: bool = False
-) -> list[Job]:
-    """Sessions of every learner on every ground, ordered by seed."""
-    wanted = []
-    for seed in seeds:
-        for ground in grounds:
-            for learner in learners:
-                row = LEARNERS[learner]
-                changes = {"budget": BUDGET, **row.changes(RETESTS)}
-                own = {"seed": seed, "name": row.preset, "changes": changes, **arguments(ground)}
-                own |= ELSEWHERE if elsewhere else {}
-                wanted.append(Job(study_of(ground, learner), f"seed-{seed}", session, own))
-    return wanted
+_COMMON = {"budget": BUDGET, "retests": RETESTS}
+_PLANNER = "return, landing error, rotation, a model of the toss"
+LEARNERS = {
+    "model_based": of_preset(_PLANNER, "model_based", **_COMMON),
+    "sixteen_springs": of_preset(_PLANNER, "model_based", springs=16, **_COMMON),
+    "hindsight": of_preset("return, landing error, rotation", "hindsight", **_COMMON),
+    "corrections": of_preset("landing error, rotation", "corrections_only", **_COMMON),
+    "power": of_preset("return", "return_only", **_COMMON),
+    **{
+        name: of_preset("return", "return_only", name, **_COMMON)
+        for name in ("cma_es", "pi2_bb", "random")
+    },
+}
 
 
 def row(found: Mapping[str, Any]) -> dict[str, Any]:
@@ -146,12 +112,10 @@ def line(sessions: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         many that turned over and were caught, however far in the air; "confirmed": those that
         their stopping rule ended; "wrong": those of them that are not solved; "rollouts": median
         and worst decile of their number; "to_streak": median number before those that confirmed;
-        "true": mean and lowest decile of the share of true flips in the re-tests; "elsewhere": the
-        same for the runs in other worlds, None without such runs.
+        "true": mean and lowest decile of the share of true flips in the re-tests.
     """
     true = np.array([_share(s["retests"]) for s in sessions])
     landed = np.array([_share(s["retests"], "landed") for s in sessions])
-    elsewhere = np.array([_share(s["carried"].get("elsewhere")) for s in sessions])
     ended = [s for s in sessions if s["ended_by"] == "confirmation"]
     before = [s["used"] - s["confirmed"] for s in ended]
     used = [s["used"] for s in sessions]
@@ -165,15 +129,21 @@ def line(sessions: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "wrong": sum(_share(s["retests"]) < SOLVED / RETESTS for s in ended),
         "rollouts": (float(np.median(used)), float(worst)),
         "to_streak": float(np.median(before)) if before else None,
-        "true": _mean_and_decile(true),
-        "elsewhere": _mean_and_decile(elsewhere) if any(s["carried"] for s in sessions) else None,
+        "true": (float(true.mean()), float(np.quantile(true, 0.1))),
     }
 
 
-def _share(runs: Sequence[Mapping[str, Any]] | None, outcome: str = "true_flip") -> float:
+def _share(runs: Sequence[Mapping[str, Any]], outcome: str = "true_flip") -> float:
     """Share of runs with an outcome; 0 for a session without a final policy."""
-    return float(np.mean([run[outcome] for run in runs or []] or [0]))
+    return float(np.mean([run[outcome] for run in runs] or [0]))
 
 
-def _mean_and_decile(shares: np.ndarray) -> tuple[float, float]:
-    return float(shares.mean()), float(np.quantile(shares, 0.1))
+TABLE = Table(
+    GROUNDS,
+    LEARNERS,
+    range(FIRST, FIRST + 10),
+    session,
+    line,
+    (GROUNDS.keys() - {"hand 4.0 rad/s", *OTHER}, ("model_based", "hindsight")),
+    row,
+)

@@ -10,14 +10,15 @@ end, stopped at the obstacle: every arm can follow.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
 
 from hardware_sim.demonstrator import PAUSE
 from hardware_sim.scenes.reach import reach
-from reproduction.jobs import Job, Results
 from reproduction.studies.reaching_scenario import RADIUS, free_paths, midpoint
+from reproduction.studies.table import Row, Table
 from wam_power_ros import installed
 from wam_power_ros.faults import Fault
 from wam_power_ros.in_process.environment import Environment
@@ -133,28 +134,34 @@ def outcome(practice: Practice) -> dict[str, Any]:
     }
 
 
-def session(task: str, seed: int, ways: Sequence[str] = tuple(WAYS)) -> dict[str, Any]:
-    """A session, and another with a new goal by some ways; None where nothing can be begun."""
-    goals, arm = GOALS[task], place(task, seed, {})
-    goal, kind, shown = goals[seed % len(goals)], installed.task_type(task), taught(task, seed, arm)
+@cache
+def known(task: str, seed: int) -> tuple[Practice, Mapping[str, Any]]:
+    """The session for the demonstrated goal, and its context."""
+    arm, kind = place(task, seed, {}), installed.task_type(task)
+    shown = taught(task, seed, arm)
     obstacle = Region("obstacle", tuple(midpoint(resampled(shown)).tolist()), RADIUS)
     context = kind.context_of(shown, obstacle if task == Reach.name else None)
-    known = practised(task, seed, arm, context, kind.policy_of(shown, "demonstration-1"))
-    moved, again = context_for(known.settings, context, goal), 100 * seed
-    there = place(task, again, goal)
-    begins = {"carried over": None if known.best is None else known.best.policy, "predicted": None}
-    try:
-        new, of = known.settings.make_task(moved), (known.candidates, known.records)
-        begins["predicted"], _ = policy_for(new, known.task, *of, there, "predicted")
-    except ValueError:  # no rollout told an error
-        pass
-    result: dict[str, Any] = {"origin": outcome(known), "goal": goal}
-    for way, policy in begins.items():
-        begun = None
-        if policy is not None and way in ways:
-            begun = outcome(practised(task, again, there, moved, with_id(policy, "begun")))
-        result[way] = begun
-    return result
+    policy = kind.policy_of(shown, "demonstration-1")
+    return practised(task, seed, arm, context, policy), context
+
+
+def session(seed: int, task: str, way: str) -> dict[str, Any] | None:
+    """A session that begins in one of `WAYS`; None where nothing can be begun."""
+    before, context = known(task, seed)
+    if way == "origin":
+        return outcome(before)
+    goal, again = GOALS[task][seed % len(GOALS[task])], 100 * seed
+    moved, there = context_for(before.settings, context, goal), place(task, again, goal)
+    policy = None if before.best is None else before.best.policy
+    if way == "predicted":
+        new, of = before.settings.make_task(moved), (before.candidates, before.records)
+        try:
+            policy, _ = policy_for(new, before.task, *of, there, "predicted")
+        except ValueError:  # no rollout told an error
+            policy = None
+    if policy is None:
+        return None
+    return outcome(practised(task, again, there, moved, with_id(policy, "begun")))
 
 
 def line(outcomes: Sequence[Mapping[str, Any] | None]) -> dict[str, Any]:
@@ -176,15 +183,10 @@ def line(outcomes: Sequence[Mapping[str, Any] | None]) -> dict[str, Any]:
     }
 
 
-def jobs(seeds: Sequence[int], tasks: Sequence[str], ways: Sequence[str]) -> list[Job]:
-    """Sessions of every task, which begin in these ways."""
-    return [
-        Job(task, f"seed-{seed}", session, {"task": task, "seed": seed, "ways": list(ways)})
-        for task in tasks
-        for seed in seeds
-    ]
-
-
-def runs(results: Results, task: str, way: str) -> dict[str, Any]:
-    """Sessions of a task that began in one way; None for one that could not."""
-    return {key: one[way] for key, one in results[task].items()}
+TABLE = Table(
+    {task: {"task": task} for task in GOALS},
+    {way: Row(begins_with, {"way": way}) for way, begins_with in WAYS.items()},
+    HELD_OUT,
+    session,
+    line,
+)

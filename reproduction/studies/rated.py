@@ -4,11 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import product
 
 import numpy as np
 
-from reproduction.jobs import Job, study_of
+from reproduction.studies.table import Row, Table
 from wam_power_ros.learning.policy import Basis, Policy
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.settings import preset
@@ -16,8 +15,9 @@ from wam_power_ros.tasks.rated import assessed
 
 DISTANCE, NOUGHT = 0.07, 0.15  # [m] of the wanted end; of an end that is rated 0
 NEAR, ROLLOUTS = 0.4, 60  # share of the first error, at most
-PERSONS = {"a person": 0.0, "a person who errs": 0.1}  # share of ratings that are any at all
-VARIANTS = {name: "ratings" for name in ("shifts", "attractors", "full")}
+# Share of ratings that are any at all
+PERSONS = {"a person": {"errs": 0.0}, "a person who errs": {"errs": 0.1}}
+VARIANTS = {name: Row("ratings", {"variant": name}) for name in ("shifts", "attractors", "full")}
 HELD_OUT = range(1000, 1020)  # seeds not used for tuning
 
 
@@ -45,16 +45,11 @@ def session(seed: int, variant: str, errs: float) -> dict[str, float]:
     return {"used": practice.used, "left": float(off) / DISTANCE}
 
 
-def jobs(seeds: Sequence[int], persons: Sequence[str], variants: Sequence[str]) -> list[Job]:
-    """Sessions of every variant with every person."""
-    return [
-        Job(study_of(p, v), f"seed-{k}", session, {"seed": k, "variant": v, "errs": PERSONS[p]})
-        for p, v, k in product(persons, variants, seeds)
-    ]
-
-
 def line(sessions: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """Sessions that end near, medians of the share of the error left and of the rollouts."""
     left, used = ([each[key] for each in sessions] for key in ("left", "used"))
     medians = {"left": round(float(np.median(left)), 2), "rollouts": float(np.median(used))}
     return {"near": sum(share < NEAR for share in left), **medians}
+
+
+TABLE = Table(PERSONS, VARIANTS, HELD_OUT, session, line)

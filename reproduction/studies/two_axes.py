@@ -11,17 +11,21 @@ from typing import Any
 
 import numpy as np
 
-from reproduction.jobs import Job, study_of
 from reproduction.rivals import slopes
 from reproduction.studies import ball_in_cup, flip_sessions, grounds
+from reproduction.studies.table import Row, Table
 
 PLACES = ("flip", "ball_in_cup")  # of which the latter predicts nothing
 HELD_OUT = range(10100, 10120)  # seeds not used for tuning
 RETESTS, SOLVED = 10, 9  # of the final policy; or more that succeed in a solved session
-LEARNERS: Mapping[str, tuple[str, Mapping[str, Any]]] = {  # name -> what it is told, and learner
-    "newton": ("errors, fixed slopes", {"name": f"{slopes.__name__}:Newton"})
-} | {
-    f"{name}{behind}": (told, {"name": f"{slopes.__name__}:LessInformed", **known, **power})
+
+
+def _told(told: str, name: str, **settings: Any) -> Row:  # noqa: ANN401
+    return Row(told, {"learner": {"name": f"{slopes.__name__}:{name}", **settings}})
+
+
+LEARNERS = {"newton": _told("errors, fixed slopes", "Newton")} | {
+    f"{name}{behind}": _told(told, "LessInformed", **known, **power)
     for name, told, known in (
         ("fixed", "errors, fixed slopes", slopes.FIXED),
         ("sharpened", "errors, slopes that rollouts sharpen", slopes.SHARPENED),
@@ -36,7 +40,7 @@ def session(place: str, seed: int, learner: Mapping[str, Any]) -> dict[str, Any]
     changes: dict[str, Any] = {"learner": learner, "retests": RETESTS}
     if place == "flip":
         changes["budget"] = grounds.BUDGET
-        own = grounds.arguments("novice")
+        own = grounds.GROUNDS["novice"]
         found = flip_sessions.session(seed, "model_based", changes=changes, **own)
         runs = [(r["kind"], bool(r["true_flip"])) for r in found["trials"] + found["retests"]]
     else:
@@ -50,17 +54,6 @@ def session(place: str, seed: int, learner: Mapping[str, Any]) -> dict[str, Any]
         "true": sum(true for kind, true in runs if kind == "retest"),
         "retests": len(runs) - len(tried),
     }
-
-
-def jobs(seeds: Sequence[int], places: Sequence[str], learners: Sequence[str]) -> list[Job]:
-    """Sessions of every learner at every place, ordered by seed."""
-    wanted = []
-    for seed in seeds:
-        for place in places:
-            for name in learners:
-                own = {"place": place, "seed": seed, "learner": dict(LEARNERS[name][1])}
-                wanted.append(Job(study_of(place, name), f"seed-{seed}", session, own))
-    return wanted
 
 
 def line(sessions: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -78,3 +71,6 @@ def line(sessions: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "first success": float(np.median(first)),
         "rollouts": np.quantile(used, (0.5, 0.9), method="higher").tolist(),
     }
+
+
+TABLE = Table({p: {"place": p} for p in PLACES}, LEARNERS, HELD_OUT, session, line, row=dict)

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from reach_task import taught_scenario
 
 from hardware_sim.scenes import scene_type
 from hardware_sim.settings import WorldSettings
 from hardware_sim.wam import JOINTS
 from hardware_sim.world import JointSample, World
 from reproduction.studies.flip_sessions import teach
-from reproduction.studies.reaching_arm import taught_scenario
 from wam_power_ros.control.arm import Arm, Motion
 from wam_power_ros.control.feasibility import simulate_policy
 from wam_power_ros.in_process.environment import Environment

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from reach_task import taught_scenario
 
-from reproduction.studies.reaching_arm import taught_scenario
 from wam_power_ros.in_process import session_answer
 from wam_power_ros.params import overlay
 from wam_power_ros.practice.session import Session

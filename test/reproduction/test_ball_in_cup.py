@@ -8,14 +8,14 @@ from wam_power_ros.practice.settings import preset
 
 
 def test_rows_differ_only_in_the_learner_and_its_information() -> None:
-    found = ball_in_cup.jobs([1, 2], ["novice"], list(ball_in_cup.LEARNERS))
+    found = ball_in_cup.TABLE.jobs([1, 2], ["novice"], list(ball_in_cup.LEARNERS))
     blank = {"seed": 0, "name": "", "changes": 0}
     assert {job.arguments["seed"] for job in found} == {1, 2}
     plain = preset("ball_in_cup", retests=ball_in_cup.RETESTS).practice
     for job in found:
         assert {**job.arguments, **blank} == {**found[0].arguments, **blank}
         row = ball_in_cup.LEARNERS[job.study.removeprefix("novice-")]
-        settings = preset("ball_in_cup", row.preset, **job.arguments["changes"])
+        settings = preset("ball_in_cup", job.arguments["name"], **job.arguments["changes"])
         assert settings.practice.retests == ball_in_cup.RETESTS
         assert settings.practice.model_copy(update={"mean_every": plain.mean_every}) == plain
         assert ("miss" in row.told) == (settings.task_settings.gain > 0.0)

@@ -81,7 +81,7 @@ def held(seed: int, landed: bool = True, angle: float = 175.0) -> dict[str, Any]
         "fires": 33,
         "carried": {"wind 0.2 m/s": retests, "80 V": retests},
         "k33": {"demonstrated": [300.0] * 41, "learnt": [290.0, *[300.0] * 40]},
-        "figure_paths": None,
+        "paths": {},
     }
 
 
@@ -90,7 +90,6 @@ def results(default: list[dict[str, Any]]) -> dict[str, dict[str, dict[str, Any]
     return {
         "pancake-hindsight": {f"seed-{seed}": session for seed, session in enumerate(default)},
         "pancake-paper": few,
-        "pancake-paper-100": few,
         "pancake-ablation-diagonal": few,
     }
 

@@ -15,10 +15,10 @@ from wam_power_ros.practice.settings import preset
 
 def test_learners_of_a_ground_differ_only_in_the_learner_and_what_it_is_told() -> None:
     assert not {7001, grounds.FIRST} & set(HELD_OUT)
-    found = grounds.jobs([1], ["novice"], list(grounds.LEARNERS))
+    found = grounds.TABLE.jobs([1], ["novice"], list(grounds.LEARNERS))
     own = {"task_settings", "learner", "learner_settings", "practice"}
     blank = {"name": "", "changes": 0}
-    searched = ("model_based", "hindsight", "power", "bayesian_optimization")
+    searched = ("model_based", "hindsight", "power")
     plain = preset("flip", "hindsight", **found[0].arguments["changes"])
     for job, (learner, row) in zip(found, grounds.LEARNERS.items(), strict=True):
         assert {**job.arguments, **blank} == {**found[0].arguments, **blank}
@@ -27,7 +27,8 @@ def test_learners_of_a_ground_differ_only_in_the_learner_and_what_it_is_told() -
         assert settings.practice.budget == plain.practice.budget
         assert settings.practice.retests == plain.practice.retests
         assert learner not in searched or settings.practice == plain.practice
-        assert not row.name or settings.learner == RIVALS.get(learner, learner)
+        named = job.arguments["changes"].get("learner")
+        assert named in (None, {"name": RIVALS.get(learner, learner)})
         task = settings.task_settings
         blind = not task.gain
         assert ("rotation" in row.told) == (not blind)
@@ -43,7 +44,7 @@ def test_learners_of_a_ground_differ_only_in_the_learner_and_what_it_is_told() -
 def test_a_demonstration_begins_with_the_pan_as_the_ground_says(
     ground: str, tilt: float, roll: float
 ) -> None:
-    environment = stand_in(1, **grounds.arguments(ground).get("condition", {}))
+    environment = stand_in(1, **grounds.GROUNDS[ground].get("condition", {}))
     (policy,) = teach(environment, 1, 1)
     rotation = environment.arm.tool_pose(policy.q_start)[1]
     assert math.degrees(math.asin(rotation[0, 2])) == pytest.approx(tilt, abs=3.0)

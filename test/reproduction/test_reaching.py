@@ -3,16 +3,11 @@
 
 import numpy as np
 import pytest
+from reach_task import taught_scenario
 
 from reproduction.rivals.reach_model import ReachModel
-from reproduction.studies import reaching_arm
-from reproduction.studies.reaching import TUNING
-from reproduction.studies.reaching_runs import (
-    NOISE,
-    study,
-    synthetic,
-)
-from reproduction.studies.reaching_scenario import RADIUS
+from reproduction.studies.reaching import NOISE, study
+from reproduction.studies.reaching_scenario import RADIUS, synthetic
 from wam_power_ros.learning.dmp import activations
 from wam_power_ros.learning.parametrization import parametrization_of
 from wam_power_ros.learning.policy import Policy
@@ -29,7 +24,7 @@ def evaluated(policy: Policy) -> float:
 
 
 def test_the_same_seeds_learn_the_same_and_others_do_not() -> None:
-    once, again = (study("full", [3, 4], 10, SCENARIO) for _ in range(2))
+    once, again = (study("full", [3, 4], 10) for _ in range(2))
     for first, second in zip(once, again, strict=True):
         np.testing.assert_array_equal(first.returns, second.returns)
         np.testing.assert_array_equal(first.mean, second.mean)
@@ -39,7 +34,7 @@ def test_the_same_seeds_learn_the_same_and_others_do_not() -> None:
 @pytest.mark.parametrize("variant", ["full", "diagonal"])
 def test_power_gets_far_beyond_the_demonstration(variant: str) -> None:
     start = evaluated(SCENARIO.policy)
-    final = [run.final for run in study(variant, range(5), 60, SCENARIO)]
+    final = [run.final for run in study(variant, range(5), 60)]
     assert np.mean(final) > start + 0.15
 
 
@@ -122,7 +117,7 @@ def test_a_model_predicts_a_free_path_exactly_and_a_stopped_one_better_each_time
 
 
 def test_the_shipped_demonstrations_make_a_scenario_of_the_arm() -> None:
-    scenario = reaching_arm.taught_scenario()
+    scenario = taught_scenario()
     assert scenario.demonstrations.shape == (4, 200, 3)
     way = scenario.demonstrated[-1] - scenario.start
     assert np.linalg.norm(way) == pytest.approx(0.5, abs=0.05)
@@ -131,10 +126,3 @@ def test_the_shipped_demonstrations_make_a_scenario_of_the_arm() -> None:
     assert scenario.evaluate(stiffness, attractors)[1][0]
     free = scenario.free_paths(stiffness, attractors)[0]
     assert np.linalg.norm(free[-1] - scenario.demonstrated[-1]) < 0.04
-
-
-def test_a_learnt_reach_is_executed_near_its_plan() -> None:
-    result = reaching_arm.executed_run("full", TUNING[0], 10)
-    assert result["fault"] == ""
-    assert result["rms"] < 0.06
-    assert len(result["planned"]) == len(result["executed"])

@@ -30,16 +30,13 @@ def test_a_reproduction_writes_a_page_that_needs_no_other_file_and_its_figures(
     assert not re.search(r'(src|href)="(?!data:|#)', html)
     for link in re.findall(r'href="#([^"]+)"', html):
         assert f'id="{link}"' in html
-    for words in ("1 of 1", "The mean &lt;of&gt; draws is zero", "1–3", "There is no OpenGL"):
+    for words in ("1 of 1", "The mean &lt;of&gt; draws is zero", "1–3"):
         assert words in html
     assert (tmp_path / "figures/draws.png").read_bytes().startswith(b"\x89PNG")
     assert len(files(tmp_path / "results")) == 3
-    out = capsys.readouterr().out
-    assert "The mean <of> draws is zero" in out and "met" in out
-    assert "3 of them" not in out
+    assert "3 of them" not in capsys.readouterr().out
     assert report.main(arguments) == 0
-    told = " ".join(capsys.readouterr().out.split())  # the lines are wrapped
-    assert "3 of them had been computed before" in told
+    assert "3 of them had been computed before" in capsys.readouterr().out
 
 
 @pytest.mark.usefixtures("made_up")

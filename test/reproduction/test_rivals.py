@@ -4,7 +4,7 @@
 import numpy as np
 from hill_task import SIZE, climb, hill, rng
 
-from reproduction.rivals.learners import AdaptivePower, BayesianOptimization, Pi2, RandomSearch
+from reproduction.rivals.learners import AdaptivePower, Pi2, RandomSearch
 
 
 def variance(settings: AdaptivePower.Settings, rollouts: list[np.ndarray]) -> np.ndarray:
@@ -41,64 +41,6 @@ def test_the_variance_is_weighted_by_returns_of_any_size_zero_included() -> None
         # about the best one at 3, which was the mean already: (0.5 * 3^2 + 1 * 0 + 0 * 6^2) / 1.5
         samples = np.stack([learner.ask() for _ in range(2000)])
         np.testing.assert_allclose(samples.var(axis=0), 3.0, rtol=0.2)
-
-
-TOP = np.array([3.0, -2.0, *np.zeros(SIZE - 2)])
-
-
-class Directions:
-    """An error model of which only the directions are used."""
-
-    directions = 5.0 * np.eye(2, SIZE)
-    slopes = np.zeros((1, 2))
-
-    def predict(self, z: np.ndarray) -> None:
-        """Fail."""
-        raise AssertionError("the model is not asked")
-
-
-def optimizer(seed: int) -> BayesianOptimization:
-    return BayesianOptimization(SIZE, BayesianOptimization.Settings(), rng(seed), Directions())
-
-
-def hilly(z: np.ndarray) -> float:
-    return float(np.exp(-0.1 * ((z - TOP) ** 2).sum()))
-
-
-def practised(learner: BayesianOptimization, rollouts: int) -> BayesianOptimization:
-    learner.tell(np.zeros(SIZE), hilly(np.zeros(SIZE)))
-    for _ in range(rollouts):
-        z = learner.ask()
-        learner.tell(z, hilly(z))
-    return learner
-
-
-def test_bayesian_optimization_finds_the_top_along_the_directions_within_the_bound() -> None:
-    assert hilly(np.zeros(SIZE)) < 0.3
-    learner = practised(optimizer(0), 30)
-    assert hilly(learner.mean) > 0.95
-    asked = np.stack([learner.ask() for _ in range(10)])
-    assert not asked[:, 2:].any()
-    assert np.abs(asked).max() <= 2.0 * 5.0
-
-
-def test_the_mean_is_the_rollout_of_highest_expected_return_not_the_luckiest() -> None:
-    learner = optimizer(0)
-    for k, x in enumerate(np.linspace(-2.0, 2.0, 21)):
-        z = 5.0 * x * np.eye(SIZE)[0]
-        lucky = 0.6 if k == 3 else 0.0
-        learner.tell(z, float(np.exp(-((x - 1.0) ** 2))) * 0.5 + lucky)
-    assert abs(learner.mean[0] / 5.0 - 1.0) < 0.4
-
-
-def test_the_seed_decides_and_the_same_rollouts_restore_it() -> None:
-    first, second = practised(optimizer(2), 8), optimizer(2)
-    for z, value in zip(first._rollouts.z, first._rollouts.returns, strict=True):
-        if z.any():
-            second.ask()
-        second.tell(z, float(value))
-    np.testing.assert_array_equal(first.mean, second.mean)
-    np.testing.assert_array_equal(first.ask(), second.ask())
 
 
 def test_the_mean_moves_once_a_population_and_the_noise_decays_with_it() -> None:

@@ -69,7 +69,8 @@ def test_newton_takes_the_whole_step_of_the_slopes_and_stays_where_nothing_is_me
 
 @pytest.mark.parametrize("name", two_axes.LEARNERS)
 def test_each_learner_is_one_of_a_session_and_differs_from_the_planner_alone(name: str) -> None:
-    told, learner = two_axes.LEARNERS[name]
+    told, arguments = two_axes.LEARNERS[name]
+    learner = arguments["learner"]
     settings, plain = preset("flip", "model_based", learner=learner), preset("flip", "model_based")
     assert settings.task_settings == plain.task_settings and settings.practice == plain.practice
     assert settings.learner == learner["name"] and told.startswith("errors, ")

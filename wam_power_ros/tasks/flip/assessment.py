@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -51,8 +52,8 @@ def assess(policy: Policy, rollout: Rollout, settings: FlipSettings) -> Assessme
         observation["stamps_late"] = late
     if why := _lost_from_view(pan, pancake, flight) or doubt:
         return Assessment(None, observation=observation, why=why)
-    result = (pancake_return if settings.ret == "eq5" else landing_return)(flight)
-    success = result.total >= settings.success_return and (
+    terms = (pancake_return if settings.ret == "eq5" else landing_return)(flight)
+    success = (ret := math.fsum(terms.values())) >= settings.success_return and (
         settings.success_angle == 0.0
         or bool(
             flight.resting
@@ -60,7 +61,7 @@ def assess(policy: Policy, rollout: Rollout, settings: FlipSettings) -> Assessme
             and settings.success_angle <= abs(flight.angle) <= settings.success_angle_max
         )
     )
-    return Assessment(result.total, result.terms, observation, success)
+    return Assessment(ret, terms, observation, success)
 
 
 def flight_of(observation: Mapping[str, Any]) -> Flight | None:

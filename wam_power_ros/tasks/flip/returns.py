@@ -1,36 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Returns of a toss: Eq. 5, and a return for a half turn that lands in the pan.
 
-Every return is at least zero, as PoWER requires.
+A return is the sum of its terms, each at least zero, as PoWER requires.
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from wam_power_ros.tasks.flip.flight import Flight
-
-
-@dataclass(frozen=True)
-class Return:
-    """A return: weighted terms by name, each at least 0."""
-
-    terms: dict[str, float]
-
-    @property
-    def total(self) -> float:
-        """Sum of the terms."""
-        return math.fsum(self.terms.values())
-
 
 WEIGHT = 0.5  # of each term of Eq. 5: of rotation and distance [1], of altitude [1/m]
 ALTITUDE_MAX = 0.4  # [m]; a higher toss does not make up for a bad landing
 LANDING_SCALE = 0.3  # [m]; with a sharper term (0.1) the learner no longer increased the rotation
 
 
-def pancake_return(flight: Flight) -> Return:
-    """Return of a toss (Eq. 5).
+def pancake_return(flight: Flight) -> dict[str, float]:
+    """Terms of the return of a toss, by name (Eq. 5).
 
         R = w1 arccos(v0 . v_tf) / pi + w2 exp(-|x_P - x_F|) + w3 x3_max
 
@@ -46,17 +32,15 @@ def pancake_return(flight: Flight) -> Return:
     near = 0.0
     if flight.seen:
         near = math.exp(-float(np.linalg.norm(flight.position - flight.pan_position)))
-    return Return(
-        {
-            "orientation": WEIGHT * turned,
-            "position": WEIGHT * near,
-            "altitude": WEIGHT * max(flight.apex, 0.0),
-        }
-    )
+    return {
+        "orientation": WEIGHT * turned,
+        "position": WEIGHT * near,
+        "altitude": WEIGHT * max(flight.apex, 0.0),
+    }
 
 
-def landing_return(flight: Flight) -> Return:
-    """Return that rewards half a turn and a landing in the pan. Not in the paper.
+def landing_return(flight: Flight) -> dict[str, float]:
+    """Terms of a return of half a turn and a landing in the pan. Not in the paper.
 
         R = 0.4 rho + 0.1 min(apex, cap) / cap + rho^2 (0.3 exp(-d / d0) + 0.2 caught)
 
@@ -71,11 +55,9 @@ def landing_return(flight: Flight) -> Return:
     if flight.seen:
         near = math.exp(-math.hypot(*flight.landing_error[:2]) / LANDING_SCALE)
     altitude = min(max(flight.apex, 0.0), ALTITUDE_MAX) / ALTITUDE_MAX
-    return Return(
-        {
-            "rotation": 0.4 * rotation,
-            "altitude": 0.1 * altitude,
-            "landing": 0.3 * rotation**2 * near,
-            "caught": 0.2 * rotation**2 * float(flight.resting),
-        }
-    )
+    return {
+        "rotation": 0.4 * rotation,
+        "altitude": 0.1 * altitude,
+        "landing": 0.3 * rotation**2 * near,
+        "caught": 0.2 * rotation**2 * float(flight.resting),
+    }

@@ -155,7 +155,7 @@ class Flip(Task):
         seen = [record.observation for record in retests if record.observation]
         flips = sum(self.achieved(record) for record in retests)
         flights = [flight for each in seen if (flight := flip_assessment.flight_of(each))]
-        returns = [pancake_return(flight).total for flight in flights]
+        returns = [math.fsum(pancake_return(flight).values()) for flight in flights]
         eq5 = f"; Eq. 5: mean {np.mean(returns):.3f}, lowest {min(returns):.3f}" if returns else ""
         lines = [f"re-tests of the final policy: {flips} of {len(retests)} flipped{eq5}"]
         truths = [record.truth for record in retests if record.truth]
