@@ -70,11 +70,7 @@ def joint_speeds(t: np.ndarray, q: np.ndarray) -> np.ndarray:
 def movement_remarks(
     t: np.ndarray, q: np.ndarray, joint_names: Sequence[str], limits: Limits | None
 ) -> list[Remark]:
-    """Remarks on a smooth movement.
-
-    Args:
-        t: Evenly spaced times from 0 [s]. Shape (N,).
-        q: Joint angles [rad]. Shape (N, n).
+    """Remarks on a smooth movement: evenly spaced times t (N,) from 0 [s], angles q (N, n) [rad].
 
     Raises:
         ValueError: A joint is beyond its limits, and where no arm turns.
@@ -127,14 +123,6 @@ def left_out_remark(duration: float, pause: float, at: float, earlier: bool) -> 
     side = "before" if earlier else "after"
     where = f"{side} a pause of {pause:.2f} s at {at:.2f} s"
     return Remark(Grade.FAIR, f"{duration:.1f} s of movement {where} are left out")
-
-
-def length_remarks(duration: float, duration_max: float) -> list[Remark]:
-    """Remark on a movement that is longer than a policy may be [s]."""
-    if duration <= duration_max:
-        return []
-    text = f"a movement of {duration:.1f} s; at most {duration_max:g} s can be learnt"
-    return [Remark(Grade.POOR, text)]
 
 
 def grade(remarks: Sequence[Remark]) -> Grade:

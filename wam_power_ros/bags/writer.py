@@ -10,10 +10,11 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import shutil
 import struct
 from array import array
-from collections.abc import Collection, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -72,11 +73,7 @@ class _Channel:
 
 
 class BagWriter:
-    """One bag being written; only `close` completes it.
-
-    Attributes:
-        path: Folder of the finished bag.
-    """
+    """One bag being written; only `close` completes it and makes it the folder `path`."""
 
     def __init__(self, path: Path) -> None:
         """Begin the bag `path`.
@@ -248,6 +245,18 @@ class BagWriter:
             "custom_data": dict(custom_data) or None,
             "ros_distro": "jazzy",
         }
+
+
+@contextmanager
+def new_bag(path: Path) -> Iterator[BagWriter]:
+    """Begin a bag, which the block closes; it is removed if the block fails."""
+    writer = BagWriter(path)
+    try:
+        yield writer
+    except BaseException:
+        writer.abandon()
+        shutil.rmtree(unfinished(path), ignore_errors=True)
+        raise
 
 
 def _yaml(value: object) -> str:
