@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -18,16 +17,14 @@ from wam_power_ros.cli.launcher import (
     Launcher,
     UsageError,
     folder_lock,
-    interrupt,
     launch,
     learner_is_running,
     session_domain,
     short_path,
     timestamp,
 )
-from wam_power_ros.cli.node_log import PROBLEMS, NodeLogs
 from wam_power_ros.cli.plan import LEARNER, RECORDER, TRACKER, Plan
-from wam_power_ros.cli.processes import ProcessError, Processes, Running
+from wam_power_ros.cli.processes import NodeLogs, ProcessError, Processes, Running
 from wam_power_ros.cli.session_options import (
     DEFAULT_TASK,
     SESSIONS,
@@ -51,11 +48,7 @@ RATINGS = tuple("0123456789")  # of a rollout, from worst to as it should be
 
 
 def teach(
-    task: str | None,
-    folder: Path | None,
-    demonstrations: int,
-    seed: int | None,
-    devices: Devices,
+    task: str | None, folder: Path | None, demonstrations: int, seed: int | None, devices: Devices
 ) -> int:
     """Record demonstrations and add them to the series of the folder."""
     from wam_power_ros.bags import series
@@ -83,10 +76,7 @@ def teach(
 
 
 def learn(
-    asked: SessionOptions,
-    session: Path | None,
-    devices: Devices,
-    in_process: bool = False,
+    asked: SessionOptions, session: Path | None, devices: Devices, in_process: bool = False
 ) -> int:
     """Start or resume a session, run it to its end and write its report."""
     from wam_power_ros import installed
@@ -109,8 +99,6 @@ def learn(
         text = f"Resuming {folder} with {len(begun.records)} recorded rollouts."
     else:
         text = f"New session {folder}; Ctrl-C stops it, and it can be resumed."
-    signal.signal(signal.SIGTERM, interrupt)
-
     try:
         parameters = devices.parameters(task, seed, folder)
         if in_process:
@@ -204,7 +192,6 @@ def replay(bag: Path, speed: float, task: str | None, folder: Path | None, devic
     for remark in states.remarks:
         print(f"{bag}: {remark.text}")
     movement = replay_trajectory.movement(states.stamps, states.q, speed)
-    signal.signal(signal.SIGTERM, interrupt)
     plan = Plan(folder, parameters, devices.stand_ins)
     with launch(plan) as launcher, launcher.robot() as robot:
         name, person = bag.resolve().name, not devices.stand_ins
@@ -230,7 +217,6 @@ def run_policy(
         raise UsageError("the set-up has no URDF file of the arm: choose one with --config")
     saved = read_policy(file, arm.identity())
     scoring, unscored = running.task_of(session, name)
-    signal.signal(signal.SIGTERM, interrupt)
     plan = Plan(folder, parameters, devices.stand_ins, (TRACKER,))
     with launch(plan) as launcher, launcher.robot() as robot:
         if unscored:
@@ -299,9 +285,8 @@ def _follow(folder: Path, processes: Processes, learner: Running) -> None:
                 size_shown = size
                 found = session.read(folder)
                 display.show(found.log, found.header.settings, found.task)
-            for entry in logs.new():
-                display.show_message(entry.text, entry.severity in PROBLEMS)
-            display.tick(time.monotonic())
+            for message, is_problem in logs.new():
+                display.show_message(message, is_problem)
             time.sleep(0.2)
     if learner.process.returncode:
         raise learner.error()
@@ -333,15 +318,14 @@ def view(path: Path | None, address: str, port: int) -> int:
     from wam_power_ros.practice.session import Session
 
     print("Preparing the page …", file=sys.stderr, flush=True)
-    from wam_power_ros.view import guarded_server, viewer
+    from wam_power_ros.view import guarded_server, session_page
 
-    signal.signal(signal.SIGTERM, interrupt)
     if path is not None:
         check_name(path)
-    if path is not None and not Session.exists(path) and viewer.running(path):
+    if path is not None and not Session.exists(path) and session_page.running(path):
         print(f"{path} is being taught; the page opens with its session", file=sys.stderr)
         while not Session.exists(path):
-            if not viewer.running(path):
+            if not session_page.running(path):
                 raise UsageError(f"{path} has ended before its session began")
             time.sleep(1.0)
     folder = existing_session(path)
@@ -350,7 +334,7 @@ def view(path: Path | None, address: str, port: int) -> int:
         host = f"[{address}]" if ":" in address else address
         url = f"http://{host}:{server.get_port()}"
         ready = lambda: print(f"{url}  (Ctrl-C ends it)", flush=True)  # noqa: E731
-        viewer.of_session(server, folder, ready, session_domain)
+        session_page.of_session(server, folder, ready, session_domain)
     except KeyboardInterrupt:
         pass
     finally:

@@ -1,20 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Progress of a session: learning curve and return terms, updated as the log grows."""
+"""Progress of a session: columns of the learning curve, and the terms of the newest returns."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import get_args
 
 import numpy as np
 
-from wam_power_ros.practice import session
-from wam_power_ros.practice.failure import why_failed
 from wam_power_ros.practice.session_log import KIND_NAMES, Kind, Record
-from wam_power_ros.reporting.terminal import failed, number, returned, term_names
+from wam_power_ros.reporting.terminal import number, returned, term_names
 from wam_power_ros.tasks.task import Task
-from wam_power_ros.view.page import Page, plain
+from wam_power_ros.view.page import plain
 
 KINDS: tuple[str, ...] = get_args(Kind)
 NEWEST_COUNT = 4  # rollouts in the text
@@ -42,35 +39,3 @@ def newest(records: Sequence[Record], task: Task) -> str:
 def label(record: Record) -> str:
     """Label of a rollout: number, kind and return with its ratings."""
     return f"{record.number} {KIND_NAMES[record.kind]} {returned(record)}"
-
-
-class Progress:
-    """Shows a session and reads its log again whenever it has grown.
-
-    Attributes:
-        failed: Why the session has failed, as of `terminal.failed`.
-    """
-
-    def __init__(self, page: Page, folder: Path, task: Task) -> None:
-        self._page, self._folder, self._task = page, folder, task
-        self._size = -1
-        self._chart = page.add_curve(KINDS)
-        self.records: tuple[Record, ...] = ()
-        self.failed: list[str] = []
-
-    def refresh(self) -> None:
-        """Show new rollouts.
-
-        Raises:
-            ValueError: The log cannot be read.
-        """
-        log = self._folder / session.LOG
-        size = log.stat().st_size if log.exists() else 0
-        if size == self._size:
-            return
-        self._size = size
-        found = session.read(self._folder)
-        self.records, settings = found.records, found.header.settings
-        self.failed = failed(why_failed(self.records, self._task, settings, found.start))
-        self._chart.data = curve(self.records)
-        self._page.terms.content = newest(self.records, self._task)
