@@ -108,16 +108,16 @@ BUDGET = {
     "tasks": 3559,  # +93: what cannot be the pancake in the pan
     "practice": 2317,  # +32: tools and springs that failed; +46: candidates are fitted here
     "conformance": 1105,  # +13: frames of poses; +25: effort without gravity
-    "bags": 2505,  # +246: sets of LeRobot, written and read
+    "bags": 2496,  # +246: sets of LeRobot, written and read
     "params": 1389,  # what may be set at rest; -p body:=NAME is derived from; NatNet, FR3
     "ros": 2596,  # +24: PoseStamped; variables of ROS and DDS are named with their remedy
     "client": 1344,
     "nodes": 3769,  # +22: frames of poses; +217: an FR3 by its maker's library; +122: NatNet
     "console": 467,  # a person supports the arm, however a movement ended
-    "view": 848,
+    "view": 834,
     "reporting": 779,
     "in_process": 509,  # a session on disk without nodes
-    "cli": 2349,  # mistakes of a set-up, new-arm, sessions
+    "cli": 2332,  # mistakes of a set-up, new-arm, sessions
     "hardware_sim": 3344,  # +170: a camera films tags; +146: what stand-ins alone send
     "launch": 158,
     "wam_power_interfaces": 159,  # its build without ROS

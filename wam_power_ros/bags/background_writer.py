@@ -15,8 +15,8 @@ from pathlib import Path
 
 from rosbags.interfaces import Qos
 
-from wam_power_ros.bags.gaps import Gaps
 from wam_power_ros.bags.layout import STATES, noted_names
+from wam_power_ros.bags.quality import Gaps
 from wam_power_ros.bags.writer import BagWriter
 
 WRITE_PERIOD = 0.3  # between two flushes; a kill loses the messages of about this time [s]

@@ -24,7 +24,6 @@ from mcap.writer import CompressionType, Writer
 from rosbags.interfaces import Qos
 
 from wam_power_ros import durable_files
-from wam_power_ros.bags.gaps import Gaps, device_gaps
 from wam_power_ros.bags.layout import (
     EVENT,
     STATES,
@@ -36,6 +35,7 @@ from wam_power_ros.bags.layout import (
     qos,
     unfinished,
 )
+from wam_power_ros.bags.quality import Gaps, device_gaps
 
 _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # the same text, in a tenth of the time
 METADATA_VERSION = 9  # of metadata.yaml, that of Jazzy

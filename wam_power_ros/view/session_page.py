@@ -6,10 +6,11 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 
@@ -17,15 +18,17 @@ from wam_power_ros.durable_files import is_locked
 from wam_power_ros.params import overlay
 from wam_power_ros.practice import session
 from wam_power_ros.practice.failure import why_failed
-from wam_power_ros.practice.session_log import Record
-from wam_power_ros.reporting.terminal import failed
+from wam_power_ros.practice.session_log import KIND_NAMES, Kind, Record
+from wam_power_ros.reporting.terminal import failed, number, returned, term_names
 from wam_power_ros.ros.node_runner import participant
+from wam_power_ros.tasks.task import Task
 from wam_power_ros.view.guarded_server import GuardedServer
 from wam_power_ros.view.live import LiveState, View
-from wam_power_ros.view.page import LIGHT_ORANGE, ORANGE, Page
-from wam_power_ros.view.progress import KINDS, curve, newest
+from wam_power_ros.view.page import LIGHT_ORANGE, ORANGE, Page, plain
 from wam_power_ros.view.skeleton import Skeleton
 
+KINDS: tuple[str, ...] = get_args(Kind)
+NEWEST_COUNT = 4  # rollouts in the text
 PERIOD = 0.1  # [s] between updates
 CHECK_PERIOD = 1.0  # [s] between checks whether the session runs
 TRAIL_LENGTH = 40  # tool positions in the trail, ten a second
@@ -35,6 +38,30 @@ RUNNING, ENDED = "running", "not running: records only"
 REWARD, PUNISH, PAUSE, CONTINUE = "Reward", "Punish", "Pause", "Continue"
 RATINGS = {f"Rate {key}": key / 9.0 for key in (0, 3, 5, 7, 9)}  # of the task `rated`
 TEACH, END_TEACHING, STOP = "Teach again", "End of movement", "STOP the arm"
+
+
+def curve(records: Sequence[Record]) -> tuple[np.ndarray, ...]:
+    """Rollout numbers, measured returns of each kind (NaN for other rollouts), best so far."""
+    numbers = np.array([float(record.number) for record in records])
+    returns = np.array([np.nan if rec.ret is None else rec.ret for rec in records])
+    kinds = np.array([record.kind for record in records])
+    best = np.fmax.accumulate(returns) if len(returns) else returns
+    return (numbers, *(np.where(kinds == kind, returns, np.nan) for kind in KINDS), best)
+
+
+def newest(records: Sequence[Record], task: Task) -> str:
+    """The newest rollouts as Markdown, newest first: outcomes, then the terms of their returns."""
+    shown = records[: -NEWEST_COUNT - 1 : -1]
+    lines = [f"**{plain(label(record))}** {plain(task.outcome(record))}  " for record in shown]
+    rows = [["", *(str(record.number) for record in shown)], ["---"] * (len(shown) + 1)]
+    for term in term_names(records):
+        rows.append([plain(term), *(number(record.terms.get(term)) for record in shown)])
+    return "\n".join([*lines, "", *(f"| {' | '.join(row)} |" for row in rows)])
+
+
+def label(record: Record) -> str:
+    """Label of a rollout: number, kind and return with its ratings."""
+    return f"{record.number} {KIND_NAMES[record.kind]} {returned(record)}"
 
 
 def running(folder: Path) -> bool:
