@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wam_power_ros.cli.keys import Keys
+from wam_power_ros.cli.keys import passing_keys
 from wam_power_ros.cli.launcher import (
     Devices,
     Launcher,
@@ -276,9 +276,9 @@ def _follow(folder: Path, processes: Processes, learner: Running) -> None:
     path, logs = folder / "rollouts.jsonl", NodeLogs(folder / "logs")
     size_shown = 0
     ended = False
-    with terminal.Display() as display, Keys(session_domain(folder)) as keys:
+    with terminal.Display() as display, passing_keys(session_domain(folder)) as poll:
         while not ended:
-            display.footer = keys.poll()
+            display.footer = poll()
             ended = learner.process.poll() is not None
             processes.check(but=learner)
             size = path.stat().st_size if path.exists() else 0
