@@ -24,19 +24,16 @@ from launch import LaunchContext, LaunchDescription
 CONFIG = Path(__file__).parents[1] / "config"
 RESPAWNED = ("demonstration_recorder", "pancake_tracker")  # each loses one rollout at most
 REFUSED = 2  # exit status of a node that refuses its parameters, as it would again
-SETTINGS = {  # of the learner
-    "learner": ("", "learning algorithm; '': the preset's"),
-    "preset": ("", "settings of the task; '': its first"),
-    "trials": ("0", "budget of rollouts; 0: the preset's"),
-    "minutes": ("0", "budget of time; 0: none"),
-    "seed": ("0", "of exploration and simulation; for a resumed session the same again"),
-}
 ARGUMENTS = {
     "config": ("", "set-ups, config/NAME.yaml or paths of your own; later ones override"),
     "task": ("flip", "skill to learn; config/TASK.yaml is applied before the set-ups"),
     "session": ("", "folder of a session to start or resume; '': no learner"),
     "demonstrations": ("", "bags of a new session; quote paths with spaces"),
-    **SETTINGS,
+    "learner": ("", "learning algorithm; '': the preset's"),
+    "preset": ("", "settings of the task; '': its first"),
+    "trials": ("0", "budget of rollouts; 0: the preset's"),
+    "minutes": ("0", "budget of time; 0: none"),
+    "seed": ("0", "of exploration and simulation; for a resumed session the same again"),
     "namespace": ("", "of the nodes, topics and services of one arm"),
     "simulate": ("", "pace of a simulation instead of the arm: lockstep or real_time"),
 }

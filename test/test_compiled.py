@@ -191,9 +191,9 @@ def _chain(n: int) -> str:
 @pytest.mark.parametrize(
     ("name", "arguments"),
     [
-        ("standing", ([], [], [])),
-        ("standing", ([0] * 65, [0.0] * 65, [0.0] * 65)),
-        ("standing", ([0], ["a"], [0.0])),
+        ("joints_within", ([], [], [], 0.0)),
+        ("joints_within", ([0.0] * 65, [0.0] * 65, [[0.0] * 3] * 65, 0.0)),
+        ("joints_within", ([0.0], ["a"], [[0.0] * 3], 0.0)),
         ("velocity_check", (*[[0.0]] * 7, [[0.0]], 1.0, 1.0, 1.0, (1.0,) * 10)),
         ("torque_check", (np.eye(2), *[np.ones(1)] * 2, *[[0.0]] * 7, 0.3, 1.0, ())),
         ("within", (np.zeros(2), [[0.0, 1.0]])),

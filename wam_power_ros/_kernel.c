@@ -75,31 +75,6 @@ static Py_ssize_t joint_count(PyObject *list)
     return n;
 }
 
-PyDoc_STRVAR(standing_doc,
-"standing(counts, before, now)\n--\n\n"
-"States for which each position has stayed the same: counts + 1 where it has, else 0.");
-
-static PyObject *standing(PyObject *self, PyObject *const *args, Py_ssize_t nargs)
-{
-    double before[JOINTS_MAX], now[JOINTS_MAX];
-    Py_ssize_t n;
-    if (!argument_count(nargs, 3) || !(n = joint_count(args[0])))
-        return NULL;
-    if (!floats(args[1], before, n) || !floats(args[2], now, n))
-        return NULL;
-    PyObject *counts = PyList_New(n);
-    for (Py_ssize_t i = 0; counts != NULL && i < n; i++) {
-        long count = now[i] == before[i] ? PyLong_AsLong(PyList_GET_ITEM(args[0], i)) + 1 : 0;
-        PyObject *item = PyErr_Occurred() ? NULL : PyLong_FromLong(count);
-        if (item == NULL) {
-            Py_CLEAR(counts);
-            break;
-        }
-        PyList_SET_ITEM(counts, i, item);
-    }
-    return counts;
-}
-
 PyDoc_STRVAR(velocity_check_doc,
 "velocity_check(q_before, q, qd_before, qd, unchanged, lagged, moved, mismatches, dt, shortest,\n"
 "    longest, constants)\n--\n\n"
@@ -437,9 +412,8 @@ static PyObject *point_speeds(PyObject *self, PyObject *points)
 #define FUNCTION(name) {#name, (PyCFunction)(void (*)(void))name, METH_FASTCALL, name##_doc}
 
 static PyMethodDef functions[] = {
-    FUNCTION(standing),        FUNCTION(velocity_check), FUNCTION(torque_check),
-    FUNCTION(within),          FUNCTION(torque_within),  FUNCTION(joints_within),
-    FUNCTION(rotation_vector),
+    FUNCTION(velocity_check), FUNCTION(torque_check),  FUNCTION(within),
+    FUNCTION(torque_within),  FUNCTION(joints_within), FUNCTION(rotation_vector),
     {"point_positions", point_positions, METH_O, point_positions_doc},
     {"point_speeds", point_speeds, METH_O, point_speeds_doc},
     {NULL, NULL, 0, NULL},

@@ -21,19 +21,12 @@ _DIGEST = re.compile(r"[0-9a-f]{64}")
 
 
 class ArmIdentity(NamedTuple):
-    """Identity of an arm: name, joint names, digests of kinematics and dynamics.
+    """Identity of an arm: name, joint names, digests of kinematics and dynamics."""
 
-    Attributes:
-        name: Name of the robot, for messages only.
-        joint_names: Names of the joints in the URDF, from base to tip.
-        kinematics: SHA-256 of the joint axes and the tool's pose at zero, rounded to 0.1 mm.
-        dynamics: SHA-256 of the masses and inertias of the links, rounded to four digits.
-    """
-
-    name: str
-    joint_names: tuple[str, ...]
-    kinematics: str
-    dynamics: str
+    name: str  # of the robot, for messages only
+    joint_names: tuple[str, ...]  # in the URDF, from base to tip
+    kinematics: str  # SHA-256 of the joint axes and the tool's pose at zero, rounded to 0.1 mm
+    dynamics: str  # SHA-256 of the masses and inertias of the links, rounded to four digits
 
     def __str__(self) -> str:
         """Return the name, the joints and the first digits of the kinematics."""
@@ -52,10 +45,8 @@ def identity_of(data: object) -> ArmIdentity:
     names = data["joint_names"]
     if not isinstance(names, list | tuple) or not 1 <= len(names) <= JOINTS_MAX:
         raise ValueError(f"joint_names of an arm must be 1 to {JOINTS_MAX} names")
-    for rule, values in (
-        (_NAME, (data["name"], *names)),
-        (_DIGEST, (data["kinematics"], data["dynamics"])),
-    ):
+    texts = {_NAME: (data["name"], *names), _DIGEST: (data["kinematics"], data["dynamics"])}
+    for rule, values in texts.items():
         for value in values:
             if not isinstance(value, str) or not rule.fullmatch(value):
                 raise ValueError(f"{str(value)[:80]!r} of an arm's identity must be {rule.pattern}")

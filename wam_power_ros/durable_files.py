@@ -4,20 +4,12 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import os
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-
-_KINDS = {
-    stat.S_IFDIR: "a folder",
-    stat.S_IFIFO: "a FIFO",
-    stat.S_IFSOCK: "a socket",
-    stat.S_IFCHR: "a device",
-    stat.S_IFBLK: "a device",
-}
-
 
 _REMEDIES = {
     errno.ENOSPC: "free some space on its disk",
@@ -67,14 +59,14 @@ def check_regular(path: Path) -> None:
     """Check that a path is a regular file: reading a FIFO or a device may block or never end.
 
     Raises:
-        ValueError: If it is another kind of file, missing or a broken link; the message says which.
+        ValueError: It is another kind of file, missing or a broken link.
     """
     try:
         mode = path.stat().st_mode
     except (OSError, RuntimeError) as error:  # RuntimeError: a loop of links, before Python 3.13
         raise ValueError(f"{path}: {getattr(error, 'strerror', error)}") from None
     if not stat.S_ISREG(mode):
-        kind = _KINDS.get(stat.S_IFMT(mode), "a special file")
+        kind = "a folder" if stat.S_ISDIR(mode) else "a FIFO, socket or device"
         raise ValueError(f"{path} is {kind}; it must be a regular file")
 
 
@@ -90,6 +82,18 @@ def read(path: Path, size_max: int) -> bytes:
     return path.read_bytes()
 
 
+def is_locked(path: Path) -> bool:
+    """Whether a process holds the lock of a file; of one that is not there none does."""
+    try:
+        with path.open() as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    except BlockingIOError:
+        return True
+    return False
+
+
 def sync(path: Path) -> None:
     """Flush a file, or the entries of a folder, to disk."""
     handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
@@ -99,15 +103,15 @@ def sync(path: Path) -> None:
         os.close(handle)
 
 
-def replace(path: Path, text: str) -> None:
-    """Replace a file atomically: readers, also after a crash, find the old or the new text.
+def replace(path: Path, content: str | bytes) -> None:
+    """Replace a file atomically: readers, also after a crash, find the old or the new content.
 
     Raises:
         OSError: If writing fails; the old file is then unchanged.
     """
     part = path.with_name(f".{path.name}.part")
     with naming(path):
-        part.write_text(text, encoding="utf-8")
+        part.write_bytes(content if isinstance(content, bytes) else content.encode())
         sync(part)
         part.replace(path)
         sync(path.parent)

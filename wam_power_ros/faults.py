@@ -56,12 +56,7 @@ _OF_STATES = frozenset((FaultKind.JUMP, FaultKind.VELOCITY, FaultKind.DRIFT, Fau
 
 @dataclass(frozen=True)
 class Fault:
-    """A latched fault of the controller.
-
-    Attributes:
-        kind: Kind of the fault.
-        text: Description for the operator, with the value and the limit.
-    """
+    """A latched fault of the controller."""
 
     kind: FaultKind
-    text: str
+    text: str  # for the operator, with the value and the limit

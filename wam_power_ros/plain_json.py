@@ -29,16 +29,11 @@ def read(file: Path, size_max: int = SIZE_MAX) -> Any:  # noqa: ANN401 - JSON is
 
 
 def parse(text: str | bytes, where: str, size_max: int = SIZE_MAX) -> Any:  # noqa: ANN401
-    """Return the data in JSON text.
-
-    Args:
-        text: Text, as bytes in UTF-8.
-        where: Origin of the text, for messages.
-        size_max: Largest size [byte].
+    """Return the data in JSON text, as bytes in UTF-8; `where` is its origin, for messages.
 
     Raises:
-        ValueError: It is too large, nested too deeply, has a key twice in one object or a number
-            that is not finite or beyond 128 bits, or is not JSON; the message names its origin.
+        ValueError: It has more than `size_max` bytes, is nested too deeply, has a key twice in one
+            object or a number that is not finite or beyond 128 bits, or is not JSON.
     """
     size = len(text if isinstance(text, bytes) else text.encode(errors="surrogatepass"))
     if size > size_max:

@@ -14,18 +14,13 @@ import numpy as np
 class Region:
     """Sphere in the base frame; a rollout ends when the tool's centre enters it.
 
-    Attributes:
-        name: Name, as a stopped rollout says it.
-        centre: Centre [m]; three numbers.
-        radius: Radius [m].
-
     Raises:
         ValueError: The name is empty, or a value is out of range.
     """
 
-    name: str
-    centre: tuple[float, float, float]
-    radius: float
+    name: str  # as a stopped rollout says it
+    centre: tuple[float, float, float]  # [m]
+    radius: float  # [m]
 
     def __post_init__(self) -> None:
         if not self.name:

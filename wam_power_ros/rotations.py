@@ -170,17 +170,10 @@ def _product(a: Sequence[T], b: Sequence[T]) -> tuple[T, T, T, T]:
 
 
 def continuous(rotation_vectors: np.ndarray) -> np.ndarray:
-    """Unwrap rotation vectors, so that they do not jump where the angle passes pi.
+    """Rotation vectors (N, 3) [rad] unwrapped, so that they do not jump where the angle passes pi.
 
-    To each vector the number of whole turns about its axis is added that brings it closest to its
-    predecessor.
-
-    Args:
-        rotation_vectors: Rotation vectors in temporal order, less than half a turn apart [rad].
-            Shape (N, 3).
-
-    Returns:
-        Rotation vectors of the same rotations [rad]. Shape (N, 3).
+    They are in temporal order, less than half a turn apart. To each one the number of whole turns
+    about its axis is added that brings it closest to its predecessor.
     """
     vectors = np.array(rotation_vectors, dtype=float)
     for previous, vector in itertools.pairwise(vectors):
@@ -196,15 +189,9 @@ def continuous(rotation_vectors: np.ndarray) -> np.ndarray:
 
 
 def interpolate(t: np.ndarray, times: np.ndarray, quat_xyzw: np.ndarray) -> np.ndarray:
-    """Interpolate orientations along the shortest arc; constant outside the samples.
+    """Unit quaternions (M, 4) at times t (M,) [s], along the shortest arc between samples.
 
-    Args:
-        t: Times to interpolate at [s]. Shape (M,).
-        times: Times of the samples, strictly increasing [s]. Shape (N,).
-        quat_xyzw: Unit quaternions of the samples. Shape (N, 4).
-
-    Returns:
-        Unit quaternions at `t`. Shape (M, 4).
+    The samples (N, 4) have strictly increasing times (N,) [s], outside which it is constant.
     """
     t = np.clip(np.asarray(t, dtype=float), times[0], times[-1])
     if len(times) == 1:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from bag_samples import START
 
-from wam_power_ros.bags.gaps import Gaps, gaps
+from wam_power_ros.bags.quality import Gaps, gaps
 
 
 def test_gaps_are_counted_in_periods() -> None:

@@ -181,12 +181,3 @@ def test_what_cannot_be_exported_is_refused_by_name(
     ):
         assert reason in refusal("bags", "export", str(recorded), "--output", name)
     assert (tmp_path / "there.csv").read_text() == "precious"
-
-
-def test_a_table_that_cannot_be_read_back_whole_is_removed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(table.csv, "reader", lambda file: [["t"], ["0.0"]])
-    with pytest.raises(OSError, match=r"take\.csv: 1 of 2 rows could be read back"):
-        table.write({"t": [0.0, 1.0]}, tmp_path / "take.csv")
-    assert list(tmp_path.iterdir()) == []

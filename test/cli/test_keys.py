@@ -15,7 +15,7 @@ from conftest import Probe
 from std_srvs.srv import Trigger
 
 from wam_power_interfaces.srv import Pause
-from wam_power_ros.cli.keys import HINT, Keys
+from wam_power_ros.cli.keys import HINT, passing_keys
 from wam_power_ros.ros import interface
 
 
@@ -47,8 +47,8 @@ def test_each_key_reaches_its_node_and_the_answer_is_shown(
         serve(Trigger, name)
     serve(Pause, interface.LEARNER_PAUSE)
     before = termios.tcgetattr(sys.stdin)
-    with Keys(domain_id) as keys:
-        assert keys.poll() == HINT
+    with passing_keys(domain_id) as poll:
+        assert poll() == HINT
         for number, (key, expected) in enumerate(
             (
                 (b"xr", reward),
@@ -61,7 +61,7 @@ def test_each_key_reaches_its_node_and_the_answer_is_shown(
             start=1,
         ):
             os.write(terminal, key)
-            probe.until(lambda n=number: keys.poll() == f"answer {n}", key.decode())
+            probe.until(lambda n=number: poll() == f"answer {n}", key.decode())
             assert asked[-1] == expected and len(asked) == number
     assert termios.tcgetattr(sys.stdin) == before
 
@@ -71,5 +71,5 @@ def test_without_a_terminal_nothing_is_started(
 ) -> None:
     (tmp_path / "input").write_text("r")
     monkeypatch.setattr(sys, "stdin", (tmp_path / "input").open())
-    with Keys(None) as keys:
-        assert keys.poll() == "" and sys.stdin.read() == "r"
+    with passing_keys(None) as poll:
+        assert poll() == "" and sys.stdin.read() == "r"

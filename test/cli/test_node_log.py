@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from wam_power_ros.cli.node_log import LogEntry, NodeLogs
+from wam_power_ros.cli.processes import NodeLogs
 
 
 def test_new_whole_lines_of_a_log_are_passed_on_once(tmp_path: Path) -> None:
@@ -14,10 +14,10 @@ def test_new_whole_lines_of_a_log_are_passed_on_once(tmp_path: Path) -> None:
     logs = NodeLogs(tmp_path)
     with log.open("a") as file:
         file.write("[ERROR] [2.5] [torque_controller]: fault (jump): joint 3\nTraceback\n[WARN] [")
-    assert list(logs.new()) == [LogEntry("ERROR", "torque_controller: fault (jump): joint 3")]
+    assert list(logs.new()) == [("torque_controller: fault (jump): joint 3", True)]
     with log.open("a") as file:
         file.write("3.5] [torque_controller]: half a line\n")
     (tmp_path / "learner.log").write_text("[INFO] [4.0] [learner]: begun\n")
-    texts = [entry.text for entry in logs.new()]
+    texts = [text for text, _ in logs.new()]
     assert texts == ["learner: begun", "torque_controller: half a line"]
     assert list(logs.new()) == []

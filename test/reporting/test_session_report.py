@@ -97,11 +97,14 @@ def test_every_picture_is_described_and_what_is_too_wide_says_that_it_scrolls(fo
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_page_and_terminal_say_the_same_of_the_retests(folder: Path) -> None:
+def test_page_and_terminal_say_the_same_of_the_retests(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     found = session.read(folder)
     records, task = found.records, found.task
     tests = [r.model_copy(update={"kind": "retest"}) if r.number > 3 else r for r in records]
-    html = session_report.render(found.header, task, None, None, tests)
+    monkeypatch.setattr(Session, "records", tests)
+    html = session_report.render(found, None)
     assert re.search(r"after it: mean return \d\.\d{3}, \d of 3 re-tests succeeded", html)
     label = "median error of the re-tests: rotation"
     shown = re.search(rf"<b>(\d+\.\d°)</b><span>{label}", html)
@@ -184,7 +187,7 @@ EXAMPLE = Path(__file__).resolve().parents[2] / "docs/extending.md"
 
 @pytest.mark.usefixtures("undrawn")
 def test_a_task_derived_from_the_flip_keeps_its_figure_and_every_sentence(
-    folder: Path,
+    folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     blocks = re.findall(r"```python\n(.*?)```", EXAMPLE.read_text(), re.DOTALL)
     (code,) = (block for block in blocks if "class HighFlip" in block)
@@ -192,9 +195,11 @@ def test_a_task_derived_from_the_flip_keeps_its_figure_and_every_sentence(
     found = session.read(folder)
     tests = [r.model_copy(update={"kind": "retest"}) if r.number > 3 else r for r in found.records]
     shown = session_report.ShownRollout("caught.", a_rollout("trial-0006", TURNS[5]))
+    monkeypatch.setattr(Session, "records", tests)
 
     def of(task: Flip) -> list[str]:
-        html = session_report.render(found.header, task, None, found.candidates[0], tests, shown)
+        found.task = task
+        html = session_report.render(found, found.candidates[0], shown)
         told = r"learns from [^;]*;"
         return re.sub(rf"base64,[^\"]*|task \w+<|{told}", "", html).splitlines()
 

@@ -62,20 +62,6 @@ def test_every_cause_of_a_failure_is_one_sentence_with_its_numbers(cause: Cause)
     assert terminal.failed(None) == []
 
 
-def test_a_file_that_is_quiet_gets_a_sign_of_life(practice: Practice) -> None:
-    text = io.StringIO()
-    with terminal.Display(Console(file=text, width=80)) as display:
-        display.show_message("learner: waiting for the pancake to be ready", is_problem=False)
-        for now in (0.0, 4.0, 5.5, 6.0, 11.0):
-            display.tick(now)
-        assert [line.split()[1] for line in text.getvalue().splitlines()] == ["6", "11"]
-        assert "the pancake to be ready" in text.getvalue()
-        display.show(practice.log[:1], practice.settings, practice.task)
-        display.tick(12.0)
-        display.tick(16.0)
-    assert len(text.getvalue().splitlines()) == 4  # the first rollout has lines of its own
-
-
 def test_the_summary_begins_with_what_the_demonstration_was_worth_before_learning() -> None:
     settings = preset("flip", "hindsight", budget=8, confirm=0, retests=0)
     candidates = [demonstrated_policy("one"), demonstrated_policy("other")]

@@ -10,8 +10,7 @@ import pytest
 from conftest import ROOT, Process, Processes
 
 from wam_power_ros.cli import main
-from wam_power_ros.cli.node_log import LOG_LINE
-from wam_power_ros.cli.processes import LOG_FORM
+from wam_power_ros.cli.processes import LOG_FORM, LOG_LINE
 from wam_power_ros.ros import network
 
 PROFILE = network.FAST_DDS_2.variable

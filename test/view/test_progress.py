@@ -15,7 +15,7 @@ pytest.importorskip("viser", reason="no viser")
 from wam_power_ros.params import overlay
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.view import session_page
-from wam_power_ros.view.progress import KINDS, NEWEST_COUNT, curve, label, newest
+from wam_power_ros.view.session_page import KINDS, NEWEST_COUNT, curve, label, newest
 
 RECORDS = some_records(8)
 

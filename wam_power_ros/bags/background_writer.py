@@ -15,8 +15,8 @@ from pathlib import Path
 
 from rosbags.interfaces import Qos
 
-from wam_power_ros.bags.gaps import Gaps
 from wam_power_ros.bags.layout import STATES, noted_names
+from wam_power_ros.bags.quality import Gaps
 from wam_power_ros.bags.writer import BagWriter
 
 WRITE_PERIOD = 0.3  # between two flushes; a kill loses the messages of about this time [s]
@@ -24,19 +24,10 @@ WAITING_MAX = 100_000  # queued messages; a disk that hangs for minutes counts a
 
 
 class Recording:
-    """One bag being written; only `close` completes it.
-
-    Attributes:
-        path: Folder of the finished bag.
-        error: Error that ended the writing; None while there is none.
-    """
+    """One bag being written; only `close` completes it and makes it the folder `path`."""
 
     def __init__(
-        self,
-        path: Path,
-        kind: str,
-        notes: Mapping[str, str],
-        now: Callable[[], int] = time.time_ns,
+        self, path: Path, kind: str, notes: Mapping[str, str], now: Callable[[], int] = time.time_ns
     ) -> None:
         """Begin the bag `path` with a "start" event, whose reason is the kind, and notes.
 
@@ -47,7 +38,7 @@ class Recording:
             OSError: The folder cannot be written.
         """
         self.path = path
-        self.error: OSError | None = None
+        self.error: OSError | None = None  # that ended the writing
         self._now = now
         self._writer = BagWriter(path)
         self._topics: set[str] = set()

@@ -91,17 +91,13 @@ class Bag:
         except Exception as error:
             raise _unreadable(self.path, error) from error
 
-    def check_counts(self) -> None:
-        """Check that no message is missing that the recorder counted.
-
-        Raises:
-            ValueError: One is.
-        """
-        for name, topic in self.topics.items():
-            if topic.found < topic.counted:
-                raise ValueError(
-                    f"{self.path}: {topic.found} of {topic.counted} messages on {name} are there"
-                )
+    def type_of(self, name: str, *known: str) -> str:
+        """Type of the messages on a topic; a ValueError if there is no topic of a known type."""
+        if name not in self.topics:
+            raise ValueError(f"{self.path}: no topic {name}; it has {sorted(self.topics)}")
+        if (msgtype := self.topics[name].msgtype) not in known:
+            raise ValueError(f"{self.path}: {name} is of type {msgtype}, not {' or '.join(known)}")
+        return msgtype
 
     def _opened(
         self, path: Path, described: Mapping[str, Any]

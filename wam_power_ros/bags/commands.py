@@ -56,11 +56,7 @@ def read_set_points(
 
 def _sent(bag: Bag, topic: str, joint_names: Sequence[str]) -> dict[int, list[float]]:
     """Torques or positions by the stamp of the state that they answer [ns]; see above."""
-    if topic not in bag.topics:
-        raise ValueError(f"{bag.path}: no topic {topic}; it has {sorted(bag.topics)}")
-    kind = bag.topics[topic].msgtype
-    if kind not in (known := (ARRAY, JOINT_STATE, TRAJECTORY)):
-        raise ValueError(f"{bag.path}: {topic} is of type {kind}, not one of {', '.join(known)}")
+    kind = bag.type_of(topic, ARRAY, JOINT_STATE, TRAJECTORY)
     sent: dict[int, list[float]] = {}
     for _, _, cdr in bag.messages([topic]):
         message = decoded(cdr, kind)

@@ -137,7 +137,10 @@ class McapFile:
                 elif isinstance(record, Channel):
                     channels.setdefault(record.id, record)
                 elif isinstance(record, Metadata):
-                    self.information = self._described(record) or self.information
+                    text = record.metadata.get("serialized_metadata", "{}")
+                    described = plain_yaml.parse(text.encode(), str(path))
+                    if described and isinstance(described, dict):
+                        self.information = described
                 elif isinstance(record, DataEnd):
                     self.sealed = bool(record.data_section_crc)
             firsts.append(min(stamps))
@@ -180,11 +183,6 @@ class McapFile:
                 ) from None
         if not ended:  # the library expects the record with the checksum, and does not miss it
             raise ValueError(f"{self._path} is damaged: it has no end of its data")
-
-    def _described(self, record: Metadata) -> Mapping[str, Any]:
-        text = record.metadata.get("serialized_metadata", "{}")
-        found = plain_yaml.parse(text.encode(), str(self._path))
-        return found if isinstance(found, dict) else {}
 
 
 def contents(chunk: Chunk) -> list[McapRecord]:

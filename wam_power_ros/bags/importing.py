@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,7 +14,7 @@ from wam_power_ros.bags.bag import Bag
 from wam_power_ros.bags.layout import JOINT_STATE, STAMP_END, STATES, TYPES
 from wam_power_ros.bags.quality import Remark
 from wam_power_ros.bags.reader import States
-from wam_power_ros.bags.writer import BagWriter
+from wam_power_ros.bags.writer import new_bag
 
 
 def import_bag(
@@ -28,15 +27,13 @@ def import_bag(
     by_reception: bool = False,
     part: tuple[float, float] | None = None,
 ) -> tuple[Path, tuple[Remark, ...]]:
-    """Create a demonstration from the joint states in a bag of any recorder.
+    """Create a demonstration from the joint states in a bag, read as `reader.read_states` does.
 
     Args:
         joint_names: Names of the arm's joints, base to tip.
         bag_names: Names of the same joints in the bag, in that order; `joint_names` if omitted.
         topic: Topic of the joint states; that of our recorder, or the only one, if omitted.
         kind: Stem of the demonstrated task.
-        by_reception: True to use the times of reception instead of the stamps of the headers.
-        part: First and last time of a part, since the first state [s]; all states if omitted.
 
     Returns:
         Path of the new bag, and what was left out or unwrapped in reading the states.
@@ -60,23 +57,12 @@ def import_bag(
     if wrong := [stamp for stamp in received if not 0 <= stamp < STAMP_END]:
         raise ValueError(f"{bag.path}: {topic}: {wrong[0]} ns is no time of ROS; see --part")
     messages = list(bag.messages([topic]))
-    notes = {
-        "joint_names": json.dumps(list(joint_names)),
-        **({"arm": bag.notes["arm"]} if bag.arm else {}),
-        "state_topic": STATES,
-        "source": "imported",
-        "imported": json.dumps(
-            {
-                "from": bag.path.resolve().name,
-                "topic": topic,
-                "joints": states.names,
-                "part": part,
-                "remarks": [remark.text for remark in states.remarks],
-            }
-        ),
-    }
-    writer = BagWriter(to)
-    try:
+    told = {"from": bag.path.resolve().name, "topic": topic, "joints": states.names, "part": part}
+    told["remarks"] = [remark.text for remark in states.remarks]
+    notes = {"joint_names": json.dumps(list(joint_names)), "state_topic": STATES}
+    notes |= {"arm": bag.notes["arm"]} if bag.arm else {}
+    notes |= {"source": "imported", "imported": json.dumps(told)}
+    with new_bag(to) as writer:
         writer.add(STATES, JOINT_STATE, [layout.qos(reliable=True, latched=False)])
         if kind:
             writer.event("start", kind, received[0])
@@ -84,10 +70,6 @@ def import_bag(
             data = _converted(messages[number][2], states, row, joint_names)
             writer.write(STATES, stamp, data)
         made = writer.close({**notes, **writer.completeness(notes)})
-    except BaseException:
-        writer.abandon()
-        shutil.rmtree(layout.unfinished(to), ignore_errors=True)
-        raise
     return made, states.remarks
 
 

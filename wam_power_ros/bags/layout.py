@@ -114,10 +114,8 @@ def decoded(cdr: bytes, msgtype: str) -> object:
 
     `rclpy.serialization.serialize_message` returns a buffer of the size that rmw_fastrtps estimates
     in advance: up to 4 bytes too large for each empty sequence of 8-byte numbers, such as the
-    velocities and efforts of many drivers, with anything in the excess. A program that writes bags
-    with it, and a player that publishes such messages again, keep the excess. rosbags decodes
-    these messages, but `Typestore.deserialize_cdr` refuses more than 3 bytes of excess. So its
-    decoders are called without that check; it writes what a publisher of ROS sends, without excess.
+    efforts of many drivers. Programs that write bags with it keep the excess, of which
+    `Typestore.deserialize_cdr` of rosbags refuses more than 3 bytes; its decoders do not.
 
     Raises:
         ValueError: The bytes are not a message of this type, or the type is unknown.

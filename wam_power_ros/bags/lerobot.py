@@ -71,27 +71,30 @@ def write(
     """
     check_new(to)
     tasks = list(dict.fromkeys(each.task for each in episodes))
-    each = [_frames(of, number, fps, tasks) for number, of in enumerate(episodes)]
+    each, rows, count = [], [], 0
+    for number, of in enumerate(episodes):
+        each.append(found := _frames(of, number, count, fps, tasks))
+        first, count = count, count + len(of.state)
+        row: dict[str, Any] = {EPISODE: number, "tasks": [of.task], "length": len(of.state)}
+        row |= {"dataset_from_index": first, "dataset_to_index": count}
+        for file in ("data", "meta/episodes"):
+            row |= {f"{file}/chunk_index": 0, f"{file}/file_index": 0}
+        for key, statistics in _statistics(found).items():
+            row |= {f"stats/{key}/{name}": value for name, value in statistics.items()}
+        rows.append(row)
     frames = {key: np.concatenate([of[key] for of in each]) for key in each[0]}
-    frames["index"] = np.arange(len(frames[TIME]))
     names = [f"{name}.{part}" for part in ("pos", "vel") for name in joint_names]
     names += [f"tool.{part}" for part in table.POSE]
     named = {STATE: names[: frames[STATE].shape[1]], ACTION: names[: len(joint_names)]}
-    ends = np.cumsum([len(of[TIME]) for of in each])
-    rows = []
-    for number, (of, end) in enumerate(zip(each, ends.tolist(), strict=True)):
-        of["index"] = frames["index"][end - len(of[TIME]) : end]
-        row: dict[str, Any] = {EPISODE: number, "tasks": [episodes[number].task]}
-        row |= {"length": len(of[TIME]), "data/chunk_index": 0, "data/file_index": 0}
-        row |= {"dataset_from_index": end - len(of[TIME]), "dataset_to_index": end}
-        statistics = _statistics(of).items()
-        row |= {f"stats/{key}/{name}": v for key, s in statistics for name, v in s.items()}
-        rows.append(row | {"meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0})
+    features = {}
+    for key, values in frames.items():
+        shape = [math.prod(values.shape[1:])]
+        features[key] = {"dtype": str(values.dtype), "shape": shape, "names": named.get(key)}
     info = {
         "codebase_version": "v3.0",
         "robot_type": robot,
         "total_episodes": len(episodes),
-        "total_frames": len(frames[TIME]),
+        "total_frames": count,
         "total_tasks": len(tasks),
         "chunks_size": 1000,
         "data_files_size_in_mb": 100,
@@ -100,14 +103,7 @@ def write(
         "splits": {"train": f"0:{len(episodes)}"},
         "data_path": f"data/{PATH}",
         "video_path": None,
-        "features": {
-            key: {
-                "dtype": str(values.dtype),
-                "shape": [math.prod(values.shape[1:])],
-                "names": named.get(key),
-            }
-            for key, values in frames.items()
-        },
+        "features": features,
     }
     part = to.with_name(f".{to.name}.part")
     try:
@@ -120,7 +116,7 @@ def write(
     finally:
         shutil.rmtree(part, ignore_errors=True)
     durable_files.sync(to.parent)
-    return len(frames[TIME])
+    return count
 
 
 def check_new(to: Path) -> None:
@@ -135,8 +131,10 @@ def check_new(to: Path) -> None:
     table.require_pyarrow()
 
 
-def _frames(of: Episode, number: int, fps: int, tasks: Sequence[str]) -> dict[str, np.ndarray]:
-    """Columns of the frames of an episode, but their index in the set."""
+def _frames(
+    of: Episode, number: int, first: int, fps: int, tasks: Sequence[str]
+) -> dict[str, np.ndarray]:
+    """Columns of the frames of an episode, whose first one has this index in the set."""
     index = np.arange(len(of.state))
     return {
         STATE: of.state.astype(np.float32),
@@ -145,6 +143,7 @@ def _frames(of: Episode, number: int, fps: int, tasks: Sequence[str]) -> dict[st
         "frame_index": index,
         EPISODE: np.full_like(index, number),
         "task_index": np.full_like(index, tasks.index(of.task)),
+        "index": first + index,
     }
 
 
@@ -197,11 +196,7 @@ def is_set(path: Path) -> bool:
 def as_bag(path: Path, folder: Path, number: int | None, unit: float = 1.0) -> Path:
     """Write the joint angles of an episode, format 2.1 or 3.0, into a folder, as a bag.
 
-    Args:
-        path: Folder of the set.
-        folder: Folder of the bag.
-        number: Number of the episode from 0; the only one if None.
-        unit: Unit of its angles [rad].
+    The episode has a number from 0, None for the only one; its angles are in that many rad.
 
     Raises:
         ValueError: The set is damaged, or has no such episode or no state.

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import enum
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -46,6 +46,41 @@ class Limits(NamedTuple):
     qd_max: np.ndarray
 
 
+class Gaps(NamedTuple):
+    """Gaps between the stamps of a topic."""
+
+    period: float  # median interval between messages [s]; 0 without an interval
+    missing: int  # number of messages that would fill the intervals longer than 1.5 periods
+    longest: float  # longest interval [s]
+
+
+def gaps(stamps_ns: Sequence[int] | np.ndarray) -> Gaps:
+    """Gaps between stamps [ns] as received, shape (M,); those that repeat or go back make none."""
+    steps = np.diff(np.asarray(stamps_ns, dtype=np.int64))
+    steps = steps[steps > 0]
+    if not len(steps):
+        return Gaps(0.0, 0, 0.0)
+    period = float(np.median(steps))
+    missing = np.rint(steps[steps > 1.5 * period] / period) - 1.0
+    return Gaps(period * 1e-9, int(missing.sum()), float(steps.max()) * 1e-9)
+
+
+def device_gaps(
+    stamps_ns: Mapping[tuple[str, ...], Sequence[int]], joint_names: Collection[str]
+) -> Gaps:
+    """Gaps of a topic of one or more devices: of those with joints of the arm, or else of all.
+
+    A device is known by the names of its joints. The period is that of the device with most
+    messages; missing messages are summed.
+    """
+    arm = [each for names, each in stamps_ns.items() if not set(names).isdisjoint(joint_names)]
+    found = [(len(each), gaps(each)) for each in arm or stamps_ns.values()]
+    if not found:
+        return Gaps(0.0, 0, 0.0)
+    _, most = max(found)
+    return Gaps(most.period, sum(of.missing for _, of in found), max(of.longest for _, of in found))
+
+
 def smoothness(speed: np.ndarray, period: float) -> float:
     """Spectral arc length of speeds (N,) of any unit, `period` [s] apart: near 0 is smooth."""
     size = 1 << (int(np.ceil(np.log2(len(speed)))) + PADDING)
@@ -70,11 +105,7 @@ def joint_speeds(t: np.ndarray, q: np.ndarray) -> np.ndarray:
 def movement_remarks(
     t: np.ndarray, q: np.ndarray, joint_names: Sequence[str], limits: Limits | None
 ) -> list[Remark]:
-    """Remarks on a smooth movement.
-
-    Args:
-        t: Evenly spaced times from 0 [s]. Shape (N,).
-        q: Joint angles [rad]. Shape (N, n).
+    """Remarks on a smooth movement: evenly spaced times t (N,) from 0 [s], angles q (N, n) [rad].
 
     Raises:
         ValueError: A joint is beyond its limits, and where no arm turns.
@@ -127,14 +158,6 @@ def left_out_remark(duration: float, pause: float, at: float, earlier: bool) -> 
     side = "before" if earlier else "after"
     where = f"{side} a pause of {pause:.2f} s at {at:.2f} s"
     return Remark(Grade.FAIR, f"{duration:.1f} s of movement {where} are left out")
-
-
-def length_remarks(duration: float, duration_max: float) -> list[Remark]:
-    """Remark on a movement that is longer than a policy may be [s]."""
-    if duration <= duration_max:
-        return []
-    text = f"a movement of {duration:.1f} s; at most {duration_max:g} s can be learnt"
-    return [Remark(Grade.POOR, text)]
 
 
 def grade(remarks: Sequence[Remark]) -> Grade:

@@ -72,12 +72,10 @@ def read_states(
     if why := refusal(bag.arm, arm):
         raise ValueError(f"{bag.path} {why}")
     topic = topic or bag.notes.get("state_topic", STATES)
-    messages = _messages(bag, topic)
-    simulated = bag.notes.get("source") == "sim"
+    bag.type_of(topic, JOINT_STATE)
+    messages = [(received_ns, cdr) for _, received_ns, cdr in bag.messages([topic])]
     try:
-        states = _states(
-            messages, tuple(joint_names), noted_names(bag.notes), simulated, by_reception, part
-        )
+        states = _states(messages, tuple(joint_names), bag.notes, by_reception, part)
     except ValueError as error:
         raise ValueError(f"{bag.path}: {topic}: {error}") from None
     remarks = list(states.remarks)
@@ -92,11 +90,11 @@ def read_states(
 def _states(
     messages: Sequence[tuple[int, bytes]],
     names: tuple[str, ...],
-    noted: tuple[str, ...],
-    simulated: bool,
+    notes: Mapping[str, str],
     by_reception: bool,
     part: tuple[float, float] | None,
 ) -> States:
+    noted, simulated = noted_names(notes), notes.get("source") == "sim"
     known = {*names, *noted}
     states = [_joint_angles(cdr, known) for _, cdr in messages]
     seen = {name for _, angles in states for name in angles}
@@ -197,15 +195,6 @@ def _joined(parts: Mapping[tuple[str, ...], States], names: tuple[str, ...]) -> 
         *(each for part in parts.values() for each in part.remarks),
     ]
     return States(first.stamps[near], q[near], first.index[near], names, tuple(remarks))
-
-
-def _messages(bag: Bag, topic: str) -> list[tuple[int, bytes]]:
-    """Times of reception [ns] and serialized joint states of a topic, in that order."""
-    if topic not in bag.topics:
-        raise ValueError(f"{bag.path}: no topic {topic}; it has {sorted(bag.topics)}")
-    if (msgtype := bag.topics[topic].msgtype) != JOINT_STATE:
-        raise ValueError(f"{bag.path}: {topic} is of type {msgtype}, not {JOINT_STATE}")
-    return [(received_ns, cdr) for _, received_ns, cdr in bag.messages([topic])]
 
 
 def _joint_angles(cdr: bytes, known: Collection[str]) -> tuple[int, dict[str, float]]:

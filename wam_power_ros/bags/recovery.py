@@ -11,7 +11,6 @@ from __future__ import annotations
 import fcntl
 import json
 import os
-import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -29,7 +28,7 @@ from wam_power_ros import plain_yaml
 from wam_power_ros.bags import files, layout
 from wam_power_ros.bags.bag import Bag
 from wam_power_ros.bags.layout import unfinished
-from wam_power_ros.bags.writer import BagWriter
+from wam_power_ros.bags.writer import BagWriter, new_bag
 
 
 @dataclass(frozen=True)
@@ -63,8 +62,7 @@ def recover(path: Path) -> Recovered:
         path = path.with_name(path.name.removesuffix(layout.UNFINISHED))
     found = _files(path)
     bag = path.with_suffix("") if path.is_file() else path
-    writer = BagWriter(bag.with_name(bag.name + "_recovered"))
-    try:
+    with new_bag(bag.with_name(bag.name + "_recovered")) as writer:
         copy = _Copy(writer)
         for file in found:
             copy.file(file)
@@ -73,11 +71,11 @@ def recover(path: Path) -> Recovered:
                 copy.notes |= layout.notes(plain_yaml.read(metadata))
         notes = copy.notes | writer.completeness(copy.notes) | {"recovered": json.dumps(True)}
         made = writer.close(notes)
-    except BaseException:
-        writer.abandon()
-        shutil.rmtree(unfinished(writer.path), ignore_errors=True)
-        raise
-    Bag(made).check_counts()
+    for name, topic in Bag(made).topics.items():
+        if topic.found < topic.counted:
+            raise ValueError(
+                f"{made}: {topic.found} of {topic.counted} messages on {name} are there"
+            )
     return Recovered(made, dict(writer.counts), copy.left_out)
 
 

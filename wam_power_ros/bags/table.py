@@ -7,6 +7,7 @@ A table is a dictionary of columns of equal length, whose cells are int, float, 
 from __future__ import annotations
 
 import csv
+import io
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -21,7 +22,7 @@ from wam_power_ros.bags.files import TABLES
 from wam_power_ros.bags.layout import JOINT_STATE, STAMP_END, STATES, TYPES, decoded, qos
 from wam_power_ros.bags.quality import Grade, Remark
 from wam_power_ros.bags.reader import States
-from wam_power_ros.bags.writer import BagWriter, header_stamp
+from wam_power_ros.bags.writer import header_stamp, new_bag
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 STATE = "/state"  # topic of a body below its name
@@ -113,41 +114,25 @@ def check_new(path: Path) -> None:
 
 
 def write(columns: Mapping[str, Sequence[Any]], path: Path) -> int:
-    """Write a table to a new file, which is read back before it has its name.
+    """Write a table to a new file; returns the number of its rows.
 
     CSV restores floats bit for bit; None is an empty cell, and null in Parquet.
 
     Raises:
         ValueError: As `check_new`.
-        OSError: The file exists, cannot be written, or has not all rows; it is then removed.
+        OSError: The file exists or cannot be written.
     """
     check_new(path)
-    rows = len(next(iter(columns.values())))
-    part = path.with_name(f".{path.name}.part")
-    try:
-        written = (_write_csv if path.suffix == ".csv" else _write_parquet)(columns, part)
-        if written != rows:
-            raise OSError(f"{path}: {written} of {rows} rows could be read back")
-        durable_files.sync(part)
-        part.replace(path)
-        durable_files.sync(path.parent)
-    finally:
-        part.unlink(missing_ok=True)
-    return rows
+    rows = [*zip(*columns.values(), strict=True)]
+    if path.suffix == ".csv":
+        csv.writer(text := io.StringIO()).writerows([columns, *rows])  # the repr of a float
+        durable_files.replace(path, text.getvalue())
+    else:
+        durable_files.replace(path, _parquet(columns))
+    return len(rows)
 
 
-def _write_csv(columns: Mapping[str, Sequence[Any]], path: Path) -> int:
-    """Write a CSV file; returns the number of complete rows that are in it."""
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file)  # which writes the repr of a float
-        writer.writerow(columns)
-        writer.writerows(zip(*columns.values(), strict=True))
-    with path.open(encoding="utf-8", newline="") as file:
-        return sum(len(row) == len(columns) for row in csv.reader(file)) - 1
-
-
-def _write_parquet(columns: Mapping[str, Sequence[Any]], path: Path) -> int:
-    """Write a Parquet file; returns the number of rows that are in it."""
+def _parquet(columns: Mapping[str, Sequence[Any]]) -> bytes:
     import pyarrow
     from pyarrow import parquet
 
@@ -155,9 +140,9 @@ def _write_parquet(columns: Mapping[str, Sequence[Any]], path: Path) -> int:
         empty = all(value is None for value in values)  # of numbers that were not recorded
         return pyarrow.array(values, type=pyarrow.float64() if empty else None)
 
-    table = pyarrow.table({name: array(values) for name, values in columns.items()})
-    parquet.write_table(table, path)
-    return int(parquet.read_table(path).num_rows)
+    data = io.BytesIO()
+    parquet.write_table(pyarrow.table({name: array(of) for name, of in columns.items()}), data)
+    return data.getvalue()
 
 
 def require_pyarrow() -> None:
@@ -213,17 +198,17 @@ def to_bag(columns: Sequence[tuple[str, Sequence[Any]]], to: Path, unit: float) 
     stamps = [round((time - zero) * tick) for time in times]
     if not 0 < stamps[0] <= stamps[-1] < STAMP_END:
         raise ValueError(f"{clock} from {times[0]} to {times[-1]} is no time of ROS")
-    writer = BagWriter(to)
-    writer.add(STATES, JOINT_STATE, [qos(reliable=True, latched=False)])
     of, none = TYPES.types, np.zeros(0)
     names = np.array([name for name, _ in angles])
-    for stamp, q in zip(stamps, unit * np.column_stack([q for _, q in angles]), strict=True):
-        time = of["builtin_interfaces/msg/Time"](*divmod(stamp, 1_000_000_000))
-        header = of["std_msgs/msg/Header"](stamp=time, frame_id="")
-        there = ~np.isnan(q)  # rows of other devices have no angle of the arm
-        state = of[JOINT_STATE](header, names[there].tolist(), q[there], none, none)
-        writer.write(STATES, stamp, bytes(TYPES.serialize_cdr(state, JOINT_STATE)))
-    return writer.close({})
+    with new_bag(to) as writer:
+        writer.add(STATES, JOINT_STATE, [qos(reliable=True, latched=False)])
+        for stamp, q in zip(stamps, unit * np.column_stack([q for _, q in angles]), strict=True):
+            time = of["builtin_interfaces/msg/Time"](*divmod(stamp, 1_000_000_000))
+            header = of["std_msgs/msg/Header"](stamp=time, frame_id="")
+            there = ~np.isnan(q)  # rows of other devices have no angle of the arm
+            state = of[JOINT_STATE](header, names[there].tolist(), q[there], none, none)
+            writer.write(STATES, stamp, bytes(TYPES.serialize_cdr(state, JOINT_STATE)))
+        return writer.close({})
 
 
 def _joints(columns: Iterable[tuple[str, Sequence[Any]]]) -> Iterator[tuple[str, str, Any]]:

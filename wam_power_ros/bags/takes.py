@@ -10,7 +10,7 @@ from pathlib import Path
 
 from wam_power_ros.bags import layout
 from wam_power_ros.bags.bag import Bag
-from wam_power_ros.bags.gaps import device_gaps
+from wam_power_ros.bags.quality import device_gaps
 from wam_power_ros.bags.reader import States, read_states
 from wam_power_ros.bags.series import TRASH
 from wam_power_ros.bags.writer import has_header, header_stamp

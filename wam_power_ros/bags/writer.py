@@ -10,10 +10,11 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import shutil
 import struct
 from array import array
-from collections.abc import Collection, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,6 @@ from mcap.writer import CompressionType, Writer
 from rosbags.interfaces import Qos
 
 from wam_power_ros import durable_files
-from wam_power_ros.bags.gaps import Gaps, device_gaps
 from wam_power_ros.bags.layout import (
     EVENT,
     STATES,
@@ -35,6 +35,7 @@ from wam_power_ros.bags.layout import (
     qos,
     unfinished,
 )
+from wam_power_ros.bags.quality import Gaps, device_gaps
 
 _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # the same text, in a tenth of the time
 METADATA_VERSION = 9  # of metadata.yaml, that of Jazzy
@@ -72,11 +73,7 @@ class _Channel:
 
 
 class BagWriter:
-    """One bag being written; only `close` completes it.
-
-    Attributes:
-        path: Folder of the finished bag.
-    """
+    """One bag being written; only `close` completes it and makes it the folder `path`."""
 
     def __init__(self, path: Path) -> None:
         """Begin the bag `path`.
@@ -248,6 +245,18 @@ class BagWriter:
             "custom_data": dict(custom_data) or None,
             "ros_distro": "jazzy",
         }
+
+
+@contextmanager
+def new_bag(path: Path) -> Iterator[BagWriter]:
+    """Begin a bag, which the block closes; it is removed if the block fails."""
+    writer = BagWriter(path)
+    try:
+        yield writer
+    except BaseException:
+        writer.abandon()
+        shutil.rmtree(unfinished(path), ignore_errors=True)
+        raise
 
 
 def _yaml(value: object) -> str:

@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from wam_power_ros import installed
 from wam_power_ros.cli.launcher import UsageError, short_path, task_stems
@@ -23,21 +23,14 @@ if TYPE_CHECKING:
     import numpy as np
 
     from wam_power_ros.bags import lerobot
+    from wam_power_ros.bags.bag import Bag
     from wam_power_ros.bags.quality import Limits, Remark
+    from wam_power_ros.bags.reader import States
     from wam_power_ros.bags.takes import Take
     from wam_power_ros.control.arm import Arm
 
 FORMATS = ("table", "lerobot")  # of `export`
 FPS = 50  # frames of a set of LeRobot [1/s]: the release of a toss takes about ten of them
-
-
-class InspectedTake(NamedTuple):
-    """A take, its smoothed movement t (N,) [s] and q (N, n) [rad], and reasons for its grade."""
-
-    take: Take
-    t: np.ndarray
-    q: np.ndarray
-    remarks: list[Remark]
 
 
 def add_to(subparsers: argparse._SubParsersAction) -> None:
@@ -130,10 +123,9 @@ def show(bag: Sequence[Path], config: Sequence[str]) -> None:
 def _show(path: Path, names: Sequence[str], arm: Arm | None, tasks: Mapping[str, set[str]]) -> None:
     from wam_power_ros.bags import quality
 
-    judged = _inspected(path, names, arm, tasks)
-    take, t, q, _ = judged
+    take, t, q, remarks = _inspected(path, names, arm, tasks)
     qd, limits = quality.joint_speeds(t, q), _limits(arm)
-    print(f"{take.bag.path}: {take.bag.kind}, {_graded(judged)}")
+    print(f"{take.bag.path}: {take.bag.kind}, {_graded(take, remarks)}")
     if outcome := _outcomes(path).get(path.resolve()):
         print(f"  {outcome}")
     speed = (qd**2).sum(axis=1) ** 0.5
@@ -148,13 +140,12 @@ def _show(path: Path, names: Sequence[str], arm: Arm | None, tasks: Mapping[str,
         print(f"  {name}: {low:+.2f} to {high:+.2f} rad, at most {fastest:.2f} rad/s{of_limit}")
 
 
-def _graded(judged: InspectedTake) -> str:
+def _graded(take: Take, remarks: Sequence[Remark]) -> str:
     """Duration and grade of a take, and below it each remark."""
     from wam_power_ros.bags import quality
 
-    grade = quality.grade(judged.remarks).name.lower()
-    texts = (remark.text for remark in judged.remarks)
-    return "\n  ".join([f"{judged.take.duration:.2f} s, {grade}", *texts])
+    grade = quality.grade(remarks).name.lower()
+    return "\n  ".join([f"{take.duration:.2f} s, {grade}", *(remark.text for remark in remarks)])
 
 
 def plot(bag: Sequence[Path], output: Path | None, config: Sequence[str]) -> None:
@@ -164,8 +155,7 @@ def plot(bag: Sequence[Path], output: Path | None, config: Sequence[str]) -> Non
 
     setup = overlay.setup(config)
     names, limits = setup.joint_names, _limits(setup.arm())
-    inspected = {path.resolve().name: _inspected(path, names, None, {}) for path in bag}
-    movements = {name: (each.t, each.q) for name, each in inspected.items()}
+    movements = {path.resolve().name: _inspected(path, names, None, {})[1:3] for path in bag}
     drawn = figures.joints(movements, names, limits)
     output = output or Path(f"{bag[0].resolve().name}.png")
     if output.suffix not in (".png", ".svg"):
@@ -176,11 +166,10 @@ def plot(bag: Sequence[Path], output: Path | None, config: Sequence[str]) -> Non
 
 def _inspected(
     path: Path, names: Sequence[str], arm: Arm | None, tasks: Mapping[str, set[str]]
-) -> InspectedTake:
-    """Open a take and judge it, a demonstration of a task also as its fit would cut it.
+) -> tuple[Take, np.ndarray, np.ndarray, list[Remark]]:
+    """A take, its smooth movement t (N,) [s] and q (N, n) [rad], and reasons for its grade.
 
-    Raises:
-        ValueError: The bag cannot be read, or nothing can be learnt from it.
+    A demonstration of a task is judged also as its fit would cut it.
     """
     from wam_power_ros.bags import quality, takes
     from wam_power_ros.bags.bag import Bag
@@ -201,8 +190,10 @@ def _inspected(
                 remarks.append(quality.Remark(quality.Grade.POOR, str(error)))
         else:
             remarks += [quality.left_out_remark(*each) for each in fitted.left_out]
-            remarks += quality.length_remarks(fitted.duration, DURATION_MAX)
-    return InspectedTake(take, t, q, remarks)
+            if fitted.duration > DURATION_MAX:
+                text = f"a movement of {fitted.duration:.1f} s; at most {DURATION_MAX:g} s can be"
+                remarks.append(quality.Remark(quality.Grade.POOR, f"{text} learnt"))
+    return take, t, q, remarks
 
 
 def _limits(arm: Arm | None) -> Limits | None:
@@ -262,7 +253,7 @@ def import_(
         except ValueError as error:
             raise ValueError(str(error).replace(f"{folder}/", "")) from None
         try:
-            judged = _inspected(made, names, arm, {kind: {task}})
+            take, _, _, judged = _inspected(made, names, arm, {kind: {task}})
         except ValueError as error:
             shutil.rmtree(made)
             why = str(error).removeprefix(f"{made}: ")
@@ -270,7 +261,7 @@ def import_(
     print(f"Bag: {short_path(made.resolve())}")
     for remark in remarks:
         print(f"  {remark.text}")
-    print(f"  {_graded(judged)}")
+    print(f"  {_graded(take, judged)}")
 
 
 def _as_bags(paths: Sequence[Path], folder: Path, episode: int | None, degrees: bool) -> list[Path]:
@@ -280,16 +271,17 @@ def _as_bags(paths: Sequence[Path], folder: Path, episode: int | None, degrees: 
     unit = math.radians(1.0) if degrees else 1.0
     found = []
     for path in paths:
-        if a_set := lerobot.is_set(path):
-            found.append(lerobot.as_bag(path, folder, episode, unit))
-        elif a_table := table.is_table(path):
-            found.append(table.as_bag(path, folder, unit))
-        else:
-            found.append(path)
+        a_set = lerobot.is_set(path)
         if episode is not None and not a_set:
             raise UsageError(f"--episode {episode}: {path} is no set of LeRobot")
-        if degrees and not (a_set or a_table):
+        if a_set:
+            found.append(lerobot.as_bag(path, folder, episode, unit))
+        elif table.is_table(path):
+            found.append(table.as_bag(path, folder, unit))
+        elif degrees:
             raise UsageError(f"--degrees: {path} is a bag, whose angles are in rad")
+        else:
+            found.append(path)
     return found
 
 
@@ -305,17 +297,14 @@ def export(
     if recorded[1:]:
         raise UsageError(f"a table is of one bag or session, not of {len(recorded)}")
     table.check_new(output)
-    remarks: Sequence[str] = ()
     if session.Session.exists(recorded[0]):
-        columns = session_log.columns(session.read(recorded[0]).records)
+        columns, remarks = session_log.columns(session.read(recorded[0]).records), []
         if not columns["number"]:
             raise UsageError(f"{recorded[0]} has no rollout yet")
     else:
         columns, remarks = _bag_columns(recorded[0], overlay.setup(config))
     rows = table.write(columns, output)
-    print(f"Table: {output}, {rows} rows, {len(columns)} columns")
-    for remark in remarks:
-        print(f"  {remark}")
+    print(f"Table: {output}, {rows} rows, {len(columns)} columns", *remarks, sep="\n  ")
 
 
 def _export_set(recorded: Sequence[Path], output: Path, fps: int, setup: overlay.Setup) -> None:
@@ -347,48 +336,47 @@ def _export_set(recorded: Sequence[Path], output: Path, fps: int, setup: overlay
 
 
 def _episode(path: Path, fps: int, setup: overlay.Setup) -> lerobot.Episode:
-    """Movement of a bag, smoothed as for learning, with the tool by the model of the arm.
-
-    Raises:
-        ValueError: The bag cannot be read, is of another arm, or too short.
-    """
-    from wam_power_ros import rotations
-    from wam_power_ros.bags import lerobot, reader
-    from wam_power_ros.bags.bag import Bag
+    """Movement of a bag, smoothed as for learning, with the tool by the model of the arm."""
+    from wam_power_ros.bags import lerobot
     from wam_power_ros.learning.demonstration import smooth_joints
 
-    bag, arm = Bag(path), setup.arm()
-    identity = None if arm is None else arm.identity()
-    states = reader.read_states(bag, setup.joint_names, arm=identity)
+    bag, arm, states = _read(path, setup)
     t, q = smooth_joints(states.stamps, states.q)
     tasks = task_stems().get(bag.kind, set())
     said = (installed.task_type(min(tasks)).__doc__ or "") if tasks else bag.kind
+    tool_pose = partial(_tool_pose, arm) if arm else None
+    return lerobot.episode(said.partition("\n")[0], t, q, fps, tool_pose)
 
-    def tool_pose(q: np.ndarray) -> list[float]:
-        assert arm is not None
-        position, rotation = arm.tool_pose(q)
-        return [*position.tolist(), *rotations.quat_xyzw(rotation).tolist()]
 
-    return lerobot.episode(said.partition("\n")[0], t, q, fps, tool_pose if arm else None)
+def _read(path: Path, setup: overlay.Setup) -> tuple[Bag, Arm | None, States]:
+    """A bag, the arm of the set-up, and its states, which are refused if they are another arm's."""
+    from wam_power_ros.bags import bag, reader
+
+    opened, arm = bag.Bag(path), setup.arm()
+    identity = None if arm is None else arm.identity()
+    return opened, arm, reader.read_states(opened, setup.joint_names, arm=identity)
+
+
+def _tool_pose(arm: Arm, q: np.ndarray) -> list[float]:
+    """Position [m] and quaternion xyzw of the tool at joint angles (n,) [rad]."""
+    from wam_power_ros import rotations
+
+    position, rotation = arm.tool_pose(q)
+    return [*position.tolist(), *rotations.quat_xyzw(rotation).tolist()]
 
 
 def _bag_columns(path: Path, setup: overlay.Setup) -> tuple[dict[str, list[Any]], list[str]]:
     """Table of a bag, with the tool by the model of the arm, and remarks."""
-    from wam_power_ros import arm_identity, rotations
-    from wam_power_ros.bags import reader, table
-    from wam_power_ros.bags.bag import Bag
+    from wam_power_ros import arm_identity
+    from wam_power_ros.bags import table
 
-    bag, arm = Bag(path), setup.arm()
-    states = reader.read_states(bag, setup.joint_names, arm=arm and arm.identity())
+    bag, arm, states = _read(path, setup)
     columns = table.joint_columns(bag, states)
     texts = [remark.text for remark in states.remarks]
     if arm is None:
         texts.append("no pose of the tool: the set-up has no URDF file")
     else:
-        poses = [arm.tool_pose(q) for q in states.q]
-        columns |= table.pose_columns(
-            "tool", [[*p.tolist(), *rotations.quat_xyzw(R).tolist()] for p, R in poses]
-        )
+        columns |= table.pose_columns("tool", [_tool_pose(arm, q) for q in states.q])
         texts.append(arm_identity.remark(bag.arm, arm.identity()))
     bodies, remarks = table.body_columns(bag, states.stamps)
     return columns | bodies, [*filter(None, texts), *(remark.text for remark in remarks)]

@@ -4,30 +4,27 @@
 from __future__ import annotations
 
 import os
-import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wam_power_ros.cli.keys import Keys
+from wam_power_ros.cli.keys import passing_keys
 from wam_power_ros.cli.launcher import (
     Devices,
     Launcher,
     UsageError,
     folder_lock,
-    interrupt,
     launch,
     learner_is_running,
     session_domain,
     short_path,
     timestamp,
 )
-from wam_power_ros.cli.node_log import PROBLEMS, NodeLogs
 from wam_power_ros.cli.plan import LEARNER, RECORDER, TRACKER, Plan
-from wam_power_ros.cli.processes import ProcessError, Processes, Running
+from wam_power_ros.cli.processes import NodeLogs, ProcessError, Processes, Running
 from wam_power_ros.cli.session_options import (
     DEFAULT_TASK,
     SESSIONS,
@@ -38,24 +35,21 @@ from wam_power_ros.cli.session_options import (
     settings_of,
     with_origin,
 )
-from wam_power_ros.durable_files import check_name
+from wam_power_ros.durable_files import check_name, printable
 from wam_power_ros.entry import INTERRUPTED
 from wam_power_ros.params import overlay
 
 if TYPE_CHECKING:
     from wam_power_ros.practice.session import Session
 
+LINE = ("session", "task", "learner", "rollouts", "best return", "outcome", "begun")
 RATINGS = tuple("0123456789")  # of a rollout, from worst to as it should be
 
 # On the arm or its stand-in
 
 
 def teach(
-    task: str | None,
-    folder: Path | None,
-    demonstrations: int,
-    seed: int | None,
-    devices: Devices,
+    task: str | None, folder: Path | None, demonstrations: int, seed: int | None, devices: Devices
 ) -> int:
     """Record demonstrations and add them to the series of the folder."""
     from wam_power_ros.bags import series
@@ -83,10 +77,7 @@ def teach(
 
 
 def learn(
-    asked: SessionOptions,
-    session: Path | None,
-    devices: Devices,
-    in_process: bool = False,
+    asked: SessionOptions, session: Path | None, devices: Devices, in_process: bool = False
 ) -> int:
     """Start or resume a session, run it to its end and write its report."""
     from wam_power_ros import installed
@@ -109,8 +100,6 @@ def learn(
         text = f"Resuming {folder} with {len(begun.records)} recorded rollouts."
     else:
         text = f"New session {folder}; Ctrl-C stops it, and it can be resumed."
-    signal.signal(signal.SIGTERM, interrupt)
-
     try:
         parameters = devices.parameters(task, seed, folder)
         if in_process:
@@ -204,7 +193,6 @@ def replay(bag: Path, speed: float, task: str | None, folder: Path | None, devic
     for remark in states.remarks:
         print(f"{bag}: {remark.text}")
     movement = replay_trajectory.movement(states.stamps, states.q, speed)
-    signal.signal(signal.SIGTERM, interrupt)
     plan = Plan(folder, parameters, devices.stand_ins)
     with launch(plan) as launcher, launcher.robot() as robot:
         name, person = bag.resolve().name, not devices.stand_ins
@@ -230,7 +218,6 @@ def run_policy(
         raise UsageError("the set-up has no URDF file of the arm: choose one with --config")
     saved = read_policy(file, arm.identity())
     scoring, unscored = running.task_of(session, name)
-    signal.signal(signal.SIGTERM, interrupt)
     plan = Plan(folder, parameters, devices.stand_ins, (TRACKER,))
     with launch(plan) as launcher, launcher.robot() as robot:
         if unscored:
@@ -289,9 +276,9 @@ def _follow(folder: Path, processes: Processes, learner: Running) -> None:
     path, logs = folder / "rollouts.jsonl", NodeLogs(folder / "logs")
     size_shown = 0
     ended = False
-    with terminal.Display() as display, Keys(session_domain(folder)) as keys:
+    with terminal.Display() as display, passing_keys(session_domain(folder)) as poll:
         while not ended:
-            display.footer = keys.poll()
+            display.footer = poll()
             ended = learner.process.poll() is not None
             processes.check(but=learner)
             size = path.stat().st_size if path.exists() else 0
@@ -299,15 +286,57 @@ def _follow(folder: Path, processes: Processes, learner: Running) -> None:
                 size_shown = size
                 found = session.read(folder)
                 display.show(found.log, found.header.settings, found.task)
-            for entry in logs.new():
-                display.show_message(entry.text, entry.severity in PROBLEMS)
-            display.tick(time.monotonic())
+            for message, is_problem in logs.new():
+                display.show_message(message, is_problem)
             time.sleep(0.2)
     if learner.process.returncode:
         raise learner.error()
 
 
 # Sessions
+
+
+def sessions(folder: Sequence[Path]) -> None:
+    """List the sessions of folders."""
+    from wam_power_ros.practice.session import Session, read
+
+    below = [each for path in folder or [SESSIONS] for each in (path, *sorted(path.glob("*")))]
+    found = [path for path in below if Session.exists(path)]
+    if not found:
+        raise UsageError(f"no session in {', '.join(map(str, folder or [SESSIONS]))}")
+    rows: list[Mapping[str, str]] = [dict(zip(LINE, LINE, strict=True))]
+    for path in found:
+        try:
+            rows.append(_facts(read(path)))
+        except (ValueError, OSError) as error:
+            why = str(error).removeprefix(f"{path}: ")
+            rows.append({"session": printable(path), "outcome": f"cannot be read: {why}"})
+    whole = [row for row in rows if "begun" in row]  # a long reason moves no column
+    widths = {key: max(len(row[key]) for row in whole) for key in LINE}
+    for row in rows:
+        print("  ".join(f"{row.get(key, ''):{widths[key]}}" for key in LINE).rstrip())
+
+
+def _facts(session: Session) -> dict[str, str]:
+    """What there is to say about a session, by the names of `LINE`."""
+    from wam_power_ros.reporting.terminal import number
+
+    settings, records = session.header.settings, session.records
+    tests = [record for record in records if record.kind == "retest"]
+    judged, kind = (tests, "re-tests") if tests else (records, "rollouts")
+    outcome = f"{sum(record.succeeded for record in judged)} of {len(judged)} {kind} succeeded"
+    if sum(record.ret is not None for record in tests) < settings.practice.retests:
+        outcome += ", not ended"
+    begun = time.localtime((session.folder / "session.yaml").stat().st_mtime)
+    return {
+        "session": printable(short_path(session.folder.resolve())),
+        "task": settings.task,
+        "learner": settings.learner,
+        "rollouts": str(len(records)),
+        "best return": number(max((r.ret for r in records if r.ret is not None), default=None)),
+        "outcome": outcome,
+        "begun": time.strftime("%Y-%m-%d %H:%M", begun),
+    }
 
 
 def feedback(kind: str, given: str | None, session: Path | None) -> int:
@@ -333,15 +362,14 @@ def view(path: Path | None, address: str, port: int) -> int:
     from wam_power_ros.practice.session import Session
 
     print("Preparing the page …", file=sys.stderr, flush=True)
-    from wam_power_ros.view import guarded_server, viewer
+    from wam_power_ros.view import guarded_server, session_page
 
-    signal.signal(signal.SIGTERM, interrupt)
     if path is not None:
         check_name(path)
-    if path is not None and not Session.exists(path) and viewer.running(path):
+    if path is not None and not Session.exists(path) and session_page.running(path):
         print(f"{path} is being taught; the page opens with its session", file=sys.stderr)
         while not Session.exists(path):
-            if not viewer.running(path):
+            if not session_page.running(path):
                 raise UsageError(f"{path} has ended before its session began")
             time.sleep(1.0)
     folder = existing_session(path)
@@ -350,7 +378,7 @@ def view(path: Path | None, address: str, port: int) -> int:
         host = f"[{address}]" if ":" in address else address
         url = f"http://{host}:{server.get_port()}"
         ready = lambda: print(f"{url}  (Ctrl-C ends it)", flush=True)  # noqa: E731
-        viewer.of_session(server, folder, ready, session_domain)
+        session_page.of_session(server, folder, ready, session_domain)
     except KeyboardInterrupt:
         pass
     finally:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import signal
 from pathlib import Path
 
 import numpy as np
@@ -12,15 +11,8 @@ from wam_power_ros import durable_files, rotations
 from wam_power_ros.bags.bag import Bag
 from wam_power_ros.bags.commands import read_commands, read_set_points
 from wam_power_ros.bags.reader import read_states
-from wam_power_ros.bags.table import body_columns
-from wam_power_ros.cli.launcher import (
-    Devices,
-    UsageError,
-    interrupt,
-    launch,
-    short_path,
-    timestamp,
-)
+from wam_power_ros.bags.table import body_poses
+from wam_power_ros.cli.launcher import Devices, UsageError, launch, short_path, timestamp
 from wam_power_ros.cli.plan import RECORDER, SIMULATION, TRACKER, Plan
 from wam_power_ros.commissioning.acceptance import notes, refusals
 from wam_power_ros.commissioning.excitation import Excitation, excitation
@@ -40,11 +32,7 @@ WARNING = "Tool below 1.2 m/s: nobody within reach, a hand on the pendant. "
 
 
 def commission(
-    tool_mass: float | None,
-    flat: bool,
-    output: Path | None,
-    folder: Path | None,
-    devices: Devices,
+    tool_mass: float | None, flat: bool, output: Path | None, folder: Path | None, devices: Devices
 ) -> int:
     """Move the arm, analyse the recording, print what was found and write a set-up file."""
     folder = (folder or Path("commissioning") / timestamp()).resolve()
@@ -135,7 +123,6 @@ def _move(
         plan = excitation(arm, limits, home, rng, 1, (10.0, 10.0))
     movement.parent.mkdir(parents=True, exist_ok=True)
     np.savez(movement, t=plan.t, q=plan.q, rests=plan.rests, sweeps=plan.sweeps)
-    signal.signal(signal.SIGTERM, interrupt)
     planned = Plan(movement.parent, setup, devices.stand_ins, (TRACKER,))
     with launch(planned) as launcher, launcher.robot() as robot:
         robot.link.log_period = LOG_PERIOD
@@ -149,13 +136,11 @@ def _recording(path: Path, setup: overlay.Setup) -> Recording:
     bag, names = Bag(path), setup.joint_names
     states = read_states(bag, names)
     tau = read_commands(bag, _command_topic(setup), states.stamps, names)
-    body, origin = f"body.{setup[TRACKER]['body']}", states.stamps[0]
-    columns, _ = body_columns(bag, states.stamps)
-    seen = [each for each in columns.get(f"{body}.stamp_ns", []) if each is not None]
-    stamps, rows = np.unique(np.array(seen, dtype=np.int64), return_index=True)
-    rows += len(states.q) - len(seen)  # in the first rows it was not seen yet
-    parts = (columns.get(f"{body}.{part}", []) for part in ("x", "y", "z", "qx", "qy", "qz", "qw"))
-    pose = np.stack([np.array(part, dtype=float)[rows] for part in parts], axis=1)
+    origin, poses = states.stamps[0], dict(body_poses(bag, f"/{setup[TRACKER]['body']}/state"))
+    known = np.array(sorted(poses), dtype=np.int64)
+    last = np.unique(np.searchsorted(known, states.stamps, side="right") - 1)  # up to each state
+    stamps = known[last[last >= 0]]
+    pose = np.array([poses[stamp] for stamp in stamps.tolist()]).reshape(-1, 7)
     return Recording(
         t=(states.stamps - origin) * 1e-9,
         q=states.q,

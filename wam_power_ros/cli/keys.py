@@ -9,53 +9,46 @@ import sys
 import termios
 import threading
 import tty
-from contextlib import ExitStack
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from wam_power_ros.client.feedback import Feedback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 KEYS = {"r": "reward", "p": "punish", "s": "stop", " ": "pause", "c": "continue"}
 HINT = "keys: s stop the arm, space pause, c continue, r reward, p punish, 0 to 9 rate if asked"
 
 
-class Keys:
-    """Context manager that passes keys to the learner; does nothing without a terminal."""
+@contextmanager
+def passing_keys(domain: int | None) -> Iterator[Callable[[], str]]:
+    """Pass keys on to the learner in the block; nothing without a terminal.
 
-    def __init__(self, domain: int | None) -> None:
-        """Take the DDS domain of a simulation; None for that of ROS_DOMAIN_ID."""
-        self._domain, self._ends = domain, ExitStack()
-        self._feedback: Feedback | None = None
-        self._status = ""
+    `domain` is the DDS domain of a simulation; None for that of ROS_DOMAIN_ID. The function that is
+    yielded passes on the keys that were pressed and returns the status to display.
+    """
+    fd = sys.stdin.fileno() if sys.stdin.isatty() else None
+    if fd is None or os.tcgetpgrp(fd) != os.getpgrp():  # a background job
+        yield lambda: ""
+        return
+    from wam_power_ros.client.feedback import answered, connected
 
-    def __enter__(self) -> Keys:
-        fd = sys.stdin.fileno() if sys.stdin.isatty() else None
-        if fd is not None and os.tcgetpgrp(fd) == os.getpgrp():  # else a background job
-            from wam_power_ros.client.feedback import connected
+    status = HINT
 
-            with self._ends as ends:
-                self._feedback = ends.enter_context(connected(self._domain, quiet=True))
-                ends.callback(termios.tcsetattr, fd, termios.TCSADRAIN, termios.tcgetattr(fd))
-                tty.setcbreak(fd)
-                self._status, self._ends = HINT, ends.pop_all()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._ends.close()
-
-    def poll(self) -> str:
-        """Pass on the keys that were pressed; return the status to display."""
-        if self._feedback is not None and select.select([sys.stdin], [], [], 0.0)[0]:
-            for key in os.read(sys.stdin.fileno(), 64).decode(errors="replace"):
-                if key in KEYS or key in "0123456789":
-                    threading.Thread(target=self._give, args=(key,), daemon=True).start()
-        return self._status
-
-    def _give(self, key: str) -> None:
-        """Pass on a key in a thread of its own: a stop waits for no other answer."""
-        from wam_power_ros.client.feedback import answered
-
+    def give(key: str) -> None:  # in a thread of its own: a stop waits for no other answer
+        nonlocal status
         kind, value = (KEYS[key], None) if key in KEYS else ("rate", int(key) / 9.0)
-        self._status = f"{kind} …"
-        answer = answered(lambda: self._feedback.give(kind, value=value))
-        self._status = answer.text if answer.success else f"{kind} refused: {answer.text}"
+        status = f"{kind} …"
+        answer = answered(lambda: feedback.give(kind, value=value))
+        status = answer.text if answer.success else f"{kind} refused: {answer.text}"
+
+    def poll() -> str:
+        if select.select([fd], [], [], 0.0)[0]:
+            for key in os.read(fd, 64).decode(errors="replace"):
+                if key in KEYS or key in "0123456789":
+                    threading.Thread(target=give, args=(key,), daemon=True).start()
+        return status
+
+    with connected(domain, quiet=True) as feedback:
+        before = termios.tcgetattr(fd)
+        try:
+            tty.setcbreak(fd)
+            yield poll
+        finally:
+            termios.tcsetattr(fd, termios.TCSADRAIN, before)

@@ -12,21 +12,13 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from types import FrameType
-from typing import IO, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
 from wam_power_ros import installed
-from wam_power_ros.cli.plan import (
-    DOMAIN_FILE,
-    LEARNER,
-    RECORDER,
-    SIMULATION,
-    TRACKER,
-    Plan,
-)
+from wam_power_ros.cli.plan import DOMAIN_FILE, LEARNER, RECORDER, SIMULATION, TRACKER, Plan
 from wam_power_ros.cli.processes import ProcessError, Processes, Running
 from wam_power_ros.console.prompt import ask, show
-from wam_power_ros.durable_files import check_name
+from wam_power_ros.durable_files import check_name, is_locked
 from wam_power_ros.entry import SIGNALS
 from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import robot_description
@@ -173,8 +165,11 @@ def launch(plan: Plan, text: str = "") -> Iterator[Launcher]:
                 f"The simulation uses ROS_DOMAIN_ID {domain} so that it reaches no robot. To see "
                 f"its topics in another terminal: export ROS_DOMAIN_ID={domain}"
             )
-        else:
-            _confirm_activation()
+        elif not ask(
+            "The controller will hold the arm in its current posture once the driver sends states. "
+            "Keep a hand on the pendant, then press Enter: "
+        ):  # before `activate`
+            raise UsageError("no answer: standard input is closed")
         for file, text in files.items():
             file.write_text(text, encoding="utf-8")
         launcher = Launcher(plan, stack.enter_context(Processes(plan.file.parent, environment)))
@@ -196,24 +191,19 @@ def folder_lock(folder: Path) -> Iterator[None]:
     """
     (folder / "logs").mkdir(parents=True, exist_ok=True)
     with (folder / "logs" / ".lock").open("a") as file:
-        if not _lock(file) or learner_is_running(folder):
+        held = learner_is_running(folder)
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            held = True
+        if held:
             raise UsageError(f"another session or learner is using {folder}")
         yield
 
 
 def learner_is_running(folder: Path) -> bool:
     """Whether a learner is running in a session folder."""
-    with (folder / ".lock").open("a") as file:
-        return not _lock(file)
-
-
-def _lock(file: IO[str]) -> bool:
-    """Lock a file until it is closed; return False if another process holds it."""
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True
+    return is_locked(folder / ".lock")
 
 
 def check_space(folder: Path, needed: float) -> None:
@@ -247,15 +237,6 @@ def secured() -> bool:
     return os.environ.get("ROS_SECURITY_ENABLE") == "true"
 
 
-def _confirm_activation() -> None:
-    """Wait for Enter before the controller starts; `console.activation` activates it then."""
-    if not ask(
-        "The controller will hold the arm in its current posture once the driver sends states. "
-        "Keep a hand on the pendant, then press Enter: "
-    ):
-        raise UsageError("no answer: standard input is closed")
-
-
 def timestamp() -> str:
     """Current time as a folder name."""
     return datetime.now().strftime("%Y-%m-%d-%H%M%S")
@@ -265,8 +246,3 @@ def short_path(path: Path) -> Path:
     """Path relative to the working directory where it lies below it."""
     here = Path.cwd()
     return path.relative_to(here) if path.is_relative_to(here) else path
-
-
-def interrupt(number: int, frame: FrameType | None) -> None:
-    """Signal handler that acts as Ctrl-C does."""
-    raise KeyboardInterrupt

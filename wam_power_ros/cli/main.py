@@ -12,6 +12,7 @@ import contextlib
 import io
 import os
 import shutil
+import signal
 import sys
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
@@ -22,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from wam_power_ros import __version__, installed
-from wam_power_ros.cli import bags_command, commands, sessions_command
+from wam_power_ros.cli import bags_command, commands
 from wam_power_ros.cli.launcher import Devices, UsageError
 from wam_power_ros.cli.parser import (
     add_command,
@@ -65,6 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         argcomplete.autocomplete(parser)
     options = parser.parse_args(arguments)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # acts as Ctrl-C does
     try:
         command, values = _command(options)
         return int(command(**values) or 0)
@@ -159,7 +161,7 @@ def _parser() -> argparse.ArgumentParser:
     task_option(doctor, "none")
     arm_options(doctor)
 
-    listing = add("sessions", sessions_command.sessions, "list sessions")
+    listing = add("sessions", commands.sessions, "list sessions")
     folders = f"a session, or a folder of sessions (default: {SESSIONS})"
     listing.add_argument("folder", type=Path, nargs="*", help=folders)
     feedback = add("feedback", commands.feedback, "rate the last rollout, or teach, in a session")

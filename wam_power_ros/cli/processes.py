@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -22,10 +23,12 @@ from pathlib import Path
 LIBC = ctypes.CDLL(None)  # loaded before a process is forked, when other threads may load, too
 PR_SET_PDEATHSIG = 1
 TAIL_LINES = 15  # of a log, shown when a process dies
-LOG_FORM = {  # that `node_log` reads, whatever the terminal has
+LOG_FORM = {  # that `NodeLogs` reads, whatever the terminal has
     "RCUTILS_CONSOLE_OUTPUT_FORMAT": "[{severity}] [{time}] [{name}]: {message}",
     "RCUTILS_COLORIZED_OUTPUT": "0",
 }
+LOG_LINE = re.compile(r"\[(DEBUG|INFO|WARN|ERROR|FATAL)\] \[[\d.]+\] \[([^\]]+)\]: (.*)")
+PROBLEMS = ("WARN", "ERROR", "FATAL")
 MEMORY = " (by a person, or by the kernel for lack of memory: see `dmesg`)"
 SPACE_MIN = 1e6  # free bytes of a disk, below which nothing can be logged
 
@@ -42,12 +45,6 @@ class Running:
     process: subprocess.Popen[bytes]
     log: Path
 
-    @property
-    def tail(self) -> str:
-        """Last lines of the log."""
-        lines = self.log.read_text(errors="replace").splitlines()
-        return "\n".join(lines[-TAIL_LINES:]) or "(nothing was printed)"
-
     def error(self) -> ProcessError:
         """Error that says how the process has ended."""
         status = self.process.returncode
@@ -55,7 +52,9 @@ class Running:
         if status < 0:
             cause = f"was ended by {signal.Signals(-status).name}"
             cause += MEMORY if -status == signal.SIGKILL else ""
-        text = f"{self.name} {cause}. End of {self.log}:\n{self.tail}"
+        lines = self.log.read_text(errors="replace").splitlines()[-TAIL_LINES:]
+        tail = "\n".join(lines) or "(nothing was printed)"
+        text = f"{self.name} {cause}. End of {self.log}:\n{tail}"
         if shutil.disk_usage(self.log.parent).free < SPACE_MIN:  # then no log says it
             text += f"\nThe disk of {self.log.parent} is full: free some space."
         return ProcessError(text)
@@ -137,6 +136,25 @@ class Processes:
 
     def __exit__(self, *error: object) -> None:
         self.stop()
+
+
+class NodeLogs:
+    """Reads what is appended to the logs of a folder from now on."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._read = {file: file.stat().st_size for file in folder.glob("*.log")}
+
+    def new(self) -> Iterator[tuple[str, bool]]:
+        """Messages since the last call, with the node's name, and whether each is a problem."""
+        for file in sorted(self._folder.glob("*.log")):
+            with file.open("rb") as opened:
+                opened.seek(self._read.get(file, 0))
+                text, newline, _ = opened.read().rpartition(b"\n")
+            self._read[file] = self._read.get(file, 0) + len(text) + len(newline)
+            for line in text.decode(errors="replace").splitlines():
+                if found := LOG_LINE.match(line):  # not of other formats
+                    yield f"{found[2]}: {found[3]}", found[1] in PROBLEMS
 
 
 def _end_with_parent() -> None:

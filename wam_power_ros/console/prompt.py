@@ -32,11 +32,9 @@ def let_go_after(person: bool) -> Iterator[None]:
 
 
 def choose(default: str, keys: Mapping[str, str]) -> str:
-    """Ask for a choice until a valid one is entered.
+    """Ask for a choice, by one of its keys, until a valid one is entered.
 
-    Args:
-        default: Choice for Enter alone, or if standard input is closed.
-        keys: Key -> choice.
+    Enter alone, or a closed standard input, is the default.
     """
     listed = ", ".join(f"{key}: {word}" for key, word in keys.items())
     while True:

@@ -18,13 +18,7 @@ from wam_power_ros.control import replay_trajectory
 from wam_power_ros.entry import INTERRUPTED
 from wam_power_ros.ros.outcomes import Answer, Code, ServiceError
 
-NO_MOTION_CODES = (
-    Code.REFUSED,
-    Code.TOO_FAST,
-    Code.NOT_ACTIVE,
-    Code.BUSY,
-    Code.NOTHING,
-)
+NO_MOTION_CODES = (Code.REFUSED, Code.TOO_FAST, Code.NOT_ACTIVE, Code.BUSY, Code.NOTHING)
 SETTLE_TIME = 1.0  # [s of wall time] recorded after a stop, while the arm comes to rest
 
 
@@ -38,15 +32,12 @@ def replay(
     running: bool = False,
     warning: str = "",
 ) -> int:
-    """Replay a movement once, see `replay_trajectory.movement`; returns the exit status.
+    """Replay a movement of times t (N,) [s] and angles q (N, n) [rad]; returns the exit status.
 
     Args:
-        t: Times [s]. Shape (N,).
-        q: Joint angles [rad]. Shape (N, n).
         speed: Speed relative to the recording, for messages.
-        person: Whether to ask the person beside a real arm before it moves.
+        person: Whether to ask the person beside a real arm before it moves, after a `warning`.
         running: Whether the nodes go on afterwards: nothing is recorded, and the arm is held.
-        warning: Sentences before the question, each with a space after it; empty for none.
 
     Raises:
         ServiceError: A service does not appear, does not answer in time, or refuses.

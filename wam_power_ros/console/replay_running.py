@@ -14,7 +14,6 @@ if __name__ == "__main__":  # before the other imports, which a signal may inter
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
@@ -36,21 +35,6 @@ OF_ARM = ("model_joint_names", "tool_frame", "base_frame", "position_limits")
 NAMES = ("joint_names", "urdf", "simulation", *OF_ARM)
 
 
-def controller_parameters(link: Link) -> dict[str, Any]:
-    """Ask the running controller for its parameters `NAMES`.
-
-    Raises:
-        ServiceError: None answers.
-    """
-    values = link.parameters(CONTROLLER, NAMES, APPEAR_TIMEOUT)
-    if not values:
-        raise ServiceError(
-            f"no node {CONTROLLER} in this domain (ROS_DOMAIN_ID) and namespace answers: start the "
-            "nodes, or use `wam-power replay`, which starts its own"
-        )
-    return dict(zip(NAMES, map(parameter_value_to_python, values), strict=True))
-
-
 def replay_running(link: Link, bag: Path, speed: float) -> int:
     """Replay a bag on the running nodes; returns the exit status.
 
@@ -58,7 +42,13 @@ def replay_running(link: Link, bag: Path, speed: float) -> int:
         ValueError: The bag is not acceptable, or of another arm.
         ServiceError: A service does not appear, does not answer in time, or refuses.
     """
-    found = controller_parameters(link)
+    values = link.parameters(CONTROLLER, NAMES, APPEAR_TIMEOUT)
+    if not values:
+        raise ServiceError(
+            f"no node {CONTROLLER} in this domain (ROS_DOMAIN_ID) and namespace answers: start the "
+            "nodes, or use `wam-power replay`, which starts its own"
+        )
+    found = dict(zip(NAMES, map(parameter_value_to_python, values), strict=True))
     identity = None
     if found["urdf"]:
         urdf = robot_description(found["urdf"])

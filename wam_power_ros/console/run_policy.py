@@ -36,9 +36,7 @@ def task_of(session: Session | None, name: str) -> tuple[Task | None, str]:
 def run(robot: Robot, policy: Policy, task: Task | None, rollouts: int, person: bool) -> int:
     """Execute a policy as often as asked; returns the exit status.
 
-    Args:
-        task: Scores the rollouts; None for no returns.
-        person: Whether to ask the person beside a real arm before each rollout.
+    A task scores the rollouts; a person beside a real arm is asked before each of them.
 
     Raises:
         ServiceError: The controller does not answer or refuses to stop.

@@ -20,12 +20,10 @@ KEYS = {"a": AGAIN, "d": DISCARD, "q": DONE}
 
 
 def record_series(robot: Robot, file: Path, wanted: int, *, person: bool, review: bool) -> None:
-    """Record demonstrations; the arm holds its position afterwards.
+    """Record demonstrations, add them to a list of bags and hold the arm.
 
-    Args:
-        file: List of bags, to which new ones are added.
-        person: Whether a person guides the arm by hand, or the demonstrator of the stand-in.
-        review: Whether to ask a person after each take to keep, repeat or discard it.
+    A person guides the arm by hand, or else the demonstrator of the stand-in; a `review` asks after
+    each take to keep, repeat or discard it.
 
     Raises:
         ServiceError: A service does not appear, does not answer in time, or refuses.

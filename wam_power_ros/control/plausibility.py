@@ -324,7 +324,5 @@ class Plausibility:
 
 def _standing(counts: list[int], before: list[float], now: list[float]) -> list[int]:
     """Count on for how many states each position has stayed the same."""
-    if compiled.kernel is not None:
-        return compiled.kernel.standing(counts, before, now)
     rows = zip(counts, before, now, strict=True)
     return [count + 1 if x == previous else 0 for count, previous, x in rows]

@@ -36,9 +36,7 @@ POINTS = {  # kind of a rollout -> label, marker and colour
 
 
 def learning_curve(
-    returns: Sequence[float],
-    kinds: Sequence[str] = (),
-    marks: Mapping[int, str] | None = None,
+    returns: Sequence[float], kinds: Sequence[str] = (), marks: Mapping[int, str] | None = None
 ) -> Figure:
     """Return over the rollouts of a session by their kind, with an average of explorations.
 

@@ -26,7 +26,7 @@ from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.practice import session
 from wam_power_ros.practice.best_policy import reproduction_learnt_from
 from wam_power_ros.practice.failure import why_failed
-from wam_power_ros.practice.session import SessionHeader
+from wam_power_ros.practice.session import Session, SessionHeader
 from wam_power_ros.practice.session_log import KIND_NAMES, Record
 from wam_power_ros.reporting import figures, html_page
 from wam_power_ros.reporting.terminal import (
@@ -52,20 +52,17 @@ class ShownRollout:
 
 
 def render(
-    header: SessionHeader,
-    task: Task,
-    start: policy.Policy | None,
+    found: Session,
     answer: policy.Policy | None,
-    records: Sequence[Record],
     shown: ShownRollout | None = None,
     why_no_film: str = "",
 ) -> str:
-    """Render the report as HTML.
+    """HTML of the report of a session and its best policy so far, if it has one.
 
-    `start` is the policy of the demonstration that was learnt from, None before the choice;
-    `answer` the best policy so far; `shown` a rollout in detail, whose film may be missing.
+    `shown` is a rollout in detail, whose film may be missing.
     """
-    parts = [_cards(task, records), _verdict(header, task, start, answer, records)]
+    task, records, start = found.task, found.records, found.start
+    parts = [_cards(task, records), _verdict(found, answer)]
     if shown is not None:
         parts.append(_shown(task, shown, why_no_film))
     if records:
@@ -76,8 +73,8 @@ def render(
         text = f"Vertical stiffness over the movement: the demonstration's and that of {answer.id}."
         drawn = figures.stiffness(profiles)
         parts.append(html_page.section("Stiffness", [text], _svg(drawn, text)))
-    parts += [_table(task, records), _settings(header)]
-    return html_page.page(f"Session of seed {header.seed}, task {task.name}", parts)
+    parts += [_table(task, records), _settings(found.header)]
+    return html_page.page(f"Session of seed {found.header.seed}, task {task.name}", parts)
 
 
 def write(folder: Path, shown: ShownRollout | None = None, why_no_film: str = "") -> Path:
@@ -90,8 +87,7 @@ def write(folder: Path, shown: ShownRollout | None = None, why_no_film: str = ""
     saved = folder / "policy.json"
     answer = policy.from_json(saved.read_text()) if saved.exists() else None
     path = folder / "report.html"
-    html = render(found.header, found.task, found.start, answer, found.records, shown, why_no_film)
-    durable_files.replace(path, html)
+    durable_files.replace(path, render(found, answer, shown, why_no_film))
     return path
 
 
@@ -127,13 +123,8 @@ def _cards(task: Task, records: Sequence[Record]) -> Markup:
     return html_page.cards(cards)
 
 
-def _verdict(
-    header: SessionHeader,
-    task: Task,
-    start: policy.Policy | None,
-    answer: policy.Policy | None,
-    records: Sequence[Record],
-) -> Markup:
+def _verdict(found: Session, answer: policy.Policy | None) -> Markup:
+    header, task, records = found.header, found.task, found.records
     settings = header.settings
     text = [
         f"Seed {header.seed}, {settings.described(task)}; at most "
@@ -166,7 +157,7 @@ def _verdict(
         )
     lines = [*before_and_after(records, task), *task.summary(records), *resets(records)]
     lines += [] if answer is None else choice(records, answer.id)
-    lines += failed(why_failed(records, task, settings, start))
+    lines += failed(why_failed(records, task, settings, found.start))
     text += [f"{line[0].upper()}{line[1:]}." for line in lines]
     if decisions := [record.note for record in records if record.note]:
         text.append(f"Last decision: {decisions[-1]}.")

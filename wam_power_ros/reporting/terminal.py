@@ -21,7 +21,6 @@ from wam_power_ros.practice.settings import SessionSettings
 from wam_power_ros.tasks.task import Task
 
 ROLLOUTS_SHOWN = 14  # newest rollouts in the table
-SILENCE_MAX = 5.0  # longest time without a line in a file [s]
 OUTCOME_MIN = 24  # width of the column [characters]
 BARS = "▁▂▃▄▅▆▇█"
 STYLES = {"reproduction": "cyan", "explore": "", "mean": "magenta", "retest": "green"}
@@ -211,20 +210,14 @@ def choice(records: Sequence[Record], id: str) -> list[str]:
 
 
 class Display:
-    """Shows new records: a live table on a terminal, one line each in a file.
-
-    Attributes:
-        footer: Line below the table, such as the response to a key.
-    """
+    """Shows new records: a live table on a terminal, one line each in a file."""
 
     def __init__(self, console: Console | None = None) -> None:
-        self.footer = ""
+        self.footer = ""  # line below the table, such as the response to a key
         self._outcome: Outcome = lambda record: ""
         self._log: Sequence[Line] = ()
         self._method = ""  # of the session, once it is shown
         self._message = ""  # latest one of a node
-        self._silent_since: float | None = None  # [s]
-        self._progress_shown_at = 0.0  # [s]
         self._console = console or Console()
         self._progress = Progress(
             TextColumn("{task.description}"),
@@ -269,19 +262,8 @@ class Display:
         if is_problem:
             self._print(text, style="yellow")
 
-    def tick(self, now: float) -> None:
-        """Print a progress line in a file that had no line for `SILENCE_MAX`; `now` in s."""
-        if self._silent_since is None:
-            self._silent_since = self._progress_shown_at = now
-        elif not self._console.is_terminal and now - self._progress_shown_at >= SILENCE_MAX:
-            silence = now - self._silent_since
-            text = f"      ... {silence:.0f} s, last message: {self._message or 'none'}"
-            self._console.print(text, highlight=False, soft_wrap=True, markup=False)
-            self._progress_shown_at = now
-
     def _print(self, text: str, style: str = "") -> None:
         self._console.print(text, style=style, highlight=False, soft_wrap=True, markup=False)
-        self._silent_since = None
 
     def _render(self) -> RenderableType:
         records = with_ratings(self._log)

@@ -46,20 +46,16 @@ class LiveState:
 
 
 class View(Node):
-    """Subscribes to the topics of a session and calls its services, through its link.
-
-    Attributes:
-        urdf: Text of the arm's URDF, "" until it is received.
-        base_frame: Link in whose frame the body is.
-    """
+    """Subscribes to the topics of a session and calls its services, through its link."""
 
     def __init__(self, controller: Mapping[str, Any], body: str) -> None:
         super().__init__("view")
         self.state = LiveState()
+        # Text of the arm's URDF, "" until it is received
         self.urdf = robot_description(controller["urdf"]) if controller["urdf"] else ""
         self._reader = JointStateReader(controller["joint_names"])
         self.model_joint_names = tuple(controller["model_joint_names"])
-        self.base_frame = controller["base_frame"]
+        self.base_frame = controller["base_frame"]  # link in whose frame the body is
         self.link = link = Link(self, APPEAR_TIMEOUT)
         self._feedback = Feedback(link)
         self._robot = Robot(link, controller["state_topic"], body=body)

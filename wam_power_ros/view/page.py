@@ -44,11 +44,7 @@ def plain(text: str) -> str:
 
 
 class Page:
-    """One page, the same in every browser that opens it, drawn by `GuardedServer.draw` alone.
-
-    Attributes:
-        terms: Text below the learning curve.
-    """
+    """One page, the same in every browser that opens it, drawn by `GuardedServer.draw` alone."""
 
     def __init__(self, server: GuardedServer, title: str) -> None:
         self.server = server
@@ -208,7 +204,7 @@ class Page:
                 legend=uplot.Legend(show=True, live=False),
                 height=220,
             )
-            self.terms = self.server.gui.add_markdown("")
+            self.terms = self.server.gui.add_markdown("")  # below the learning curve
         return chart
 
 
