@@ -103,3 +103,14 @@ def test_what_is_imported_has_one_thread_and_an_ignored_signal_stays_ignored(
     environment = {"PYTHONPATH": python_path(tmp_path, ROOT), "OMP_NUM_THREADS": "4"}
     ended = subprocess.run([sys.executable, "-c", code], env={**os.environ, **environment})
     assert ended.returncode == status
+
+
+def test_a_missing_system_library_is_named_with_its_package(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    error = ImportError("libgomp.so.1: cannot open shared object file", name="pinocchio.pinocchio")
+    with monkeypatch.context() as here:
+        here.setattr(entry, "find_library", lambda name: None)
+        assert entry.missing(error) == f"{error}: apt install libgomp1"
+    with pytest.raises(ImportError):
+        entry.missing(error)

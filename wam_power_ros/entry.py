@@ -16,6 +16,7 @@ import os
 import signal
 import sys
 import warnings
+from ctypes.util import find_library
 from functools import partial
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -29,7 +30,9 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 def missing(error: ImportError) -> str:
-    """One line: what cannot be imported, and the extra that brings it; raises any other error."""
+    """One line: what cannot be imported, and what brings it; raises any other error."""
+    if find_library("gomp") is None:
+        return f"{error}: apt install libgomp1"
     package = (error.name or "").partition(".")[0]
     if package in (__package__, "hardware_sim"):
         raise error

@@ -90,6 +90,10 @@ def test_a_session_whose_final_policy_cannot_be_executed_has_a_report_without_it
     assert main.main(["report", str(folder)]) == 0
     assert f"No film in the report: {why}" in capsys.readouterr().out
     assert "Learning curve" in (folder / "report.html").read_text()
+    monkeypatch.delenv("MUJOCO_GL", raising=False)
+    monkeypatch.setattr("wam_power_ros.cli.commands.find_library", lambda name: None)
+    assert main.main(["report", str(folder)]) == 0
+    assert "No film in the report: MuJoCo draws with EGL: apt install" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from ctypes.util import find_library
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -412,7 +413,10 @@ def _report_with_film(folder: Path) -> None:
     from wam_power_ros.reporting import session_report
 
     command = [sys.executable, "-m", "wam_power_ros.in_process.session_answer", str(folder)]
-    if (error := _last_error(command, os.environ.get("MUJOCO_GL", "egl"))) is not None:
+    gl = os.environ.get("MUJOCO_GL", "egl")
+    if (error := _last_error(command, gl)) is not None:
+        if gl == "egl" and not all(map(find_library, ("EGL", "GL"))):
+            error = "MuJoCo draws with EGL: apt install libegl1 libgl1"
         print(f"No film in the report: {error}")
         if (error := _last_error([*command, "--no-film", error], "disable")) is not None:
             session_report.write(folder)
