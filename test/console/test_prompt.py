@@ -17,6 +17,7 @@ from rigid_arm import HOME, MODEL
 
 from wam_power_ros.console import replay, run_policy
 from wam_power_ros.console.prompt import ask, let_go_after
+from wam_power_ros.ros.outcomes import ServiceError
 
 T, Q = np.array([0.0, 1.0]), np.array([HOME, HOME])
 
@@ -62,7 +63,7 @@ class Broken:
         raise RuntimeError(name)
 
 
-@pytest.mark.parametrize(
+each_command_that_moves_the_arm = pytest.mark.parametrize(
     "move",
     [
         lambda robot: replay.replay(robot, "bag", T, Q, 1.0, person=True),
@@ -70,9 +71,26 @@ class Broken:
     ],
     ids=["replay", "run-policy"],
 )
-def test_each_command_that_moves_the_arm_asks_for_support_also_after_an_unexpected_error(
+
+
+@each_command_that_moves_the_arm
+def test_support_is_asked_for_also_after_an_unexpected_error(
     move: Callable[[Broken], int], capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(RuntimeError):
         move(Broken())
     assert "Support the arm" in capsys.readouterr().err
+
+
+@each_command_that_moves_the_arm
+def test_an_arm_does_not_move_where_nobody_can_answer(
+    move: Callable[[Broken], int],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO(""))
+    try:
+        assert move(Broken()) == 1
+        assert "standard input is closed" in capsys.readouterr().out
+    except ServiceError as error:
+        assert "standard input is closed" in str(error)

@@ -7,6 +7,8 @@ import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
+from wam_power_ros.ros.outcomes import ServiceError
+
 
 def show(text: str) -> None:
     """Print a line and flush it, also if the output is a file."""
@@ -19,6 +21,12 @@ def ask(text: str) -> bool:
     sys.stderr.write(text)
     sys.stderr.flush()
     return bool(sys.stdin.readline())
+
+
+def confirm(text: str) -> None:
+    """Ask before the arm moves; a ServiceError if standard input is closed."""
+    if not ask(text):
+        raise ServiceError("no answer: standard input is closed")
 
 
 @contextmanager

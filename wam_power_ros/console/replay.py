@@ -13,7 +13,7 @@ from contextlib import nullcontext
 import numpy as np
 
 from wam_power_ros.client.robot import Robot, Stopped
-from wam_power_ros.console.prompt import ask, let_go_after, show
+from wam_power_ros.console.prompt import confirm, let_go_after, show
 from wam_power_ros.control import replay_trajectory
 from wam_power_ros.entry import INTERRUPTED
 from wam_power_ros.ros.outcomes import Answer, Code, ServiceError
@@ -46,7 +46,7 @@ def replay(
     robot.stop()  # succeeds once the controller is active
     with let_go_after(person and not running):
         if person:
-            ask(f"{warning}The arm will move to the start of {movement}. Press Enter: ")
+            confirm(f"{warning}The arm will move to the start of {movement}. Press Enter: ")
         show(f"Replaying {movement}; Ctrl-C stops the arm")
         with nullcontext() if running else robot.record() as bag:
             try:

@@ -11,7 +11,7 @@ from functools import partial
 
 from wam_power_ros.client.robot import Robot
 from wam_power_ros.client.rollouts import Executed
-from wam_power_ros.console.prompt import ask, let_go_after, show
+from wam_power_ros.console.prompt import confirm, let_go_after, show
 from wam_power_ros.console.replay import SETTLE_TIME
 from wam_power_ros.entry import INTERRUPTED
 from wam_power_ros.learning.policy import Policy
@@ -53,7 +53,7 @@ def run(robot: Robot, policy: Policy, task: Task | None, rollouts: int, person: 
                 place = f"{number} of {rollouts}"
                 if person:
                     moves = f"The arm will move to the start of {policy.id} and execute it"
-                    ask(f"{body}{moves} ({place}). Press Enter: ")
+                    confirm(f"{body}{moves} ({place}). Press Enter: ")
                 done = robot.rollout(policy, ready)
                 faults += done.rollout.fault is not None
                 assessed = task.assess(policy, done.rollout) if task else None

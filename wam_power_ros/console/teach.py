@@ -12,8 +12,7 @@ from pathlib import Path
 
 from wam_power_ros.bags import series
 from wam_power_ros.client.robot import Robot
-from wam_power_ros.console.prompt import ask, choose, show
-from wam_power_ros.ros.outcomes import ServiceError
+from wam_power_ros.console.prompt import choose, confirm, show
 
 KEEP, AGAIN, DISCARD, DONE = "keep", "again", "discard", "done"
 KEYS = {"a": AGAIN, "d": DISCARD, "q": DONE}
@@ -48,17 +47,12 @@ def record_series(robot: Robot, file: Path, wanted: int, *, person: bool, review
 def _take(robot: Robot, number: int, person: bool) -> Path:
     """Record one demonstration; returns the path of its bag."""
     if person:
-        _ask(f"demonstration {number}: press Enter, then guide the arm by hand ")
+        confirm(f"demonstration {number}: press Enter, then guide the arm by hand ")
     else:
         robot.put_back()
     with robot.record() as bag:
         if person:
-            _ask("press Enter when the movement is over ")
+            confirm("press Enter when the movement is over ")
         else:
             robot.demonstrate()
     return bag
-
-
-def _ask(text: str) -> None:
-    if not ask(text):
-        raise ServiceError("no answer: standard input is closed")
