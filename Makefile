@@ -91,7 +91,7 @@ format: $(READY)
 # colcon runs with the Python of .venv, because the installed executables start with the Python that built them. It does not
 # look for packages inside of a package, so it is given both folders.
 build: $(READY)
-	@$(BIN)/python -c 'import colcon, colcon_ros' 2>/dev/null || $(BIN)/python -m pip install --quiet \
+	@$(BIN)/python -c 'import colcon, colcon_ros' 2>/dev/null || PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet \
 	    -c $(VENV)/constraints.txt -e '.[build]'
 	$(BIN)/python -m colcon build --base-paths $(BUILT) --packages-up-to wam_power_ros
 

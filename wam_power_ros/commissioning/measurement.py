@@ -188,7 +188,7 @@ def _apart(arm: Arm, cameras: CameraFrame, recorded: Recording, parts: np.ndarra
         if len(errors) > 1:
             noise = np.var(errors, axis=0, ddof=1) / len(errors)
             rows.append((np.mean(errors, axis=0) ** 2 - noise).sum(axis=1))
-    return np.array(rows or [[np.nan, np.nan]])
+    return np.array(rows) if rows else np.full((1, 2), np.nan)
 
 
 def _error(arm: Arm, cameras: CameraFrame, q: np.ndarray, seen: Pose) -> np.ndarray:
