@@ -86,6 +86,7 @@ def test_a_session_whose_final_policy_cannot_be_executed_has_a_report_without_it
         record = practice.learn_assessed(trial, toss(trial, practice.task.settings))
         session.append(record.model_copy(update={"truth": {"caught": True}}))
     why = "policy answer-quiet belongs to another arm"
+    monkeypatch.setattr("wam_power_ros.cli.commands.find_library", lambda name: name)
     monkeypatch.setattr("wam_power_ros.cli.commands._last_error", lambda command, gl: why)
     assert main.main(["report", str(folder)]) == 0
     assert f"No film in the report: {why}" in capsys.readouterr().out

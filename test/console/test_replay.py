@@ -124,6 +124,6 @@ def test_a_node_that_ends_ends_a_wait_for_the_arm_with_its_name_at_once(
     (tmp_path / "logs" / DOMAIN_FILE).write_text(str(domain_id))
     with Processes(tmp_path, {}) as processes, Launcher(plan, processes).robot() as robot:
         node = processes.start("torque_controller", ["sleep", "60"])
-        node.process.kill()
         with pytest.raises(ProcessError, match="torque_controller was ended by SIGKILL"):
+            node.process.kill()
             robot.link.until(lambda: False, timeout=60.0)

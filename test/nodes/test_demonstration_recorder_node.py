@@ -160,6 +160,7 @@ def test_a_recording_that_cannot_be_is_refused_with_its_reason(make: Make) -> No
     assert record(node, False) == (False, "not recording")
     _, path = record(node, True)
     assert record(node, True) == (False, f"already recording {path}")
+    record(node, False)  # its writer flushes files until then
 
 
 @pytest.mark.parametrize(
