@@ -113,7 +113,7 @@ BUDGET = {
     "ros": 2342,  # +24: PoseStamped; variables of ROS and DDS are named with their remedy
     "client": 1290,
     "nodes": 3468,  # +22: frames of poses; +217: an FR3 by its maker's library; +122: NatNet
-    "console": 469,  # a person supports the arm, however a movement ended
+    "console": 467,  # a person supports the arm, however a movement ended
     "view": 834,
     "reporting": 779,
     "in_process": 509,  # a session on disk without nodes

@@ -21,7 +21,7 @@ from wam_power_ros.client.robot import Robot
 from wam_power_ros.console.teach import record_series
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.action_server import Action
-from wam_power_ros.ros.outcomes import Answer, Code, ServiceError, fill
+from wam_power_ros.ros.outcomes import Answer, Code, fill
 
 Teach = Callable[..., list[str]]
 
@@ -109,6 +109,6 @@ def test_takes_before_ctrl_c_are_in_the_series_and_the_arm_holds(
 
 
 def test_a_person_who_cannot_answer_is_not_waited_for(teach: Teach, switched: list[bool]) -> None:
-    with pytest.raises(ServiceError, match="standard input is closed"):
+    with pytest.raises(ValueError, match="standard input is closed"):
         teach(io.StringIO(), person=True)
     assert switched == [True, False]

@@ -7,8 +7,6 @@ import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
-from wam_power_ros.ros.outcomes import ServiceError
-
 
 def show(text: str) -> None:
     """Print a line and flush it, also if the output is a file."""
@@ -24,9 +22,9 @@ def ask(text: str) -> bool:
 
 
 def confirm(text: str) -> None:
-    """Ask before the arm moves; a ServiceError if standard input is closed."""
+    """Ask before the arm moves; a ValueError if standard input is closed."""
     if not ask(text):
-        raise ServiceError("no answer: standard input is closed")
+        raise ValueError("no answer: standard input is closed")
 
 
 @contextmanager
