@@ -114,3 +114,16 @@ def test_a_missing_system_library_is_named_with_its_package(
         assert entry.missing(error) == f"{error}: apt install libgomp1"
     with pytest.raises(ImportError):
         entry.missing(error)
+
+
+@pytest.mark.skipif("ROS_DISTRO" in os.environ, reason="ROS has one Python")
+def test_a_node_that_a_ros2_of_another_python_runs_loads_its_own_libraries(tmp_path: Path) -> None:
+    (tmp_path / "librcl.so").touch()  # no library: who loads it fails
+    (tmp_path / "heard.py").write_text("import rclpy\ndef main(): print('loaded')")
+    given = {"_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1", "LD_LIBRARY_PATH": f"{tmp_path}:/anything"}
+    environment = {**os.environ, **given, "PYTHONPATH": python_path(tmp_path)}
+    code = "from wam_power_ros import entry; entry.start('heard')"
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True
+    )
+    assert done.stdout == "loaded\n", done.stderr

@@ -49,6 +49,7 @@ def missing(error: ImportError) -> str:
 
 def start(module: str, interrupted: int = 0) -> int:
     """Exit status of the `main` of a module; `interrupted` after a signal during the import."""
+    leave_libraries_of_another_python()
     if unloadable := missing_middleware():
         sys.stderr.write(f"{unloadable}\n")
         return REFUSED
@@ -68,6 +69,20 @@ def start(module: str, interrupted: int = 0) -> int:
     for number in SIGNALS:
         signal.signal(number, before[number])
     return main()
+
+
+def leave_libraries_of_another_python() -> None:
+    """Begin anew if a parent has told the wheels of rclpy to load its own libraries.
+
+    A `ros2` of wheels does so to what it runs: libraries for another Python abort the process. At
+    its new begin Python looks for those of its own.
+    """
+    paths = os.environ.get("LD_LIBRARY_PATH", "").split(os.pathsep)
+    own = os.path.join(sys.prefix, "lib")
+    kept = [path for path in paths if path == own or not os.path.exists(f"{path}/librcl.so")]
+    if kept != paths and os.environ.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", ""):
+        os.environ["LD_LIBRARY_PATH"] = os.pathsep.join(kept)
+        os.execv(sys.executable, sys.orig_argv)
 
 
 def missing_middleware() -> str:
