@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import enum
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeVar
 
 from std_srvs.srv import SetBool, Trigger
@@ -46,7 +46,7 @@ class Answer:
     code: Code
     text: str = ""  # sentence for a person
     stop: str = ""  # id of the stop by which a person ended it, "" if none did
-    speed: float = math.nan  # at which a replay that is TOO_FAST is possible, relative to its own
+    speed: float = field(default=math.nan, compare=False)  # relative, for a replay TOO_FAST
     under_way: bool = False  # the trial after which a session pauses
 
     @property
