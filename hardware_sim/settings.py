@@ -123,7 +123,7 @@ class ArmSimParams(Params, WorldSettings):
     """Parameters of config/wam_sim.yaml, settings of the world included."""
 
     file = "wam_sim.yaml"
-    constants: ClassVar = {"friction_share", "body_mass", "body_size", "level"}  # of studies
+    constants: ClassVar[set[str]] = {"friction_share", "body_mass", "body_size", "level"}
 
     pace: Literal["lockstep", "real_time"]
     seed: int = Field(ge=0, le=2**63 - 1, description="a ROS integer")

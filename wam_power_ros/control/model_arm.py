@@ -46,7 +46,7 @@ class ModelArm:
         """Continue at positions [rad] and speeds [rad/s] under a torque [N m]. Shapes (n,)."""
         self.q, self.qd, self.seen = q.copy(), qd, qd
         self._acting = deque([self._scales * tau] * (self._delay + 1), maxlen=self._delay + 1)
-        self._change = np.zeros(len(q))  # of the speeds in the last step, expected in the next
+        self._change: np.ndarray = np.zeros(len(q))  # of the speeds, expected in a step
 
     def advance(self, tau: np.ndarray) -> None:
         """Integrate over one period after a torque (n,) [N m] was sent."""

@@ -279,7 +279,8 @@ class ModelBased(GaussianLearner):
             x, y = moved[known], changed[known, row]
             a = (near[known] * x).T @ x + 0.01 * np.eye(self.size)
             slopes[row] += np.linalg.solve(a, (near[known] * x).T @ (y - x @ slopes[row]))
-        rows, step = np.flatnonzero(np.isfinite(best.values[:m])), np.zeros(self.size)
+        rows = np.flatnonzero(np.isfinite(best.values[:m]))
+        step: np.ndarray = np.zeros(self.size)
         limits, excess = slopes[m:] / EXCESS_UNIT, best.values[m:] / EXCESS_UNIT + 0.5
         for _ in range(8):  # rounds in which it finds the limits that it would exceed
             over = excess + limits @ step > 0.0

@@ -86,9 +86,9 @@ class Reach(Task):
         steps = len(self.demonstrated)
         t = np.arange(steps) * (policy.basis.duration / (steps - 1))
         path = np.stack([np.interp(t, tool.t, x) for x in tool.position.T], axis=1)  # (T, 3)
-        centre, radius = np.zeros(3), 0.0
-        if self.region is not None:
-            centre, radius = np.array(self.region.centre), self.region.radius
+        region = self.region
+        centre = np.zeros(3) if region is None else np.array(region.centre)
+        radius = 0.0 if region is None else region.radius
         stopped, collided = stopped_paths(path[np.newaxis], centre, radius)
         touched = bool(collided[0] or rollout.stopped_in)  # perhaps between two samples
         why = cut_short(policy, rollout, self.settle_time)
