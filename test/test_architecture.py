@@ -112,8 +112,8 @@ BUDGET = {
     "params": 1298,  # what may be set at rest; -p body:=NAME is derived from; NatNet, FR3
     "ros": 2342,  # +24: PoseStamped; variables of ROS and DDS are named with their remedy
     "client": 1290,
-    "nodes": 3468,  # +22: frames of poses; +217: an FR3 by its maker's library; +122: NatNet
-    "console": 467,  # a person supports the arm, however a movement ended
+    "nodes": 3465,  # +22: frames of poses; +217: an FR3 by its maker's library; +122: NatNet
+    "console": 469,  # a person supports the arm, however a movement ended
     "view": 834,
     "reporting": 779,
     "in_process": 509,  # a session on disk without nodes

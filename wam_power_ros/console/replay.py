@@ -36,11 +36,12 @@ def replay(
 
     Args:
         speed: Speed relative to the recording, for messages.
-        person: Whether to ask the person beside a real arm before it moves, after a `warning`.
+        person: A person is beside a real arm, and asked before it moves, after a `warning`.
         running: Whether the nodes go on afterwards: nothing is recorded, and the arm is held.
 
     Raises:
         ServiceError: A service does not appear, does not answer in time, or refuses.
+        ValueError: The person cannot answer, because standard input is closed.
     """
     movement = f"{name} at {speed:g} times its speed, {t[-1]:.1f} s"
     robot.stop()  # succeeds once the controller is active

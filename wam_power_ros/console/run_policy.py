@@ -40,6 +40,7 @@ def run(robot: Robot, policy: Policy, task: Task | None, rollouts: int, person: 
 
     Raises:
         ServiceError: The controller does not answer or refuses to stop.
+        ValueError: The person cannot answer, because standard input is closed.
     """
     robot.stop()  # succeeds once the controller is active
     show(f"Executing {policy.id}, {policy.basis.duration:.1f} s; Ctrl-C stops the arm")

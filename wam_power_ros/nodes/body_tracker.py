@@ -202,11 +202,8 @@ class BodyTracker(Node):
         self.get_logger().error(text)
 
     def _report(self) -> None:
-        tracker, types, topic = (
-            self._tracker,
-            (endpoints.type_name(self._source.kind),),
-            self._source.topic,
-        )
+        tracker, topic = self._tracker, self._source.topic
+        types = (endpoints.type_name(self._source.kind),)
         unmatched = "; ".join(endpoints.unmatched_publishers(self, topic, types, self._qos))
         if unmatched and unmatched != self._unmatched:
             self.get_logger().error(unmatched)
