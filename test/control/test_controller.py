@@ -23,28 +23,23 @@ from rigid_arm import (
     refusal_of,
     run,
     start_replay,
-    tool,
 )
 
 from wam_power_ros.control import safety
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller import Controller
-from wam_power_ros.control.modes import TRANSITIONS, ControllerError, Mode, Refusal
+from wam_power_ros.control.modes import (
+    MOVING_MODES,
+    PASSIVE_MODES,
+    TRANSITIONS,
+    ControllerError,
+    Mode,
+    Refusal,
+)
 from wam_power_ros.control.safety import limits_of
+from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.policy import with_id
-
-
-def test_hold_returns_after_a_push() -> None:
-    def push(t: float, q: np.ndarray, _: np.ndarray) -> np.ndarray:
-        return MODEL.jacobian(q)[:3].T @ (20.0, 30.0, 10.0) if 0.3 < t < 0.5 else np.zeros(7)
-
-    tolerant = make(contact_share=1.0)  # the push is no contact fault
-    controller, plant = begin(controller=tolerant, delay=4, sensing=True, push=push)
-    run(controller, plant, 0.3)
-    assert np.linalg.norm(tool(plant) - MODEL.tool_pose(HOME)[0]) > 0.01
-    run(controller, plant, 1.2)
-    assert np.abs(plant.q - HOME).max() < 2e-3
-    assert controller.mode is Mode.HOLD
+from wam_power_ros.ros.outcomes import Code
 
 
 def test_hold_brakes_a_moving_arm_without_a_jerk() -> None:
@@ -248,3 +243,18 @@ def test_no_sequence_of_states_and_calls_gives_a_torque_beyond_the_limits(
             inactive = controller.mode is Mode.INACTIVE  # nothing is sent
             check(tau, previous, math.inf if inactive else 0.004)
             previous = tau
+
+
+FAULT = Fault(FaultKind.PLANE, "wrist is 0.012 m behind the plane")
+
+
+def test_every_refusal_is_a_code_of_an_answer() -> None:
+    assert {refusal.value for refusal in Refusal} <= {code.value for code in Code}
+
+
+def test_every_moving_mode_can_end_in_hold_and_in_a_fault() -> None:
+    assert set(TRANSITIONS) == set(Mode)
+    for mode in set(Mode) - set(PASSIVE_MODES):
+        assert {Mode.FAULT, Mode.INACTIVE} <= TRANSITIONS[mode]
+    for mode in MOVING_MODES:
+        assert TRANSITIONS[mode] == {Mode.INACTIVE, Mode.HOLD, Mode.FAULT}

@@ -10,7 +10,6 @@ from rigid_arm import (
     A_TEST,
     HOME,
     MODEL,
-    PERIOD_NS,
     POLICY,
     Plant,
     begin,
@@ -111,38 +110,6 @@ def test_an_aborted_rollout_leaves_a_shorter_path() -> None:
     assert controller.take_finished() is None and controller.rollout_stamp_ns is None
     controller.stop()  # before its first state
     assert len(controller.take_finished().t) == 1
-
-
-def test_the_label_belongs_to_the_torque_and_not_to_the_request() -> None:
-    controller, plant = begin()
-    stamp, q, qd = plant.state()
-    answer = controller.step(stamp, q, qd)
-    controller.execute()
-    assert controller.mode is Mode.ROLLOUT
-    assert controller.step(stamp, q, qd) is answer  # the same state again: the torque of hold
-    assert controller.label == "hold"
-    controller.step(stamp + PERIOD_NS, q, qd)
-    assert controller.label == "rollout trial-0001"
-
-
-def test_a_rollout_from_rest_does_not_depend_on_what_happened_before() -> None:
-    torques = []
-    for history in (0, 1):
-        controller, plant = begin(HOME + 0.02 * history)
-        if history:
-            controller.load(make_policy("another", size=0.5))
-            rollout(controller, plant)
-            controller.set_gravity_compensation(True)
-            run(controller, plant, 0.4)
-            controller.hold()
-        controller.load(POLICY)
-        plant.q, plant.qd = HOME.copy(), np.zeros(7)  # placed there, as the stand-in does
-        for _ in range(25):
-            controller.step(*plant.state())
-            plant.stamp += PERIOD_NS
-        assert controller.ready
-        torques.append(rollout(controller, plant).torques)
-    assert np.array_equal(*torques)
 
 
 def test_a_rollout_ends_without_a_fault_where_the_tool_enters_the_guarded_region() -> None:

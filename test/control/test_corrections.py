@@ -8,17 +8,15 @@ from collections import Counter
 import numpy as np
 import pinocchio as pin
 import pytest
+from rigid_arm import NAMES as JOINTS
+from rigid_arm import URDF
 
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.corrections import Corrections
 from wam_power_ros.control.fault_hold import BrakeWithoutModel
 from wam_power_ros.control.safety import limits_of
 from wam_power_ros.control.torque_output import TorqueOutput
-from wam_power_ros.params.resources import share
 
-URDF = share("urdf/wam7.urdf").read_text()
-JOINTS = [f"wam_j{number}" for number in range(1, 8)]
 Q = np.array([0.3, 0.5, -0.4, 1.7, 0.2, -0.6, 0.8])
 QD = np.linspace(-1.0, 1.0, 7)
 
@@ -100,26 +98,6 @@ def test_gravity_of_a_tilted_base_is_that_of_an_upright_one_seen_from_it() -> No
     model.gravity.linear = turn.T @ np.array([0.0, 0.0, -9.81])
     expected = pin.computeGeneralizedGravity(model, model.createData(), Q)
     assert np.allclose(tilted.gravity(Q), expected, atol=1e-12)
-
-
-def test_friction_replaces_that_of_the_urdf_where_it_was_measured() -> None:
-    measured = arm(coulomb_friction=[-1.0, 2.0, -1.0, -1.0, -1.0, -1.0, 0.0])
-    expected = PLAIN.friction.copy()
-    expected[[1, 6]] = 2.0, 0.0
-    assert measured.friction.tolist() == expected.tolist()
-    assert measured.damping.tolist() == PLAIN.damping.tolist()
-
-
-def test_a_weak_motor_is_sent_more_so_that_the_arm_is_held_at_the_same_place() -> None:
-    scales = np.array([1.0, 0.8, 1.1, 1.0, 1.0, 0.9, 1.0])
-    controllers = Controller(Arm(URDF, JOINTS)), Controller(arm(torque_scales=scales))
-    for step in range(100):
-        sent = [each.step(2_000_000 * (step + 1), Q, np.zeros(7)) for each in controllers]
-        if step == 0:
-            for each in controllers:
-                each.hold()
-    assert np.allclose(scales * sent[1], sent[0], atol=1e-9)
-    assert controllers[1].latched is None
 
 
 @pytest.mark.parametrize(

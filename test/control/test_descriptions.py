@@ -39,15 +39,6 @@ def test_an_arm_is_the_same_with(what: str) -> None:
     assert len(scene.arm(urdf, NAMES).joints) == 7
 
 
-def test_a_tool_or_a_locked_joint_may_have_a_name_twice() -> None:
-    urdf = URDF.replace('"cobot_pan"', '"cobot_joint7"')
-    assert cobot(urdf, "cobot_joint7").identity() == cobot(URDF).identity()
-    six = Arm(urdf, NAMES[:6], "cobot_joint7", ())
-    assert six.identity() == Arm(URDF, NAMES[:6], "cobot_pan", ()).identity()
-    with pytest.raises(ValueError, match=r"no link 'cobot_joint2'.*'cobot_link2'"):
-        cobot(URDF, "cobot_joint2")
-
-
 @pytest.mark.parametrize(
     ("soft", "kept"),
     [

@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+from rigid_arm import HOME
 
 from wam_power_ros.control.joint_references import (
     Brake,
@@ -12,7 +13,6 @@ from wam_power_ros.control.joint_references import (
     interpolated,
 )
 
-HOME = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
 LOW, HIGH = HOME - 3.0, HOME + 3.0
 MS = 1_000_000
 
@@ -51,15 +51,6 @@ def test_speed_and_acceleration_of_a_reference_are_its_derivatives(make_referenc
     assert np.array_equal(reference.at(1e9)[0], reference.at(reference.duration)[0])
 
 
-def test_a_move_keeps_its_peak_speed_and_rests_at_both_ends() -> None:
-    way = np.array([0.4, -0.3, 0.2, 0.5, -0.6, 0.4, 0.8])
-    move = MinJerk(HOME, HOME + way, 0.3)
-    speeds = np.array([move.at(t)[1] for t in np.linspace(0.0, move.duration, 1001)])
-    assert np.abs(speeds).max() == pytest.approx(0.3, rel=1e-4)
-    assert not speeds[0].any()
-    assert MinJerk(HOME, HOME, 0.3).duration == 0.1  # the shortest duration
-
-
 def test_a_sequence_goes_from_move_to_replay_to_brake_without_a_jump() -> None:
     t = np.linspace(0.0, 1.0, 101)
     recorded = HOME + 0.2 * np.sin(2.0 * t)[:, None] * np.ones(7)
@@ -76,16 +67,6 @@ def test_a_sequence_goes_from_move_to_replay_to_brake_without_a_jump() -> None:
     assert np.array_equal(q[0], away)  # begins at the arm's posture
     assert np.abs(np.diff(q, axis=0)).max() < 1.02e-3  # 0.5 rad/s, then 0.4
     assert sequence.ended and np.array_equal(q[-1], q[-2])  # at rest bit for bit
-
-
-def test_a_sequence_without_steps_brakes_and_a_new_one_replaces_the_old() -> None:
-    sequence = ReferenceSequence(brake)
-    sequence.begin(MinJerk(HOME, HOME + 1.0, 0.3))
-    sequence.at(0, HOME, np.zeros(7))
-    sequence.begin()
-    q, qd, _ = sequence.at(5 * MS, HOME, np.full(7, 0.2))
-    assert sequence.ended
-    assert np.array_equal(q, HOME) and np.allclose(qd, 0.2)
 
 
 @pytest.mark.parametrize(

@@ -16,10 +16,8 @@ from hardware_sim.wam import JOINTS
 from hardware_sim.world import World
 from wam_power_ros import rotations
 from wam_power_ros.control.arm import Arm, GuardedPoint
-from wam_power_ros.control.corrections import Corrections
 from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import share
-from wam_power_ros.view.skeleton import Skeleton
 
 WAM = share("urdf/wam7.urdf").read_text()
 STANDS = {
@@ -71,44 +69,12 @@ def test_positions_directions_and_gravity_are_in_the_base_frame(base: str, stand
             np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
-def test_an_arm_is_drawn_in_its_base_frame() -> None:
-    urdf, q = mounted(*STANDS["wall"]), np.full(7, 0.2)
-    shapes = {}
-    for base in ("world", "wam_base"):
-        drawn = Skeleton(urdf, JOINTS, base)
-        arm = Arm(urdf, JOINTS, base_frame=base)
-        np.testing.assert_allclose(drawn.placements(q)[0][-1], arm.tool_pose(q)[0], atol=1e-9)
-        shapes[base] = next(it.placement for it in drawn.shapes if it.parentJoint == 0)
-    place, axes = STANDS["wall"][0], turned(STANDS["wall"][1])
-    there = axes.T @ (shapes["world"].translation - place)
-    np.testing.assert_allclose(shapes["wam_base"].translation, there, atol=1e-9)
-
-
-@pytest.mark.parametrize("base", ["world", "wam_base"])
-def test_a_measured_tilt_is_that_of_the_upright_root(base: str) -> None:
-    urdf = mounted((0.0, 0.0, 0.8), (0.0, 0.0, 0.8))
-    tilt = Corrections.of(7, base_tilt=(0.05, -0.02))
-    q = np.full(7, 0.3)
-    tilted = Arm(urdf, JOINTS, "pan", (), tilt, base)
-    np.testing.assert_allclose(
-        tilted.gravity(q), Arm(urdf, JOINTS, "pan", (), tilt).gravity(q), atol=1e-12
-    )
-    assert np.abs(tilted.gravity(q) - tilted.driver_gravity(q)).max() > 0.1
-
-
 def test_the_base_is_a_link_that_does_not_move_with_the_arm() -> None:
     urdf = mounted(*STANDS["table"])
     with pytest.raises(ValueError, match=r"no link 'banana'.*known: \['world'.*'wam_base'"):
         Arm(urdf, JOINTS, "pan", (), base_frame="banana")
     with pytest.raises(ValueError, match=r"base_frame 'wam_link2' moves with joint .*'wam_base'\]"):
         Arm(urdf, JOINTS, "pan", (), base_frame="wam_link2")
-
-
-def test_a_policy_for_one_base_frame_is_not_one_for_another() -> None:
-    urdf, named = mounted(*STANDS["table"]), Arm(WAM, JOINTS, base_frame="wam_base")
-    world, base = (Arm(urdf, JOINTS, base_frame=it).identity() for it in ("world", "wam_base"))
-    assert world != base and base.kinematics == Arm(WAM, JOINTS).identity().kinematics
-    assert named.identity() == Arm(WAM, JOINTS).identity()  # the root by its name
 
 
 def test_every_frame_of_a_set_up_is_a_link(tmp_path: Path) -> None:

@@ -315,16 +315,6 @@ def test_references_stay_near_a_guided_arm_and_one_that_sags_does_not_sink() -> 
     assert driver.controller.mode is Mode.HOLD, driver.controller.latched
 
 
-def test_false_states_are_the_same_faults_as_with_torques() -> None:
-    driver = Driver()
-    driver.ready()
-    driver.q = driver.q + 0.3
-    driver.tick()
-    assert driver.controller.latched.kind is FaultKind.JUMP
-    with pytest.raises(ControllerError, match="reset"):
-        driver.controller.execute()
-
-
 @pytest.mark.requirement("S-150")
 def test_after_a_deactivation_in_a_fault_the_references_begin_where_the_arm_is() -> None:
     driver = Driver()
@@ -375,19 +365,6 @@ def wandered() -> Driver:
     driver.wander = 0.0
     driver.run(0.5)
     return driver
-
-
-def test_a_driver_may_choose_its_posture_and_the_tool_does_what_is_sent() -> None:
-    driver = wandered()
-    assert driver.controller.ready and np.abs(driver.q - HOME).max() > 0.25
-    driver.sent.clear()
-    driver.controller.execute()
-    driver.until(lambda: driver.controller.mode is not Mode.ROLLOUT)
-    assert driver.controller.mode is Mode.HOLD, driver.controller.latched
-    path = driver.controller.take_finished()
-    low, high = driver.sent_places().min(axis=0), driver.sent_places().max(axis=0)
-    assert np.abs(path.position.min(axis=0) - low).max() < 0.01
-    assert np.abs(path.position.max(axis=0) - high).max() < 0.01
 
 
 def test_a_posture_that_is_beyond_a_joint_limit_is_a_fault_whoever_chose_it() -> None:

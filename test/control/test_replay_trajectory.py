@@ -44,37 +44,6 @@ def test_a_replay_goes_from_rest_to_rest_through_what_was_recorded(speed: float)
     np.testing.assert_allclose(spline(t[middle], 1), speed * recorded(at, 1), atol=0.02 * speed)
 
 
-def test_encoder_noise_is_smoothed_away() -> None:
-    accelerations = []
-    for noise in (0.0, 2e-4):
-        t, followed = movement(*recording(noise), 1.0)
-        accelerations.append(CubicSpline(t, followed)(t[5:-5], 2))
-    raw = np.abs(np.diff(recording(2e-4)[1], 2, axis=0)).max() / 0.002**2
-    assert raw > 100.0
-    assert np.abs(accelerations[1] - accelerations[0]).max() < 3.0
-
-
-def test_a_replay_accelerates_smoothly_and_decelerates_symmetrically() -> None:
-    stamps_ns = 10**9 + TICK * np.arange(500)
-    t, followed = movement(stamps_ns, np.outer(np.arange(500) * 0.002, np.ones(7)), 1.0)
-    assert len(t) == 131 and np.diff(t).max() < 0.01  # in 1.298 s
-    speed = CubicSpline(t, followed[:, 0])
-    for part, expected in ((0.0, 0.0), (0.25, 0.15625), (0.5, 0.5), (0.75, 0.84375), (1.0, 1.0)):
-        assert speed(part * EASE_TIME, 1) == pytest.approx(expected, abs=2e-3)
-        assert speed(0.998 + EASE_TIME - part * EASE_TIME, 1) == pytest.approx(expected, abs=2e-3)
-
-
-def test_a_recording_shorter_than_the_ease_time_goes_from_rest_to_rest_too() -> None:
-    stamps_ns = 10**9 + TICK * np.arange(101)
-    t, followed = movement(stamps_ns, np.outer(np.arange(101) * 0.002, np.ones(7)), 1.0)
-    assert t[-1] == pytest.approx(0.4)
-    np.testing.assert_allclose(followed + followed[::-1], 0.2, atol=1e-6)
-    assert np.all(np.diff(followed, axis=0) >= -1e-9)
-    speed = CubicSpline(t, followed[:, 0])
-    assert speed([0.0, 0.4], 1) == pytest.approx([0.0, 0.0], abs=0.02)
-    assert speed(0.2, 1) == pytest.approx(1.0, abs=0.02)
-
-
 def test_an_invalid_speed_is_refused() -> None:
     for speed in (0.0, 5.1, np.nan):
         with pytest.raises(ValueError, match="speed"):

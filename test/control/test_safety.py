@@ -106,21 +106,6 @@ def test_a_joint_beyond_its_limit_may_move_back_but_not_further() -> None:
             assert exceeded(q, qd) is None  # within its limits it may move in both directions
 
 
-def test_the_springs_are_linear_over_a_tenth_of_a_radian_and_on_to_twice_their_torque() -> None:
-    for i in (0, 6):
-        for end, sign in ((LIMITS.q_max[i], -1.0), (LIMITS.q_min[i], 1.0)):
-            for inside, part in ((0.1001, None), (0.05, 0.5), (-0.05, 1.5), (-0.3, 2.0)):
-                q = Q.copy()
-                q[i] = end + inside * sign
-                springs = safety.limit_springs(q, LIMITS)
-                expected = None if part is None else part * sign * LIMITS.spring_torque[i]
-                assert (springs if springs is None else springs[i]) == pytest.approx(expected)
-
-
-def test_teaching_damping_grows_with_the_square_of_the_speed() -> None:
-    assert [safety.teaching_damping(speed) for speed in (0.0, 2.5, 5.0)] == [0.0, 1.0, 4.0]
-
-
 def test_limits_that_nobody_chose_are_those_of_the_urdf() -> None:
     for name, of_arm in (("torque", "tau_max"), *((it, it) for it in ("q_min", "q_max", "qd_max"))):
         np.testing.assert_array_equal(getattr(LIMITS, name), getattr(ARM, of_arm))

@@ -11,7 +11,7 @@ from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.modes import Mode
 from wam_power_ros.control.reaction import ANSWER_TIME, REACTION_SPEED
 from wam_power_ros.control.state_checks import JointState
-from wam_power_ros.control.supervision import AGREEMENT, BELIEF_STATES, REST_NS, Supervision
+from wam_power_ros.control.supervision import AGREEMENT, BELIEF_STATES, Supervision
 from wam_power_ros.control.unexplained_torque import UnexplainedTorque
 from wam_power_ros.faults import FaultKind
 
@@ -43,15 +43,6 @@ def test_an_arm_that_does_not_move_under_a_large_torque_is_not_plausible() -> No
     assert fault_kind(supervision(strong), Mode.INACTIVE) is None
 
 
-def test_a_restart_of_the_checks_forgets_earlier_contradictions() -> None:
-    strong = GRAVITY + 0.2 * MODEL.tau_max
-    most = next(n for n in range(60) if fault_kind(supervision(strong), Mode.HOLD, n + 1))
-    watch = supervision(strong)
-    assert fault_kind(watch, Mode.HOLD, most) is None
-    watch.begin()
-    assert fault_kind(watch, Mode.HOLD, most) is None
-
-
 def test_the_count_of_exceeded_limits_restarts_when_the_mode_changes() -> None:
     watch, moving = supervision(), state(0, qd=np.full(7, 100.0))
     motion = MODEL.motion(HOME, moving.qd)
@@ -78,19 +69,6 @@ def faulted(kind: FaultKind, mode: Mode = Mode.HOLD, ticks: int = 120) -> Superv
         watch.plausibility_fault(mode, before, after)
     watch.faulted(mode, kind, UnexplainedTorque(MODEL))
     return watch
-
-
-def test_an_arm_in_a_fault_counts_as_rested_only_after_the_rest_time() -> None:
-    watch = faulted(FaultKind.OVERLOAD)
-    ticks = REST_NS // PERIOD_NS
-    states = [state(k) for k in range(ticks + 1)]
-    react(watch, states)
-    assert not watch.rested(states[-1].stamp_ns)
-    rests, fast = state(ticks + 1), state(ticks + 2, HOME + 0.0004, np.full(7, 0.2))
-    react(watch, [states[-1], rests])
-    assert watch.rested(rests.stamp_ns)
-    react(watch, [rests, fast])
-    assert not watch.rested(fast.stamp_ns)
 
 
 @pytest.mark.requirement("S-121")

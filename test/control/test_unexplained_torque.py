@@ -111,22 +111,6 @@ def test_an_arm_that_nobody_touches_stays_under_the_torque_that_held_it(torque: 
     assert np.abs(plant.q - held).max() < 0.02
 
 
-@pytest.mark.parametrize(("way", "kept"), [(0.001, True), (0.01, False)])
-def test_an_arm_that_is_put_elsewhere_while_it_is_taught_is_carried_by_its_model(
-    way: float, kept: bool
-) -> None:
-    controller, plant = begin(push=lambda *_: 2.0 * JOINT_2, friction=1.0)
-    run(controller, plant, 1.0)
-    held = controller.unexplained.torque
-    assert np.abs(held).max() > 0.5
-    controller.set_gravity_compensation(True)
-    run(controller, plant, 0.01, elapsed=0.002)
-    plant.q, plant.qd = plant.q + way * np.eye(7)[0], np.zeros(7)
-    run(controller, plant, 0.01, elapsed=0.002)
-    beyond = controller.unexplained.guided(plant.q, 0.0)
-    assert bool(beyond.any()) is kept
-
-
 @pytest.mark.parametrize(("elapsed", "depends"), [(None, False), (0.002, True)])
 def test_in_lockstep_a_guided_arm_does_not_depend_on_the_hold_before_it(
     elapsed: float | None, depends: bool
