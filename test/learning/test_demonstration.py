@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wam_power_ros import rotations
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning import demonstration
 from wam_power_ros.learning.demonstration import (
@@ -81,21 +80,6 @@ def test_position_velocity_and_acceleration_are_those_of_the_arm(arm: Arm) -> No
     assert np.abs(demonstration.q - joints(t))[inner].max() < 0.002
 
 
-def test_orientation_is_that_of_the_arm(arm: Arm) -> None:
-    demonstration = from_joint_samples(arm, *recording(seed=1))
-    for k in range(0, len(demonstration.t), 50):
-        _, matrix = arm.tool_pose(demonstration.q[k])
-        assert rotations.matrix(demonstration.quat_xyzw[k]) == pytest.approx(matrix, abs=0.002)
-
-
-def test_smoothing_does_not_delay(arm: Arm) -> None:
-    stamps, q = recording()
-    forward = from_joint_samples(arm, stamps, q, WHOLE)
-    backward = from_joint_samples(arm, stamps, q[::-1], WHOLE)
-    assert backward.position[::-1] == pytest.approx(forward.position, abs=1e-12)
-    assert backward.velocity[::-1] == pytest.approx(-forward.velocity, abs=1e-9)
-
-
 @pytest.mark.parametrize(("before", "after"), [(0.2, 0.2), (4.0, 2.5)])
 def test_trimming_forgets_how_long_the_arm_rested(arm: Arm, before: float, after: float) -> None:
     base = from_joint_samples(arm, *recording(seed=3))
@@ -112,22 +96,6 @@ def test_an_earlier_smaller_movement_is_left_out(arm: Arm) -> None:
     ((duration, pause, at, earlier),) = made.left_out
     assert earlier and demonstration.MOMENT <= duration < LENGTH
     assert 3.0 - LENGTH - 0.5 < pause < 3.0 - 0.5 and 2.5 < at + pause + 0.5 < 3.0 + LENGTH
-
-
-def test_only_movement_of_more_than_a_moment_beyond_a_pause_counts_as_left_out() -> None:
-    moves = np.zeros(1000, dtype=bool)
-    moves[400:500] = True
-    assert demonstration._left_out(moves, 400, 499, 0.25) == ()  # rest
-    moves[800:849] = True  # a twitch
-    assert demonstration._left_out(moves, 400, 499, 0.25) == ()
-    moves[500:600] = True  # the slow end of the movement, without a pause
-    assert demonstration._left_out(moves, 400, 499, 0.25) == ()
-    moves[500:] = False
-    moves[700:800] = moves[850:950] = True
-    (found,) = demonstration._left_out(moves, 400, 499, 0.25)
-    assert found == pytest.approx((0.4, 0.4, 0.998, False))
-    (found,) = demonstration._left_out(moves[::-1], 500, 599, 0.25)
-    assert found == pytest.approx((0.4, 0.4, 0.6, True))
 
 
 def turn(angle: float, seed: int | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -200,16 +168,6 @@ def test_positions_alone_make_a_demonstration() -> None:
         from_positions(np.zeros((2, 3)), 0.01)
 
 
-def test_rotation_vectors_turn_the_reference_into_each_orientation() -> None:
-    rng = np.random.default_rng(0)
-    vectors = np.cumsum(rng.normal(0.0, 0.1, (60, 3)), axis=0)
-    reference = rotations.quat_of_vector(np.array([0.5, -1.2, 0.8]))
-    quat = rotations.multiply(
-        rotations.quat_of_vector(vectors), np.broadcast_to(reference, (60, 4))
-    )
-    assert rotation_from(quat, reference) == pytest.approx(vectors, abs=1e-12)
-
-
 def test_smoothing_passes_slow_movement_and_halves_the_power_at_9_hz() -> None:
     t = np.arange(2000) * 0.002
     middle = slice(500, -500)
@@ -217,16 +175,6 @@ def test_smoothing_passes_slow_movement_and_halves_the_power_at_9_hz() -> None:
         wave = np.sin(2.0 * math.pi * frequency * t)
         smoothed = demonstration._smoothed(wave, HALF)[middle]
         assert least <= smoothed.std() / wave[middle].std() <= most
-
-
-def test_samples_on_the_grid_are_kept_and_those_between_lie_on_straight_lines() -> None:
-    rng = np.random.default_rng(3)
-    q = rng.normal(size=(80, 2))
-    stamps = 1_000_000_000 + np.arange(80) * PERIOD_NS
-    np.testing.assert_array_equal(demonstration._resampled(stamps, q, 2, HALF), q)
-    between = demonstration._resampled(stamps[::2], q[::2], 2, HALF)
-    np.testing.assert_allclose(between[::2], q[:79:2], rtol=1e-12)
-    np.testing.assert_allclose(between[1::2], 0.5 * (q[:77:2] + q[2::2]), rtol=1e-12, atol=1e-15)
 
 
 def test_a_movement_begins_at_15_percent_of_the_peak_speed_and_ends_at_5() -> None:
@@ -243,15 +191,6 @@ def test_a_turning_point_belongs_to_a_movement_and_a_longer_pause_ends_it() -> N
         assert demonstration._extent(speed, MOVEMENT) == extent
         backwards = demonstration._extent(speed[::-1], MOVEMENT)
         assert backwards == (len(speed) - 1 - extent[1], len(speed) - 1)
-
-
-def test_a_movement_is_cut_and_smoothed_as_its_task_says(arm: Arm) -> None:
-    base = from_joint_samples(arm, *recording(seed=3))
-    later = from_joint_samples(arm, *recording(seed=3), Movement(start=0.5))
-    assert later.duration < base.duration
-    np.testing.assert_array_equal(later.q, base.q[-len(later.q) :])
-    smoother = from_joint_samples(arm, *recording(seed=3), Movement(cutoff=2.0))
-    assert np.abs(smoother.velocity).max() < 0.9 * np.abs(base.velocity).max()
 
 
 def test_a_whole_recording_as_long_as_the_smoothing_reaches_is_smoothed(arm: Arm) -> None:

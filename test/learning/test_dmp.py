@@ -91,44 +91,6 @@ def test_tabulated_acceleration_is_equation_1() -> None:
         assert both[3:] == pytest.approx(turn, rel=1e-9, abs=1e-9)
 
 
-def test_many_reproductions_are_the_acceleration_integrated_velocity_first() -> None:
-    policies = [fit([toss(seed=seed)], FLIP_FIT, "p") for seed in range(2)]
-    policies = [replace(policy, basis=policies[0].basis) for policy in policies]
-    x0, xd0 = np.array([0.7, 0.0, 0.9]), np.array([0.1, 0.0, -0.2])
-    paths, speeds = reproduce_many(
-        policies[0].basis,
-        np.stack([policy.stiffness for policy in policies]),
-        np.stack([policy.attractors for policy in policies]),
-        policies[0].damping,
-        x0,
-        xd0,
-        steps=600,  # 426 of the movement, then with the last weights
-        dt=DT,
-    )
-    only = [np.stack([getattr(p, name) for p in policies]) for name in ("stiffness", "attractors")]
-    start = reproduce_many(policies[0].basis, *only, policies[0].damping, x0, xd0, steps=1, dt=DT)
-    assert np.array_equal(start[0], paths[:, :1]) and np.array_equal(start[1], speeds[:, :1])
-    for policy, path, speed in zip(policies, paths, speeds, strict=True):
-        tables, x, xd, expected = tabulate(policy), x0, xd0, []
-        for k in range(600):
-            expected.append([x, xd])
-            acceleration = dmp.acceleration(tables, k, x, np.zeros(3), [*xd, 0.0, 0.0, 0.0])
-            xd = xd + DT * acceleration[:3]
-            x = x + DT * xd
-        np.testing.assert_allclose(np.stack([path, speed], axis=1), expected, atol=1e-8)
-
-
-def test_a_movement_made_by_equation_1_gives_back_its_attractors(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(dmp, "HOLD_TIME", 0.0)  # it does not end at rest
-    truth = fit([toss()], FLIP_FIT, "p")
-    x, _ = reproduced(truth, np.array([0.7, 0.0, 0.9]))
-    made = replace(toss(len(x)), position=x)
-    found = dmp._fitted_attractors(truth.basis, truth.stiffness, truth.damping, [made])
-    assert found == pytest.approx(truth.attractors, abs=1e-6)
-
-
 def test_a_reproduction_from_rest_stays_where_the_demonstration_ended() -> None:
     demonstration = reach(0)
     policy = fit([demonstration], replace(REACH_FIT, count=6), "p")
@@ -152,30 +114,6 @@ def test_the_toss_is_reproduced_to_millimetres_and_a_degree() -> None:
         omega = omega + DT * dmp.acceleration(tables, k, np.zeros(3), r, [0, 0, 0, *omega])[3:]
         r = r + DT * omega
     assert rmse(np.array(path), vectors) < math.radians(1.5)
-
-
-def test_a_reach_ends_turned_as_demonstrated() -> None:
-    flat = reach(0)
-    u = np.clip((flat.t / flat.duration - 0.4) / 0.6, 0.0, 1.0)
-    turn = np.outer(10 * u**3 - 15 * u**4 + 6 * u**5, [math.pi / 3, 0.0, 0.0])
-    policy = fit([replace(flat, quat_xyzw=rotations.quat_of_vector(turn))], REACH_FIT, "p")
-    springs = np.tile(policy.rotation_stiffness * np.eye(3), (1, 2, 1, 1))
-    attractors, steps = policy.rotation_attractors[None], round(policy.basis.duration / DT) + 1
-    r, _ = reproduce_many(
-        policy.basis, springs, attractors, policy.rotation_damping, turn[0], turn[0], steps, DT
-    )
-    assert np.linalg.norm(r[0, -1] - turn[-1]) < math.radians(0.5)
-
-
-@pytest.mark.parametrize(("error", "factor"), [(math.inf, 1.0), (1e-9, 4.0)])
-def test_coordination_matrices_are_symmetric_and_twice_as_many_are_twice_as_stiff(
-    error: float, factor: float
-) -> None:
-    policy = fit([toss()], replace(FLIP_FIT, error=error), "p")
-    assert np.array_equal(policy.stiffness, np.swapaxes(policy.stiffness, 1, 2))
-    values = np.linalg.eigvalsh(policy.stiffness)
-    assert values.min() == pytest.approx(150.0 * factor)
-    assert values.max() == pytest.approx(500.0 * factor)
 
 
 def test_the_stiffness_is_the_rescaled_inverse_of_the_residuals_covariance() -> None:
@@ -227,15 +165,6 @@ def test_an_axis_that_does_not_move_has_the_mean_stiffness_and_leaves_the_range_
     assert values.max() == pytest.approx(500.0, abs=2.0)
 
 
-@pytest.mark.parametrize("size", [0.01, 1.0])
-def test_a_small_movement_across_counts_from_a_fiftieth_of_the_longest_on(size: float) -> None:
-    u = np.linspace(0.0, 2.0 * math.pi, 200)
-    for share, axes in ((0.01, 1), (0.04, 2)):
-        x = np.stack([np.sin(u), share * np.cos(u), 1e-6 * u], axis=1)
-        assert dmp.moving_axes(size * x).shape == (3, axes)
-        assert dmp.moving_axes(0.001 * x).shape == (3, 0)  # stands still
-
-
 def test_the_same_movement_at_two_speeds_is_fitted_as_one_of_the_mean_speed() -> None:
     demonstration = toss()
 
@@ -253,16 +182,6 @@ def test_the_same_movement_at_two_speeds_is_fitted_as_one_of_the_mean_speed() ->
     assert both.basis.duration == pytest.approx(mean.basis.duration)
     assert both.attractors == pytest.approx(mean.attractors, abs=1e-6)
     assert both.rotation_attractors == pytest.approx(mean.rotation_attractors, abs=1e-6)
-
-
-def test_angular_velocity_is_that_of_the_turning_matrix() -> None:
-    rng = np.random.default_rng(0)
-    r, rd = rng.normal(size=(2, 20, 3))
-    r[0] = 1e-6 * r[0]
-    step = 1e-6
-    turn = rotations.exp(r + step * rd) @ np.swapaxes(rotations.exp(r - step * rd), 1, 2)
-    omega = rotations.log(turn) / (2.0 * step)
-    assert dmp._angular_velocity(r, rd) == pytest.approx(omega, abs=1e-6)
 
 
 def test_a_movement_gets_as_many_springs_as_it_needs_and_no_more() -> None:
@@ -291,24 +210,6 @@ def test_a_demonstration_that_never_moves_or_is_short_gives_a_policy_too() -> No
     assert policy.attractors == pytest.approx(np.tile([0.7, 0.0, 0.9], (8, 1)), abs=1e-9)
     short = from_positions(toss().position[:40], DT)  # of fewer samples than more springs need
     assert fit([short], replace(FLIP_FIT, error=1e-9), "p").basis.count == 8
-
-
-def test_clipping_leaves_good_matrices_alone_and_makes_bad_ones_good() -> None:
-    rng = np.random.default_rng(0)
-    stiffness = rng.normal(0.0, 200.0, (200, 3, 3)) + 200.0 * np.eye(3)
-    clipped = positive_definite(stiffness, 20.0)
-    before = np.linalg.eigvalsh(0.5 * (stiffness + np.swapaxes(stiffness, 1, 2)))[:, 0]
-    after = np.linalg.eigvalsh(0.5 * (clipped + np.swapaxes(clipped, 1, 2)))[:, 0]
-    good = before >= 20.0
-    assert 10 < good.sum() < 190
-    assert np.array_equal(clipped[good], stiffness[good])
-    assert after[~good] == pytest.approx(np.full((~good).sum(), 20.0))
-
-    def skew(k: np.ndarray) -> np.ndarray:
-        return k - np.swapaxes(k, 1, 2)
-
-    assert skew(clipped) == pytest.approx(skew(stiffness), abs=1e-9)
-    assert positive_definite(clipped, 20.0) == pytest.approx(clipped, abs=1e-6)
 
 
 @pytest.mark.parametrize(

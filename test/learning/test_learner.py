@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hill_task import SIZE, TOP, climb, hill, rng
-from hypothesis import given
+from hill_task import SIZE, climb, hill, rng
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from reproduction.rivals.learners import AdaptivePower, Pi2, RandomSearch
@@ -56,14 +56,6 @@ def test_exploration_starts_about_zero_with_unit_variance_and_never_repeats(
     assert len(np.unique(samples[:, 0])) == 500
 
 
-def test_a_sample_is_the_mean_plus_the_noise() -> None:
-    learner = started(Power, {"decay": 0.5}, 0)
-    source = rng(0)
-    np.testing.assert_array_equal(learner.ask(), source.standard_normal(SIZE))
-    learner.tell(TOP, 1.0)
-    np.testing.assert_array_equal(learner.ask(), TOP + 0.5 * source.standard_normal(SIZE))
-
-
 @pytest.mark.parametrize("found", [Pi2, CmaEs])
 def test_each_population_moves_the_mean_once_and_the_next_begins_anew(found: LearnerClass) -> None:
     learner = started(found, {"population": 7}, 0)
@@ -85,12 +77,11 @@ def test_rollouts_that_earned_nothing_do_not_stop_the_learning(
 
 
 @every_learner
-@pytest.mark.parametrize("count", [7, 33])
 def test_a_learner_given_the_same_rollouts_goes_on_bit_for_bit(
-    found: LearnerClass, values: dict[str, Any], count: int
+    found: LearnerClass, values: dict[str, Any]
 ) -> None:
     learner, again = started(found, values, 1), started(found, values, 1)
-    for _ in range(count):
+    for _ in range(33):
         z = learner.ask()
         again.ask()  # a resumed session repeats the draws of its log
         learner.tell(z, hill(z))
@@ -135,19 +126,6 @@ def test_a_rollout_that_cannot_be_learnt_from_is_refused_and_changes_nothing(
 
 
 @every_learner
-def test_the_arrays_of_a_learner_are_its_own(found: LearnerClass, values: dict[str, Any]) -> None:
-    learner, untouched = (started(found, values, 2) for _ in range(2))
-    for _ in range(30):
-        z = learner.ask()
-        np.testing.assert_array_equal(z, untouched.ask())
-        learner.tell(z, hill(z))
-        untouched.tell(z.copy(), hill(z))
-        z[:] = 99.0
-        learner.mean[:] = 99.0
-    np.testing.assert_array_equal(learner.mean, untouched.mean)
-
-
-@every_learner
 def test_a_learner_without_parameters_or_with_an_unused_model_is_refused(
     found: LearnerClass, values: dict[str, Any]
 ) -> None:
@@ -160,6 +138,7 @@ def test_a_learner_without_parameters_or_with_an_unused_model_is_refused(
         found(SIZE, found.Settings(), rng(0), object())
 
 
+@settings(max_examples=30)
 @given(
     returns=st.lists(st.sampled_from([0.0, 0.25, 0.5, 1.0]), min_size=1, max_size=40),
     sigma=st.integers(1, 12),
@@ -177,19 +156,6 @@ def test_the_elite_is_that_of_all_rollouts_at_any_number_of_them(
         assert z.ravel().tolist() == (expected + 1.0).tolist()
         assert elite.tolist() == past[expected].tolist()
         assert rollouts.z.ravel().tolist() == list(range(1, count + 1))
-
-
-def test_rollouts_that_were_given_out_neither_change_nor_can_be_changed() -> None:
-    rollouts = Rollouts(1)
-    rollouts.add(np.array([1.0]), 0.5)
-    z, returns = rollouts.z, rollouts.returns
-    rollouts.clear()
-    for _ in range(20):
-        rollouts.add(np.array([2.0]), 0.75)
-    assert z.tolist() == [[1.0]] and returns.tolist() == [0.5]
-    for given_out in (z, returns, rollouts.z, rollouts.returns):
-        with pytest.raises(ValueError, match="read-only"):
-            given_out[0] = 0.0
 
 
 def test_the_state_of_a_generator_restores_it_and_other_generators_are_refused() -> None:

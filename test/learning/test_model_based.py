@@ -142,33 +142,6 @@ def test_power_decides_when_what_the_model_foresees_is_not_seen() -> None:
     assert not learner.falls_back, "a measured value is something to plan from"
 
 
-def test_a_plan_is_nearer_to_the_best_rollout_than_to_one_of_which_less_is_known() -> None:
-    learner = learner_of(LinearModel(), seed=2)
-    practise(learner, 1)
-    tried = learner.ask()
-    tell(learner, tried, lost(tried), 0.1)
-    plan = learner.mean
-    assert 0.2 < np.linalg.norm(plan) <= np.linalg.norm(plan - tried)
-
-
-@pytest.mark.parametrize(("known", "foreseen"), [([0], True), ([1], False)])
-def test_the_known_part_of_an_error_is_learnt_from(known: list[int], foreseen: bool) -> None:
-    """The other part is not seen before a rollout comes near, and not foreseen."""
-
-    def half(z: np.ndarray) -> np.ndarray:
-        full = error(z)
-        if np.abs(full[known]).max() > 1.5:
-            full[[k for k in (0, 1) if k not in known]] = math.nan
-        return full
-
-    model = LinearModel(half, slopes=1.2 * SLOPES)
-    if not foreseen:
-        model.predict = None
-    errors = practise(learner_of(model), 8, half)
-    assert np.isnan(errors[0]).any()
-    assert np.nanmin([np.abs(each).max() for each in errors]) < 1.0
-
-
 def test_a_rollout_beyond_an_edge_halves_the_way_of_the_next_plan() -> None:
     """Beyond it there is no error with a value, as of a pancake that does not leave the pan."""
 
@@ -209,14 +182,6 @@ def test_a_learner_without_error_model_is_refused() -> None:
         ModelBased(SIZE, ModelBased.Settings(), rng(0))
 
 
-def test_after_as_many_rollouts_as_are_planned_power_decides() -> None:
-    learner = learner_of(LinearModel(), patience=100)
-    practise(learner, 23, lambda z: np.array([0.5, 0.5]))
-    assert not learner.falls_back
-    tell(learner, np.zeros(SIZE), np.array([0.5, 0.5]))
-    assert learner.falls_back
-
-
 def test_a_rollout_without_an_error_counts_as_beyond_an_edge_only_if_it_earned_nothing() -> None:
     learner = learner_of(LinearModel())
     learner.tell(np.zeros(SIZE), 0.5)  # not seen
@@ -237,22 +202,6 @@ def test_a_plan_takes_no_more_simulations_than_are_set() -> None:
         assert model.count == 1 + simulations
 
 
-def test_what_is_only_assumed_explains_an_error_as_far_as_it_changes_both() -> None:
-    """A number that is off changes the first part in the one sense here, and in the other there."""
-
-    class Assuming(LinearModel):
-        def predict(self, z: np.ndarray) -> Prediction:
-            return super().predict(z)._replace(uncertain=np.array([[z[0]], [0.0]]))
-
-    learner = learner_of(Assuming())
-    here, off = 8.0 * np.eye(SIZE)[0], np.array([5.0, 5.0])
-    tell(learner, here, error(here) + off)
-    for z in (here, -here, 0.0 * here):
-        slow = 16.0 * (1.0 + 0.25 * math.exp(-0.5 * ((here - z) ** 2).sum() / 10.0**2))
-        share = (slow + np.array([8.0 * z[0], 0.0])) / (20.0 + np.array([64.0, 0.0]) + 0.25)
-        np.testing.assert_allclose(learner._expected()(z).values[:2], error(z) + share * off)
-
-
 @pytest.mark.parametrize(
     "bent", [lambda e: e + 0.2 * e**3, lambda e: 4.0 * np.sign(e) * np.sqrt(np.abs(e))]
 )
@@ -264,20 +213,3 @@ def test_steps_that_overshoot_are_shortened_until_the_prediction_is_nearly_zero(
     practise(learner, 1, lambda z: bent(error(z)))
     assert np.abs(bent(error(learner.mean))).max() < 0.5
     assert model.count < ModelBased.Settings().simulations, "it has found enough"
-
-
-@pytest.mark.parametrize("share", [0.98, 1.0, 1.03, 1.2])
-def test_what_exceeds_a_limit_costs_its_square_from_half_a_unit_before_it(share: float) -> None:
-    """A unit is two percent of the limit, and weighs as much as an error of a tolerance."""
-    z = 7.0 * share * np.eye(SIZE)[-1]  # which changes no error
-    point = learner_of(LinearModel(limit=7.0))._expected()(z)
-    cost = max(0.0, (share - 1.0) / 0.02 + 0.5) ** 2
-    assert point.loss == pytest.approx(float((START**2).sum()) + cost)
-    assert point.feasible == (share < 1.0)
-
-
-def test_progress_is_measured_from_the_best_rollout_before_and_not_from_the_worst() -> None:
-    learner = learner_of(LinearModel(), patience=4)
-    for k, size in enumerate((9.0, 3.0, 5.0, 5.0, 5.0, 5.0)):
-        tell(learner, k * np.eye(SIZE)[-1], np.array([size, size]))
-    assert learner.falls_back
