@@ -108,11 +108,6 @@ def test_the_cause_of_a_failure_is_found(change: Change, cause: Cause, detail: s
     assert cause in (Cause.UNKNOWN, Cause.DISAGREE) or 4 * found.count > found.total
 
 
-def test_numbers_of_a_failure_are_those_of_the_session() -> None:
-    assert why(lost("late", 2, stamps_late=0.08)).size == 0.08
-    assert why(drifting).size == pytest.approx(10.0, rel=0.3)  # 0.3 m in tolerances of 0.03 m
-
-
 def test_an_error_that_is_mirrored_does_not_follow_the_model() -> None:
     found = why(plain, mirrored=True)
     assert (found.cause, found.detail) == (Cause.IGNORED, "landing_x")

@@ -187,44 +187,6 @@ def test_a_better_demonstration_is_learnt_from_anew_with_what_is_left_of_the_bud
     assert practice.used == 12 and practice.finished
 
 
-def test_a_demonstration_that_is_no_better_changes_nothing_but_the_budget() -> None:
-    practice, other = started(budget=12), started(budget=12)
-    for each in (practice, other):
-        run(each, 6, worth(0.5))
-    practice.add_demonstration(LATER)
-    run(practice, 1, worth(0.5))
-    assert (
-        practice.records[-1].note
-        == "goes on with flick-1: return 0.500 against 0.500 of the last 5"
-    )
-    assert practice.next_trial().z.tolist() == other.next_trial().z.tolist()
-    assert practice.used == other.used + 1
-
-
-def test_a_demonstration_given_before_the_choice_is_one_of_the_series() -> None:
-    practice = started()
-    run(practice, 1, worth(0.5))
-    practice.add_demonstration(LATER)
-    assert practice.next_trial().demonstration == "flick-2"
-    run(practice, 1, worth(0.5))
-    assert practice.choice == "" and practice.next_trial().demonstration == "flick-9"
-    run(practice, 1, worth(0.6))
-    assert practice.choice == "learns from flick-9: highest return of 3 reproductions, 0.600"
-
-
-def test_a_demonstration_given_while_a_mean_is_confirmed_does_not_end_that() -> None:
-    practice = started(confirm=4)
-    run(practice, 6, worth(0.5))
-    run(practice, 2, worth(0.9, success=True))
-    practice.add_demonstration(LATER)
-    run(practice, 1, worth(0.2))
-    assert practice.next_trial().purpose == "confirms the mean policy, 3 of at most 4"
-    practice.add_demonstration(demonstrated_policy("flick-10", seed=10))
-    run(practice, 2, worth(0.95, success=True))
-    assert practice.choice.startswith("learns from flick-10")
-    assert practice.next_trial().kind != "mean" or not practice.next_trial().z.any()
-
-
 def test_demonstrations_that_do_not_fit_are_refused_with_a_reason() -> None:
     def infeasible(policy: Policy) -> str:
         return "joint 4 at 9.00 rad/s" if policy.id == "fast" else ""

@@ -3,20 +3,16 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
-from toss_task import demonstrated_policy, practice_of, toss
+from toss_task import demonstrated_policy
 
 from wam_power_ros import installed
 from wam_power_ros.learning.learner import MeasuringLearner
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.power import Power
 from wam_power_ros.learning.rollout import Rollout
-from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.ball_in_cup.task import BallInCup
 from wam_power_ros.tasks.errors import Effect, Error
@@ -31,7 +27,6 @@ CONTEXT = {
     "demonstrated": [[0.6, 0.0, 0.5], [0.65, 0.0, 0.5], [0.7, 0.0, 0.5]],
     "obstacle": [0.0] * 4,
 }
-EXTENDING = Path(__file__).resolve().parents[2] / "docs/extending.md"
 
 
 def own_return(task: type[Task]) -> type[Task]:
@@ -105,46 +100,6 @@ def test_errors_of_its_own_are_learnt_from_and_said(
             assert told == "height"
         else:
             assert told == "the return" + (", corrected by height" if practised.gain else "")
-
-
-def test_the_example_of_a_return_of_its_own_learns_otherwise_than_the_flip(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    blocks = re.findall(r"```python\n(.*?)```", EXTENDING.read_text(), re.DOTALL)
-    exec(next(block for block in blocks if "class HighFlip" in block), found := {})
-
-    def practised(kind: type[Task]) -> Practice:
-        monkeypatch.setattr(installed, "task_type", lambda _: kind)
-        settings = preset("flip", budget=8, retests=0)
-        practice = practice_of([demonstrated_policy()], settings, 0)
-        while (trial := practice.next_trial()) is not None:
-            practice.learn_assessed(trial, toss(trial, settings.task_settings))
-        return practice
-
-    high, flip = practised(found["HighFlip"]), practised(Flip)
-    assert type(high.learner) is Power and high.learner.settings.weights == "sharpened"
-    assert all(record.learnt_as == record.z for record in high.records)
-    assert high.records[-1].z != flip.records[-1].z
-    monkeypatch.setattr(installed, "task_type", lambda _: found["HighFlip"])
-    with pytest.raises(ValueError, match="needs a model of the vector error"):
-        practice_of([demonstrated_policy()], preset("flip", learner={"name": "model_based"}), 0)
-
-
-def test_margins_and_models_of_another_return_are_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Success is then counted alone: what was a margin may not be one of that success."""
-    flight = {"tossed": True, "seen": True, "angle": 3.1, "landing_error": [0.0, 0.0, 0.0]}
-    flight |= {"catch_pitch": 0.0, "climb": 0.0}
-
-    def shown(kind: type[Task]) -> int:
-        monkeypatch.setattr(installed, "task_type", lambda _: kind)
-        practice = practice_of([demonstrated_policy()], preset("flip", budget=40, retests=0), 0)
-        while not practice.stopped:
-            trial = practice.next_trial()
-            practice.learn_assessed(trial, Assessment(1.0, {}, flight, True))
-        return practice.confirmed
-
-    assert shown(Flip) < shown(own_return(Flip)) == preset("flip").practice.confirm
-    monkeypatch.undo()
 
 
 def test_a_correction_by_a_parameter_that_is_not_learnt_is_refused_for_every_learner() -> None:

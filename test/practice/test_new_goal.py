@@ -15,7 +15,6 @@ from wam_power_ros.learning.policy import Policy
 from wam_power_ros.practice.new_goal import context_for, policy_for
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.settings import preset
-from wam_power_ros.tasks.ball_in_cup.swing import STRING
 from wam_power_ros.tasks.flip.parametrization import TURN_OF_FLICK, TURN_OF_TEMPO, TURN_OF_VIGOUR
 from wam_power_ros.tasks.flip.toss_errors import APEX_OF_VIGOUR
 
@@ -25,7 +24,6 @@ FLIP, CUP = preset("flip"), preset("ball_in_cup")
 TOSS = {"tossed": True, "seen": True, "angle": math.pi, "landing_error": [0.0, 0.0, 0.1]}
 TOSS |= {"catch_pitch": 0.0, "apex": 0.6}
 NAMES = ("vigour", "tempo", "flick")
-SWING = {"apex": 0.1, "t_c": 2.0, "miss": [0.01, 0.0], "caught": True}
 
 
 @pytest.fixture(scope="module")
@@ -133,19 +131,3 @@ def test_a_lower_toss_is_less_vigorous_and_turns_as_far() -> None:
     assert found.basis.duration == pytest.approx(lower.basis.duration)
     same = run_of(FLIP, {**TOSS, "apex": 0.5}, {"apex": 0.5})
     np.testing.assert_allclose(same.attractors, policy.attractors, atol=1e-12)
-
-
-def test_a_swing_on_a_shorter_string_has_the_accelerations_of_the_former_one() -> None:
-    policy, size = demonstrated_policy(), 0.64
-    there = CUP.make_task(context_for(CUP, {}, {"string": size * STRING}))
-    scaled = there.carried(policy, {"string": STRING})
-    assert scaled.basis.duration == pytest.approx(0.8 * policy.basis.duration)
-    np.testing.assert_allclose(
-        np.ptp(scaled.attractors, axis=0), size * np.ptp(policy.attractors, axis=0)
-    )
-    assert scaled.damping == pytest.approx(0.8 * policy.damping)
-    back = CUP.make_task({}).carried(scaled, there.targets)
-    np.testing.assert_allclose(back.attractors, policy.attractors)
-    assert there.rest_time == pytest.approx(0.8 * CUP.make_task({}).rest_time)
-    short, same = (run_of(CUP, {**SWING, "miss": m}, {"string": 0.3}) for m in ([0.02, 0], [0, 0]))
-    assert np.ptp(short.attractors, axis=0).max() > np.ptp(same.attractors, axis=0).max()

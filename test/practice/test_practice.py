@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The course of a session, on a toss without physics."""
+"""The course of a session and its best policy, on a toss without physics."""
 
 import json
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,13 +17,18 @@ from toss_task import (
     learner_state,
     next_trial,
     practice_of,
+    record_of,
     toss,
 )
 
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.policy import Policy, to_json
 from wam_power_ros.learning.rollout import Rollout
-from wam_power_ros.practice.best_policy import choose_demonstration
+from wam_power_ros.practice.best_policy import (
+    Best,
+    choose_best,
+    choose_demonstration,
+)
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session_log import Record, Trial, parse_line
 from wam_power_ros.practice.settings import SessionSettings, preset
@@ -214,15 +220,6 @@ def test_a_mean_that_succeeds_is_run_again_unchanged_until_it_fails_or_is_confir
     assert (confirmed.kind, again.kind, last.kind) == ("mean", "retest", "retest")
     assert confirmed.z == again.z == last.z
     assert practice.used == len(practice.records) - 2
-
-
-def test_a_reproduction_that_succeeded_calls_for_the_mean_at_once() -> None:
-    practice = started("hindsight")
-    run(practice, lambda trial: good(), rollouts=2)
-    assert practice.next_trial().kind == "mean"
-    other = started("hindsight")
-    run(other, lambda trial: bad(), rollouts=2)
-    assert other.next_trial().kind == "explore"
 
 
 @presets
@@ -484,19 +481,6 @@ def test_a_policy_that_a_limit_of_the_arm_has_ended_is_not_run_again(on_model: s
     assert len(ended) == 5
 
 
-def test_all_re_tests_are_of_one_policy_though_a_limit_of_the_arm_ends_one_of_them() -> None:
-    practice = started("hindsight", budget=12, retests=4)
-    run(practice, rollouts=12)
-    fault = fault_assessment(Fault(FaultKind.JOINT_SPEED, "too fast"))
-    tested = []
-    while (trial := practice.next_trial()) is not None:
-        assert trial.kind == "retest"
-        tested.append(trial.z.tolist())
-        judged = fault if len(tested) == 2 else toss(trial, practice.task.settings)
-        practice.learn_assessed(trial, judged, fault=judged.why if judged is fault else "")
-    assert len(tested) == 4 and tested == tested[:1] * 4
-
-
 @pytest.mark.requirement("S-31")
 def test_what_is_infeasible_is_shrunk_to_what_ran_and_in_a_replay_not_simulated_again() -> None:
     def never(policy: Policy) -> str:
@@ -606,3 +590,43 @@ def test_a_session_whose_demonstrations_a_person_stopped_ends() -> None:
     alone = practice_of(CANDIDATES[:1], preset("flip"), 0)
     stopped(alone)
     assert alone.finished and "stopped by a person" in alone.stopped
+
+
+PARAMETERS = preset("flip").make_task({}).parametrization(demonstrated_policy("flick-1"))
+
+PLACES = [np.full(PARAMETERS.size, place).tolist() for place in (0.0, 0.25, 0.5)]
+
+
+def record(number: int, **changes: Any) -> Record:  # noqa: ANN401
+    return record_of(number, **{"z": PLACES[1], **changes})
+
+
+def best(records: list[Record], answer: np.ndarray | None = None) -> Best | None:
+    return choose_best(records, {"one": PARAMETERS}, "one", answer, "it has ended", 0.2)
+
+
+def several(*runs: tuple[list[float], list[float]]) -> list[Record]:
+    """Records of the means at some coordinates, with their returns."""
+    each = [(z, ret) for z, returns in runs for ret in returns]
+    return [record(number, z=z, ret=ret) for number, (z, ret) in enumerate(each, start=1)]
+
+
+def test_more_runs_count_more_than_one_that_was_lucky_and_the_later_policy_wins_a_tie() -> None:
+    often = best(several((PLACES[0], [0.68]), (PLACES[1], [0.6] * 4)))
+    assert often.policy.id == "trial-0002" and often.returns == (0.6,) * 4 and often.successes == 4
+    assert best(several((PLACES[0], [0.98]), (PLACES[1], [0.6] * 4))).policy.id == "trial-0001"
+    assert best(several((PLACES[0], [0.6]), (PLACES[1], [0.6]))).policy.id == "trial-0002"
+
+
+def test_explorations_other_demonstrations_and_refused_policies_are_never_the_best() -> None:
+    others = [
+        record(1, kind="explore", ret=1.0),
+        record(2, demonstration="two", ret=1.0),
+        record(3, ret=None, success=False),
+    ]
+    assert best(others) is None
+    refused = record(4, kind="explore", z=PLACES[2], ret=0.0, fault="stopped", refused=True)
+    tried = [*others, record(4, z=PLACES[2], ret=0.9), record(5, ret=0.3)]
+    assert best(tried).policy.id == "trial-0004"
+    assert best([*tried, refused]).policy.id == "trial-0005"
+    assert best([*tried[:-1], refused]) is None

@@ -228,15 +228,6 @@ def test_only_one_learner_writes_a_session_and_none_begins_another_over_it(tmp_p
             look(tmp_path)
 
 
-def test_a_beginning_that_was_interrupted_is_begun_again(tmp_path: Path) -> None:
-    folder = begun(tmp_path / "s")
-    for name in ("session.yaml", "rollouts.jsonl", "candidates/flick-2.json"):
-        (folder / name).unlink()  # session.yaml is the last to be written
-    assert not Session.exists(folder)
-    begun(folder, 1)
-    assert len(read(folder).records) == 1
-
-
 def test_a_log_that_may_not_grow_is_left_as_it_was(tmp_path: Path) -> None:
     folder = begun(tmp_path / "s", 3)
     log = folder / "rollouts.jsonl"
