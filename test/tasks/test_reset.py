@@ -6,10 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.reset import (
     MOVES_MAX,
-    READY_STATES,
     SETTLE_TIME,
     Action,
     BodyState,
@@ -39,15 +37,6 @@ class Course:
             self.resetting.add(None, self.now_ns)
 
 
-def test_a_body_that_is_ready_needs_nobody() -> None:
-    course = Course()
-    course.missing = ""
-    for count in range(READY_STATES):
-        assert not course.resetting.done, count
-        course.go_on(1.1e-9 * FRAME)
-    assert course.resetting.done and course.resetting.by == "none" and not course.asked
-
-
 def test_a_body_must_have_been_ready_without_a_break_for_its_time_of_rest() -> None:
     course = Course("wait", rest_time=0.6)
     for _ in range(3):  # as a swinging ball is at its ends
@@ -70,13 +59,6 @@ def test_a_person_counts_only_once_the_body_has_had_time_to_come_to_rest() -> No
     course.missing = ""
     course.go_on(1.0)
     assert course.resetting.done and course.resetting.by == "person"
-
-
-def test_what_comes_to_rest_by_itself_is_waited_for_without_a_person() -> None:
-    course = Course("wait")
-    course.go_on(10.0 * SETTLE_TIME)
-    assert course.resetting.waits and course.resetting.by == "none"
-    assert course.resetting.missing == "on the floor"
 
 
 def test_the_arm_does_one_movement_at_a_time_and_states_meanwhile_are_not_judged() -> None:
@@ -104,7 +86,3 @@ def test_an_arm_that_tries_in_vain_asks_for_a_person() -> None:
 def test_what_a_task_may_not_answer_is_refused_and_not_waited_for() -> None:
     with pytest.raises(ValueError, match="reset told 'nobody', must be a Move, 'wait' or 'pers"):
         Course("nobody").go_on(0.1)
-
-
-def test_a_task_that_does_not_know_how_leaves_it_to_a_person() -> None:
-    assert preset("flip").make_task({}).reset(None, None, np.zeros(7)) == "person"

@@ -26,9 +26,3 @@ def test_the_normal_of_a_flipped_body_points_down_in_the_figure() -> None:
     assert np.all(tool.V > 0.0)
     assert body.V[0] == pytest.approx(NORMAL_LENGTH)
     assert body.V[-1] == pytest.approx(-NORMAL_LENGTH)
-
-
-def test_a_rollout_without_a_body_or_a_single_frame_is_drawn_all_the_same() -> None:
-    unseen = BodyPath("toss", np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4)))
-    for body in (None, unseen):
-        assert len(side_view(Rollout(TOOL, body), "ball").axes[0].lines) == 1

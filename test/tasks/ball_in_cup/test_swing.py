@@ -10,12 +10,10 @@ from hypothesis import strategies as st
 
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
 from wam_power_ros.tasks.ball_in_cup.swing import (
-    CUP_RADIUS,
     GAP_MAX,
     GRAVITY,
     PLANE,
     STRING,
-    in_cup,
     landing,
     observe_swing,
     swing_of,
@@ -67,12 +65,6 @@ def test_a_fall_is_measured_between_frames_whatever_the_cup_does_to_the_ball_aft
     assert swing is not None and swing.t_c == pytest.approx(T_C, abs=0.002)
     assert swing.caught == (x > 0.0)
     assert swing.miss == pytest.approx((x, y), abs=0.002)
-
-
-@pytest.mark.parametrize(("edge", "caught"), [(CUP_RADIUS - 1e-6, True), (CUP_RADIUS, False)])
-def test_a_ball_is_in_the_cup_within_its_walls_and_below_its_rim(edge: float, caught: bool) -> None:
-    assert in_cup(np.array([edge, 0.0, 0.02])) is caught
-    assert not in_cup(np.array([0.0, 0.0, PLANE])) and not in_cup(np.array([0.0, 0.0, -STRING]))
 
 
 def test_a_fall_or_an_end_that_the_cameras_missed_is_not_judged() -> None:

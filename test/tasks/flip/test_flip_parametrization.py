@@ -1,14 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Vigour, flick, catch shift and tempo of a toss."""
 
-import math
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from toss_task import demonstrated_policy
 
-from wam_power_ros.learning.dmp import reproduce_many
 from wam_power_ros.learning.parametrization import parametrization_of
 from wam_power_ros.learning.policy import Policy, to_json
 from wam_power_ros.tasks.flip.parametrization import FlipNoise, flip_parametrization
@@ -56,54 +52,6 @@ def test_the_flick_enlarges_the_demonstrated_turn() -> None:
     np.testing.assert_array_equal(after.attractors, before.attractors)
 
 
-def test_the_vigour_enlarges_the_demonstrated_movement_in_the_same_time() -> None:
-    policy = demonstrated_policy()
-    level = policy.attractors.copy()
-    level[:, 1] = 0.1  # in the plane y = 0.1
-    p = flip_parametrization(replace(policy, attractors=level), "planar", NOISE)
-    z = np.zeros(p.size)
-    z[p.groups["vigour"]] = 5.0  # 0.2
-    before, after = p.policy0, p.policy(z, "a")[0]
-    paths, _ = reproduce_many(
-        before.basis,
-        np.stack([before.stiffness, after.stiffness]),
-        np.stack([before.attractors, after.attractors]),
-        before.damping,
-        level[0],
-        np.zeros(3),
-        600,
-        0.002,
-    )
-    np.testing.assert_allclose(paths[1] - level[0], 1.2 * (paths[0] - level[0]), atol=1e-12)
-    old, new = before.rotation_attractors, after.rotation_attractors
-    np.testing.assert_allclose(new[:, 1] - new[0, 1], 1.2 * (old[:, 1] - old[0, 1]))
-    np.testing.assert_array_equal(new[:, [0, 2]], old[:, [0, 2]])
-
-
-def test_the_tempo_makes_the_same_movement_faster() -> None:
-    before, after = moved("tempo", 5.0)  # noise .03 by default
-    tempo = math.exp(0.15)
-    assert after.basis.duration == pytest.approx(before.basis.duration / tempo)
-    paths = [
-        reproduce_many(
-            policy.basis,
-            policy.stiffness[np.newaxis],
-            policy.attractors[np.newaxis],
-            policy.damping,
-            policy.attractors[0],
-            np.zeros(3),
-            600,
-            0.002 / share,
-        )[0]
-        for policy, share in ((before, 1.0), (after, tempo))
-    ]
-    np.testing.assert_allclose(paths[1], paths[0], atol=1e-9)
-    assert after.rotation_stiffness == pytest.approx(before.rotation_stiffness * tempo**2)
-    assert after.rotation_damping == pytest.approx(before.rotation_damping * tempo)
-    np.testing.assert_array_equal(after.attractors, before.attractors)
-    np.testing.assert_array_equal(after.rotation_attractors, before.rotation_attractors)
-
-
 def test_only_the_planar_variant_has_a_tempo_and_parameters_of_its_own() -> None:
     policy = demonstrated_policy()
     for variant in ("full", "attractors"):
@@ -119,16 +67,3 @@ def test_only_the_planar_variant_has_a_tempo_and_parameters_of_its_own() -> None
     assert p.size == 6 * policy.basis.count + len(own)
     unchanged = p.policy(np.zeros(p.size), policy.id)[0]
     assert to_json(unchanged) == to_json(policy)
-
-
-def test_the_catch_of_more_springs_is_moved_in_the_same_way() -> None:
-    policy = demonstrated_policy(count=(count := 16))
-    p = flip_parametrization(policy, "planar", NOISE)
-    z = np.zeros(p.size)
-    z[p.groups["catch_shift"]] = 0.02 / NOISE.catch_shift
-    moved = p.policy(z, policy.id)[0].attractors[:, 0] - policy.attractors[:, 0]
-    places = np.linspace(0.0, 1.0, count)
-    assert (moved[places < 4.0 / 7.0] == 0.0).all()
-    assert np.interp([5.0 / 7.0, 6.0 / 7.0, 1.0], places, moved) == pytest.approx(
-        [0.01, 0.02, 0.02], abs=2e-3
-    )

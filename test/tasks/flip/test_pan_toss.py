@@ -1,24 +1,58 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Toss of a pancake by a pan that moves along a path."""
+"""The toss that the path of a pan predicts, and the errors and the model of the task from it."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from pan_paths import BRAKE, RISE, path, thrown
+from toss_task import demonstrated_policy
 
 from wam_power_ros import rotations
-from wam_power_ros.learning.rollout import EndEffectorPath
+from wam_power_ros.learning.rollout import EndEffectorPath, Foreseen
+from wam_power_ros.practice.settings import preset
+from wam_power_ros.tasks.errors import told
 from wam_power_ros.tasks.flip.ballistic_fit import GRAVITY
 from wam_power_ros.tasks.flip.flight import DELTA_H
 from wam_power_ros.tasks.flip.frames import PAN_RADIUS, PANCAKE_RADIUS
 from wam_power_ros.tasks.flip.pan_toss import Pancake, predict_toss
+from wam_power_ros.tasks.flip.task import Flip
+from wam_power_ros.tasks.flip.toss_errors import ERRORS, SLOWED
 
+RISE = 0.2  # [s]
+BRAKE = 60.0  # [m/s^2]
 SLACK = PAN_RADIUS - PANCAKE_RADIUS  # from the middle of the pan to the rim [m]
 AIRLESS = Pancake(spin_decay=0.0, drag=0.0)
+
+
+def path(z: np.ndarray, pitch: np.ndarray, x: np.ndarray | None = None) -> EndEffectorPath:
+    """Path of a pan at 500 Hz; pitch with the front edge up [rad]."""
+    x = np.zeros_like(z) if x is None else x
+    quat_xyzw = np.column_stack(
+        [np.zeros_like(z), -np.sin(0.5 * pitch), np.zeros_like(z), np.cos(0.5 * pitch)]
+    )
+    return EndEffectorPath(
+        "pan", 0.002 * np.arange(len(z)), np.column_stack([x, 0.0 * z, z]), quat_xyzw
+    )
+
+
+def thrown(
+    speed: float, tilt: float = 0.0, rate: float = 0.0, ahead: float = 0.0
+) -> EndEffectorPath:
+    """A pan that rises to `speed` [m/s] while it turns ever faster, and stops within centimetres.
+
+    From the release on it turns at a constant rate [rad/s]; later it moves ahead [m].
+    """
+    t = 0.002 * np.arange(751)
+    stop = RISE + speed / BRAKE
+    up, down = np.minimum(t, RISE), np.clip(t - RISE, 0.0, speed / BRAKE)
+    z = 0.5 * speed / RISE * up**2 + speed * down - 0.5 * BRAKE * down**2
+    pitch = tilt + rate * (0.5 * up**2 / RISE + np.maximum(t - RISE, 0.0))
+    x = ahead * np.clip((t - stop) / 0.1, 0.0, 1.0)
+    return path(z, pitch, x)
 
 
 def time_of_flight(speed: float) -> float:
@@ -75,44 +109,6 @@ def test_the_landing_error_is_where_the_pancake_comes_down_in_the_pan() -> None:
     assert with_it == pytest.approx(landing(pan), abs=1e-6)
 
 
-def test_the_catch_pitch_is_that_of_the_pan_at_the_landing() -> None:
-    pan = thrown(2.5, rate=0.3)
-    pitch = predict_toss(pan, pancake=AIRLESS)["catch_pitch"]
-    assert pitch == pytest.approx(0.3 * (0.5 * RISE + time_of_flight(2.5)), rel=0.05)
-
-
-def test_on_a_tilted_pan_the_pancake_lies_at_the_lower_rim() -> None:
-    forward, back, level = (
-        predict_toss(thrown(2.5, tilt=tilt), pancake=AIRLESS)["landing_x"]
-        for tilt in (-0.25, 0.25, 0.0)
-    )
-    assert forward == pytest.approx(SLACK, rel=0.2) and back == pytest.approx(-SLACK, rel=0.2)
-    assert abs(level) < 0.1 * SLACK
-
-
-@pytest.mark.parametrize(("friction", "left"), [(0.0, -0.03), (0.8, 0.0)])
-def test_friction_takes_the_pancake_along_with_a_pan_that_moves(
-    friction: float, left: float
-) -> None:
-    pancake = AIRLESS._replace(friction=friction)
-    landing = predict_toss(_moved_and_thrown(0.03), pancake=pancake)["landing_x"]
-    assert landing == pytest.approx(left, abs=0.003)
-
-
-@pytest.mark.parametrize("shift", [0.2, -0.2])
-def test_the_rim_takes_along_what_friction_does_not(shift: float) -> None:
-    toss = predict_toss(_moved_and_thrown(shift), pancake=AIRLESS._replace(friction=0.0))
-    assert abs(toss["landing_x"]) < 0.1
-
-
-def _moved_and_thrown(shift: float) -> EndEffectorPath:
-    """A pan that moves along x [m] within a second, stops, and throws."""
-    throw = thrown(2.5)
-    aside = shift * 0.5 * (1.0 - np.cos(math.pi * np.linspace(0.0, 1.0, 501)))
-    z = np.concatenate([np.zeros(501), throw.position[:, 2]])
-    return path(z, np.zeros_like(z), np.concatenate([aside, np.full(len(throw.t), shift)]))
-
-
 def test_a_dip_after_which_the_pancake_falls_back_is_not_the_toss() -> None:
     """The pan drops by 3 cm faster than it could fall, waits, and throws: only that counts."""
     t = 0.002 * np.arange(200)
@@ -135,3 +131,56 @@ def test_a_rim_that_is_drawn_back_brakes_the_spin_of_the_pancake_at_it() -> None
         for each in (throw, dataclasses.replace(throw, position=drawn))
     )
     assert braked["rotation"] + math.pi < 0.9 * (free["rotation"] + math.pi)
+
+
+TURN_TOLERANCE, LANDING_TOLERANCE, _, LEVEL_TOLERANCE = (error.tolerance for error in ERRORS[:4])
+
+SETTINGS = preset("flip").task_settings
+
+
+def test_a_measured_error_is_in_tolerances_and_has_no_landing_without_a_toss() -> None:
+    flight = {
+        "tossed": True,
+        "seen": True,
+        "angle": math.pi + TURN_TOLERANCE,
+        "landing_error": [2.0 * LANDING_TOLERANCE, 0.5, 0.1],
+        "catch_pitch": -3.0 * LEVEL_TOLERANCE,
+    }
+    wanted = [1.0, 2.0, 0.5 / LANDING_TOLERANCE, -3.0]
+    task = Flip(SETTINGS, {})
+    np.testing.assert_allclose(task.error(flight), wanted)
+    assert task.error({**flight, "seen": False}) is None
+    assert task.error(None) is None
+    turn, *catch = task.error({**flight, "tossed": False, "angle": 0.0})
+    assert turn == pytest.approx(-math.pi / TURN_TOLERANCE) and np.isnan(catch).all()
+
+
+@pytest.mark.parametrize(("miss", "climb"), [(0.05, 0.01), (0.09, 0.01), (0.05, 0.03)])
+def test_a_flip_is_inside_its_limits_as_far_as_turn_miss_and_climb_are(
+    miss: float, climb: float
+) -> None:
+    flight = {"tossed": True, "seen": True, "angle": math.radians(170.0), "climb": climb}
+    flight |= {"landing_error": [0.6 * miss, -0.8 * miss, 0.2], "catch_pitch": 0.3}
+    record = SimpleNamespace(observation=flight)
+    inside = [math.radians(20.0), 0.08 - miss, 0.025 - climb]
+    assert Flip(SETTINGS, {}).margins(record) == pytest.approx(inside)
+    assert list(Flip(preset("flip", "paper").task_settings, {}).margins(record)) == []
+    for unknown in (None, {name: it for name, it in flight.items() if name != "climb"}):
+        assert list(Flip(SETTINGS, {}).margins(SimpleNamespace(observation=unknown))) == []
+
+
+def test_the_model_of_the_task_predicts_the_toss_of_the_foreseen_path_and_its_excess() -> None:
+    task = Flip(SETTINGS, {})
+    parametrization = task.parametrization(demonstrated_policy())
+    pan, excess = thrown(2.5, rate=4.0), np.array([-0.3, 0.2])
+    model = task.error_model(parametrization, lambda policy: Foreseen(pan, excess))
+    prediction = model.predict(np.zeros(parametrization.size))
+    np.testing.assert_allclose(prediction.error, told(task.learnt_errors(), predict_toss(pan)))
+    assert np.isfinite(prediction.error).all()
+    np.testing.assert_array_equal(prediction.excess, excess)
+    assert prediction.uncertain.shape == (4, 1)
+    slowed = told(task.learnt_errors(), predict_toss(pan, pancake=SLOWED))
+    assert slowed[0] < prediction.error[0]
+    np.testing.assert_allclose(prediction.uncertain[:, 0], slowed - prediction.error)
+    none = task.error_model(parametrization, lambda policy: None)
+    assert none.predict(np.zeros(parametrization.size)) is None

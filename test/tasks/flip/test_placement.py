@@ -16,7 +16,7 @@ from wam_power_ros import rotations
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.flip.assessment import assess
-from wam_power_ros.tasks.flip.placement import HEIGHT_OFF_MAX, doubt, on_floor
+from wam_power_ros.tasks.flip.placement import doubt
 from wam_power_ros.tasks.task import Assessment
 
 POLICY = demonstrated_policy("trial-0001")
@@ -97,12 +97,3 @@ def test_one_marker_is_named() -> None:
         for each in seen(truth, rng)
     )
     assert "as of one marker" in judged(truth.pan, path, before).why
-
-
-def test_without_frames_at_rest_nothing_is_moved_or_doubted() -> None:
-    rng = np.random.default_rng(0)
-    truth = toss(rng)
-    path = moved(capture(truth, rng), np.array([0.0, 0.0, HEIGHT_OFF_MAX]))
-    for before in (None, path.part(path.t < 0.0)):
-        assert doubt(truth.pan, path, before) == ""
-        assert on_floor(truth.pan, path, before) == (path, before, 0.0)
