@@ -8,13 +8,12 @@ import os
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
-from conftest import Probe, Processes, Sent, lift
-from control_msgs.action import FollowJointTrajectory
+from conftest import Probe, Processes, lift
 from geometry_msgs.msg import PoseStamped
-from stand_ins import NAMES, TICK, Hardware
+from stand_ins import Hardware
 
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.ros import interface, joint_messages, pose_messages
+from wam_power_ros.ros import interface, pose_messages
 from wam_power_ros.ros.outcomes import Code
 
 
@@ -99,61 +98,3 @@ def test_a_rollout_in_lockstep_is_the_same_whenever_its_services_are_called(
     assert pose_messages.path(other).position.tolist() != results[0][1]
     for process in (hardware.process, hardware.controller):  # no real time, whatever is asked for
         assert os.sched_getscheduler(process.pid) == os.SCHED_OTHER
-
-
-def test_waypoints_of_a_follow_joint_trajectory_are_passed_and_a_wrong_goal_is_invalid(
-    hardware: Hardware,
-) -> None:
-    probe = hardware.probe
-    start = hardware.state().q
-    there = start + 0.3 * np.eye(7)[3]
-
-    def follow(seconds: float, names: list[str] = NAMES) -> Sent:
-        t, q = np.array([0.0, 0.5, 1.0]), np.array([start, there, start])
-        movement = joint_messages.JointMovement(seconds * t, q)
-        goal = joint_messages.movement_message(names, movement)
-        return probe.ask("follow", trajectory=goal)
-
-    def end(sent: Sent) -> tuple[int, int]:
-        probe.until(lambda: sent.result, "the end of a goal")
-        return sent.result.error_code, sent.status
-
-    hardware.messages.clear()
-    done = end(follow(2.0))
-    assert done == (FollowJointTrajectory.Result.SUCCESSFUL, GoalStatus.STATUS_SUCCEEDED)
-
-    def moved() -> float:
-        states = [hardware.state(i).q[3] - start[3] for i in range(len(hardware.messages))]
-        return max(states, default=0.0)
-
-    probe.until(lambda: moved() > 0.27, "the states of the movement")  # behind the answer
-    assert moved() < 0.33
-
-    invalid = FollowJointTrajectory.Result.INVALID_GOAL, GoalStatus.STATUS_ABORTED
-    assert end(follow(0.1)) == invalid  # too fast
-    wrong = follow(2.0, [*NAMES[:6], "finger"])
-    assert end(wrong) == invalid and "wam_j7" in wrong.result.error_string
-
-
-@pytest.mark.long
-def test_in_real_time_states_go_on_while_the_pancake_is_put_back(
-    probe: Probe, processes: Processes
-) -> None:
-    hardware = Hardware(probe, processes, "real_time", realtime_priority=70)
-    hardware.control()
-    policy = lift("put-back")
-    # A reset takes at least 50 states; all of them would be missing if it blocked the process, and
-    # the controller would latch a fault. A busy machine may do so in one reset, but not in all.
-    outcomes: list[tuple[str, bool]] = []  # of each reset: mode after it, short gaps in between
-    while ("hold", True) not in outcomes and len(outcomes) < 5:
-        hardware.insist("move_to_start", policy)
-        hardware.messages.clear()
-        hardware.insist("reset", policy)
-        # on a busy machine they arrive after the answer
-        probe.until(lambda: len(hardware.messages) > 50, "the states meanwhile")
-        stamps = [hardware.state(i).stamp_ns for i in range(len(hardware.messages))]
-        apart = np.diff(stamps)
-        assert (apart > 0).all() and (apart % TICK == 0).all()
-        hardware.diagnostics.clear()
-        outcomes.append((probe.until(hardware.label, "its mode"), bool(apart.max() < 25 * TICK)))
-    assert ("hold", True) in outcomes, outcomes

@@ -11,18 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from hardware_sim.motors import DirectDrives, Motors, joint_motion, motor_motion
+from hardware_sim.motors import DirectDrives, Motors
 from hardware_sim.wam import CABLE_LIMIT, MOTOR_OF_JOINT
 
 RATIO = np.abs(MOTOR_OF_JOINT).max(axis=0)  # (joint,) of a joint that moves alone
 TAU_MAX = CABLE_LIMIT @ np.abs(MOTOR_OF_JOINT)  # [N m] of a joint alone
-
-
-@settings(max_examples=20)
-@given(arrays(float, 7, elements=st.floats(-20.0, 20.0)))
-def test_joint_motion_is_the_inverse_of_motor_motion(q: np.ndarray) -> None:
-    np.testing.assert_allclose(motor_motion(q.tolist()), MOTOR_OF_JOINT @ q, atol=1e-9)
-    np.testing.assert_allclose(joint_motion(motor_motion(q.tolist())), q, atol=1e-12)
 
 
 torques = arrays(float, 7, elements=st.floats(-200.0, 200.0))

@@ -6,10 +6,9 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pytest
-from simulated import LEVEL, URDF, begin
+from simulated import URDF
 
 from hardware_sim import scene
-from hardware_sim.ground_truth import TOOL_SITE
 from hardware_sim.scenes.flip import Flip
 from hardware_sim.scenes.reach import Reach
 from hardware_sim.wam import CABLE_LIMIT, JOINTS, MOTOR_OF_JOINT
@@ -80,35 +79,3 @@ def test_a_tool_touches_nothing_but_what_its_scene_gives_it(world: World) -> Non
 
     assert touching(world.model) == 17  # floor and rim of the pan, for the pancake
     assert touching(World(Reach).model) == 0
-
-
-def test_the_guarded_points_are_those_of_the_arm_model(arm: Arm, world: World) -> None:
-    begin(world)
-    data = world.data
-    mujoco.mj_forward(world.model, data)
-    names = ("elbow", "forearm", TOOL_SITE)
-    before = {name: data.site(name).xpos.copy() for name in names}
-    rng = np.random.default_rng(1)
-    qd, small = rng.normal(size=7), 1e-6
-    data.qpos[:7] = LEVEL + small * qd
-    mujoco.mj_kinematics(world.model, data)
-    moved = [np.linalg.norm(data.site(name).xpos - before[name]) / small for name in names]
-    speeds = arm.speeds(LEVEL, qd)
-    np.testing.assert_allclose(moved, [*speeds.guarded_speeds, speeds.tool_speed], rtol=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("q", "tool_plate"),  # from Barrett's DH table, independent of this model
-    [
-        ((0.0,) * 7, (0.0, 0.0, 1.2569)),
-        ((0.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0), (0.43670872, 0.0, 1.14538996)),
-        ((0.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0), (0.17853346, 0.0, 1.2342937)),
-        ((0.0, 0.0, 0.0, 0.0, 0.0, 0.5, 0.0), (0.02919702, 0.0, 1.24944478)),
-        ((0.0, -2.0, 0.0, 3.13, 0.0, 0.0, 0.0), (-0.212, 0.0, 0.353)),
-    ],
-)
-def test_the_tool_plate_is_where_barretts_table_has_it(
-    q: tuple[float, ...], tool_plate: tuple[float, ...]
-) -> None:
-    position, _ = Arm(URDF, JOINTS, tool_frame="wam_tool_plate").tool_pose(np.array(q))
-    np.testing.assert_allclose(position, tool_plate, atol=6e-4 if q[1] == -2.0 else 1e-7)

@@ -108,22 +108,3 @@ def test_a_camera_sees_either_side_of_a_disc_and_nothing_of_one_that_is_edge_on(
     assert 9 <= len(off) < 13
     assert np.median(off) < 1e-3 and max(off) < 5e-3
     assert max(turned) < np.deg2rad(2.0)
-
-
-def test_what_a_camera_sees_of_a_rollout_does_not_depend_on_those_before() -> None:
-    pytest.importorskip("cv2")
-    seen = []
-    for before in ((), (LEVEL + 0.02, LEVEL - 0.02)):
-        world = World(Flip, CALM, mocap=MocapSettings(camera=True))
-        for number, q in enumerate(before):
-            world.reset(f"before-{number}", q)
-            world.release()
-            for _ in range(100):
-                world.step(None)
-        begun_ns, frames = world.time_ns, filmed(world, 0.3)
-        seen.append([(f.stamp_ns - begun_ns, f.position, f.quat_xyzw) for _, f in frames])
-    assert len(seen[0]) > 5
-    for one, other in zip(*seen, strict=True):
-        assert one[0] == other[0]
-        np.testing.assert_array_equal(one[1], other[1])
-        np.testing.assert_array_equal(one[2], other[2])

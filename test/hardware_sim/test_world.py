@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulated world: physics, driver and repeatability."""
+"""The simulated world: physics, driver, settings, repeatability and ground truth."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from simulated import CALM, LEVEL, URDF, begin, having, holding_torque, run
 
+from hardware_sim.ground_truth import LOG_TIME
 from hardware_sim.scenes.flip import Flip
 from hardware_sim.scenes.reach import Reach
-from hardware_sim.settings import ArmSimParams, OptitrackSimParams
-from hardware_sim.wam import JOINTS, PERIOD_NS
+from hardware_sim.settings import ArmSimParams, OptitrackSimParams, WorldSettings
+from hardware_sim.wam import JOINTS, PERIOD, PERIOD_NS
 from hardware_sim.world import QUIET, World
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.params import overlay
@@ -31,25 +32,6 @@ def calm() -> World:
 @pytest.fixture(scope="module")
 def arm() -> Arm:
     return Arm(URDF, JOINTS)
-
-
-def test_an_arm_at_rest_stays_where_it_is_under_its_gravity_torque(calm: World) -> None:
-    gravity = begin(calm)
-    run(calm, gravity, 500)
-    assert np.abs(calm.data.qpos[:7] - LEVEL).max() < 1e-3
-    assert np.abs(calm.data.qvel[:7]).max() < 1e-3
-
-
-def test_a_body_that_falls_moves_and_an_arm_at_rest_or_frozen_does_not(calm: World) -> None:
-    gravity = begin(calm)
-    run(calm, gravity, 500)
-    assert not calm.moving
-    calm.drop()
-    run(calm, gravity, 50)
-    assert calm.moving
-    calm.reset("trial-0002", LEVEL)
-    assert calm.frozen and not calm.moving
-    calm.release()
 
 
 @pytest.mark.parametrize("joints", [1, 6])
@@ -145,17 +127,6 @@ def test_a_driver_without_a_watchdog_holds_the_last_torque_for_ever() -> None:
     np.testing.assert_array_equal(world.joint_state().tau, gravity + 1.0)
 
 
-@pytest.mark.parametrize("delay", [0, 3])
-def test_a_command_reaches_the_motors_after_its_delay(delay: int) -> None:
-    world = World(Flip, having(command_delay_ticks=delay))
-    gravity = begin(world)
-    ticks = 0
-    while (world.joint_state().tau == gravity).all():
-        world.step(gravity + 1.0)
-        ticks += 1
-    assert ticks == delay + 1
-
-
 @pytest.mark.parametrize("bad", [np.full(7, math.nan), np.zeros(6)])
 def test_torques_that_are_not_seven_finite_numbers_are_refused_and_move_nothing(
     calm: World, bad: np.ndarray
@@ -248,23 +219,47 @@ def test_every_rollout_has_random_wind_offset_and_friction_and_a_quiet_one_none(
     np.testing.assert_allclose(quiet[5:], [2.7, 2.5, 1.5, 1.1, 0.4, 0.4, 0.1])
 
 
-def test_a_rollout_without_a_reset_has_the_noise_of_one_with_a_reset(world: World) -> None:
-    def drawn() -> list[float]:
-        return [*world.model.opt.wind, *world.model.dof_frictionloss[:7], *world._torque_scale]
-
-    begin(world, "trial-0002")
-    other = drawn()
-    begin(world)
-    run(world, holding_torque(world), 5)
-    place = world.data.qpos.tolist()
-    world.release("trial-0002")
-    assert drawn() == other and world.data.qpos.tolist() == place
-
-
-def test_a_trace_keeps_100_poses_a_second(calm: World) -> None:
+def test_a_torque_beyond_the_envelope_is_clipped_and_counted(calm: World) -> None:
     gravity = begin(calm)
-    run(calm, gravity, 100)
-    trace = calm.trace
-    assert trace.shape == (20, 14)
-    run(calm, gravity, 1)
-    np.testing.assert_array_equal(calm.trace[-1], calm.data.qpos)
+    run(calm, gravity, 10)
+    assert calm.truth()["saturated"] == 0.0
+    run(calm, gravity + 60.0 * np.eye(7)[3], 20)
+    truth = calm.truth()
+    assert truth["peak_tau"][3] == pytest.approx(28.8)
+    assert truth["saturated"] > 0.5
+    assert not truth["beyond_no_load"]
+    calm.data.qvel[3] = 8.0
+    calm.step(gravity)
+    assert calm.truth()["beyond_no_load"]
+
+
+def test_peaks_are_those_since_the_release_and_of_its_first_10_s(calm: World) -> None:
+    torque = begin(calm)
+    calm.data.qvel[3] = 1.0
+    run(calm, torque, 5)
+    first = calm.truth()
+    assert first["peak_qd"][3] == pytest.approx(1.0, abs=0.3)
+    assert first["peak_pan_speed"] > 0.2
+    run(calm, None, round(LOG_TIME / PERIOD))
+    calm.data.qvel[3] = 2.0
+    run(calm, None, 5)
+    assert calm.truth()["peak_qd"][3] == first["peak_qd"][3]  # the log is full
+    begin(calm)
+    assert calm.truth()["peak_qd"] == [0.0] * 7
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"wind_sd": math.nan},
+        {"period": 0.0015},
+        {"guarded_region": (0.5, 0.0, 0.5, -0.1)},
+        {"drives": "wam", "model_joint_names": ("a", "b")},
+        {"home": (0.0,) * 6},
+        {"home": (0.0,) * 7, "model_joint_names": ("a", "b"), "drives": "direct"},
+        {"guarded_points": (0.0, 0.0, 0.0)},
+    ],
+)
+def test_settings_out_of_range_are_refused_by_name(wrong: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        WorldSettings(**wrong)

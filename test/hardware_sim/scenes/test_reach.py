@@ -5,10 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from hardware_sim.demonstrator import PAUSE, Demonstrator
+from hardware_sim.demonstrator import Demonstrator
 from hardware_sim.scenes import HOME
 from hardware_sim.scenes.reach import Reach, reach
 from hardware_sim.settings import REACH_GOAL, WorldSettings
@@ -18,25 +16,6 @@ from wam_power_ros import rotations
 from wam_power_ros.control.arm import Arm
 
 POSITION, ROTATION = np.array([0.8, 0.0, 0.6]), rotations.exp(np.array([0.0, 0.4, 0.0]))
-
-
-@settings(max_examples=20)
-@given(st.integers(0, 10_000))
-def test_every_reach_goes_from_rest_to_rest_in_an_arc_with_constant_orientation(
-    seed: int,
-) -> None:
-    script = reach(np.random.default_rng(seed))
-    for t, place in ((0.0, POSITION), (PAUSE, POSITION), (script.end, script.goal)):
-        position, rotation, velocity, omega = script.target(t, POSITION, ROTATION)
-        np.testing.assert_allclose(position, place, atol=1e-12)
-        np.testing.assert_array_equal(rotation, ROTATION)
-        np.testing.assert_allclose(velocity, 0.0, atol=1e-12)
-        assert not omega.any()
-    times = np.linspace(PAUSE, script.end, 201)
-    height = np.array([script.target(t, POSITION, ROTATION).position for t in times])[:, 2]
-    assert (height - np.linspace(height[0], height[-1], 201)).max() > 0.0
-    again = reach(np.random.default_rng(seed))
-    assert again.duration == script.duration != reach(np.random.default_rng(seed + 1)).duration
 
 
 def world_with(*obstacle: float) -> World:
@@ -91,14 +70,6 @@ def test_the_obstacle_is_touched_exactly_within_a_millimetre_of_the_tools_centre
         truth = world.truth()
         assert truth["touched"] is (margin > -0.001)
         assert truth["clearance"] == pytest.approx(-margin, abs=1e-12)
-
-
-def test_only_an_obstacle_with_a_radius_is_drawn() -> None:
-    for obstacle, drawn in (((0.7, 0.0, 0.5, 0.08), 1), ((0.7, 0.0, 0.5, 0.0), 0)):
-        model = world_with(*obstacle).model
-        names = [model.geom(k).name for k in range(model.ngeom)]
-        assert names.count("obstacle") == drawn
-        assert "pancake" not in names
 
 
 def test_a_scene_without_a_tracked_body_has_nothing_to_drop() -> None:

@@ -6,13 +6,12 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pytest
-from simulated import LEVEL, holding_torque, run
 
 from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth
 from hardware_sim.scenes import Scene, scene_type
 from hardware_sim.scenes.flip import add_pan
 from hardware_sim.settings import WorldSettings
-from hardware_sim.world import DROP_HEIGHT, World
+from hardware_sim.world import World
 
 
 class Stone(Scene):
@@ -37,21 +36,6 @@ def test_a_scene_leaves_out_what_it_lacks() -> None:
     assert empty.truth().keys() == {"id", *empty._log.arm_truth(empty.motors)}
     with pytest.raises(ValueError, match="the scene Scene has no demonstrations"):
         empty.scene.script(np.random.default_rng(0))
-
-
-def test_the_body_of_a_scene_is_tracked_and_can_be_dropped() -> None:
-    world = World(Stone, WorldSettings(body_offset_sd=0.0))
-    world.reset("trial-0001", LEVEL)
-    world.release()
-    run(world, holding_torque(world), 100)
-    stone, frames = world.data.joint("stone").qpos, world.mocap_frames()
-    assert len(frames) > 3
-    np.testing.assert_allclose(frames[-1].position, stone[:3], atol=3e-3)
-    world.drop()
-    height = float(stone[2])
-    assert height == pytest.approx(world.tool_pose[0][2] + DROP_HEIGHT)
-    run(world, holding_torque(world), 100)  # 0.2 s
-    assert height - stone[2] == pytest.approx(0.5 * 9.81 * 0.04, rel=0.03)
 
 
 def test_a_tracked_body_must_be_on_a_free_joint() -> None:
