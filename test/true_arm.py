@@ -3,13 +3,15 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import scipy
 
 from wam_power_ros import rotations
 from wam_power_ros.commissioning.camera_frame import Pose
 from wam_power_ros.commissioning.excitation import Excitation, excitation
-from wam_power_ros.commissioning.measurement import Recording
+from wam_power_ros.commissioning.measurement import Commissioned, Recording, analyse
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.corrections import Corrections
 from wam_power_ros.control.safety import limits_of
@@ -43,6 +45,7 @@ def truth() -> Corrections:
     )
 
 
+@cache
 def planned(seed: int = 0) -> Excitation:
     arm = plain()
     rng = np.random.default_rng(seed)
@@ -101,3 +104,15 @@ def _seen(arm: Arm, q: np.ndarray, mounted: Pose = MOUNTED) -> Pose:
     position, axes = arm.tool_pose(q)
     position, axes = position + axes @ mounted.position, axes @ mounted.rotation
     return Pose(CAMERAS.rotation @ position + CAMERAS.position, CAMERAS.rotation @ axes)
+
+
+@cache
+def recorded() -> Recording:
+    """The planned movement of the true arm."""
+    return recording(planned(), truth())
+
+
+@cache
+def commissioned() -> Commissioned:
+    """What is found from it."""
+    return analyse(plain(), planned(), recorded(), payload=float(truth().payload[0]))

@@ -15,7 +15,7 @@ import true_arm
 from wam_power_ros import rotations
 from wam_power_ros.commissioning.acceptance import Finding, notes, refusals
 from wam_power_ros.commissioning.camera_frame import Pose
-from wam_power_ros.commissioning.measurement import Commissioned, analyse
+from wam_power_ros.commissioning.measurement import Commissioned
 
 ARM = true_arm.plain()
 FLAT = Pose(np.zeros(3), rotations.exp(np.array([0.0, 0.0, 0.3])))
@@ -24,8 +24,7 @@ BY_FLAT = "zero of wam_j7, by --flat"
 
 @pytest.fixture(scope="module")
 def ordinary() -> Commissioned:
-    plan, true = true_arm.planned(), true_arm.truth()
-    return analyse(ARM, plan, true_arm.recording(plan, true), payload=float(true.payload[0]))
+    return true_arm.commissioned()
 
 
 def changed(found: Commissioned, **values: Any) -> Commissioned:  # noqa: ANN401 - of any kind

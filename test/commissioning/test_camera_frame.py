@@ -32,12 +32,6 @@ def test_without_noise_and_zeros_the_closed_form_is_exact() -> None:
         assert np.allclose(got.rotation, expected.rotation, atol=1e-9)
 
 
-def test_zeros_are_exact_without_noise() -> None:
-    found = calibrate(ARM, q := postures(), *seen(q))
-    assert np.allclose(found.zeros, true_arm.ZEROS, atol=1e-4)
-    assert found.rejected == ()
-
-
 def test_the_last_zero_is_seen_of_a_body_that_lies_flat() -> None:
     q, zeros = postures(), true_arm.ZEROS + np.deg2rad([0, 0, 0, 0, 0, 0, 2.0])
     flat = Pose(true_arm.MOUNTED.position, rotations.exp(np.array([0.0, 0.0, 0.3])))

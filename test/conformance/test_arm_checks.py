@@ -132,16 +132,6 @@ def test_joints_in_any_other_order_are_named_as_such(order: list[int]) -> None:
     assert (verdict, "wrong order of joints" in said) == (Verdict.FAIL, True)
 
 
-@pytest.mark.parametrize(("a", "b"), [(1, 5), (2, 3)])
-def test_two_joints_exchanged_are_named(a: int, b: int) -> None:
-    order = [*NAMES]
-    order[a], order[b] = NAMES[b], NAMES[a]
-    first, second = NAMES[a], NAMES[b]
-    expected = f"{first}, {second} fit the values received as {second}, {first}"
-    verdict, said = gravity(changed(names=tuple(order)))
-    assert (verdict, expected in said) == (Verdict.FAIL, True)
-
-
 def test_what_is_wrong_with_torques_at_rest_is_named() -> None:
     for joint in (1, 5):
         signs = np.where(np.arange(7) == joint, -1.0, 1.0)
