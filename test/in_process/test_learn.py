@@ -26,8 +26,8 @@ def rows(folder: Path) -> list[str]:
 
 def sessions(folder: Path, name: str = "", seed: int = 3) -> learn.Iterator[Session]:
     setup = overlay.setup([name] if name else [], True, "reach").changed({"wam_sim": {"seed": 3}})
-    settings = preset("reach", budget=4, retests=1)
-    return learn.run(folder, setup, settings, seed, 2)
+    settings = preset("reach", budget=3, retests=1)
+    return learn.run(folder, setup, settings, seed, 1)
 
 
 def test_a_session_that_is_cut_short_goes_on_as_if_it_had_not_been(tmp_path: Path) -> None:

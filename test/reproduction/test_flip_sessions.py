@@ -20,14 +20,6 @@ def test_a_pan_believed_heavier_is_heavier_only_in_the_controllers_model() -> No
     assert wrong.world.urdf == true.world.urdf
 
 
-def test_joint_friction_is_scaled_and_an_unknown_condition_refused() -> None:
-    as_is, other = flip_sessions.stand_in(21), flip_sessions.stand_in(21, friction_share=1.5)
-    friction = (as_is.world.model.dof_frictionloss, other.world.model.dof_frictionloss)
-    np.testing.assert_allclose(friction[1][:7], 1.5 * friction[0][:7])
-    with pytest.raises(ValueError, match="breeze"):
-        flip_sessions.stand_in(21, breeze=0.1)
-
-
 def test_the_papers_rule_fires_at_the_third_good_return_in_a_row() -> None:
     assert flip_sessions._fires([0.95, 0.91, 0.89, 0.9, None, 0.9, 0.9, 0.9, 1.0]) == 8
     assert flip_sessions._fires([0.95, 0.91, 0.89]) is None

@@ -3,7 +3,6 @@
 
 import numpy as np
 import pytest
-from reach_task import taught_scenario
 
 from reproduction.rivals.reach_model import ReachModel
 from reproduction.studies.reaching import NOISE, study
@@ -21,14 +20,6 @@ def evaluated(policy: Policy) -> float:
     """Return of a policy (Eq. 4)."""
     ret, _ = SCENARIO.evaluate(policy.stiffness[np.newaxis], policy.attractors[np.newaxis])
     return float(ret[0])
-
-
-def test_the_same_seeds_learn_the_same_and_others_do_not() -> None:
-    once, again = (study("full", [3, 4], 10) for _ in range(2))
-    for first, second in zip(once, again, strict=True):
-        np.testing.assert_array_equal(first.returns, second.returns)
-        np.testing.assert_array_equal(first.mean, second.mean)
-    assert once[0].final != once[1].final
 
 
 @pytest.mark.parametrize("variant", ["full", "diagonal"])
@@ -69,15 +60,6 @@ def paths(policies: list[Policy]) -> tuple[np.ndarray, np.ndarray]:
     return SCENARIO.stopped_paths(SCENARIO.free_paths(*arrays(policies)))
 
 
-def test_the_demonstrated_policy_meets_the_obstacle_and_stays_there() -> None:
-    path, collided = paths([SCENARIO.policy])
-    assert collided[0]
-    at = np.flatnonzero((path[0] == path[0, -1]).all(axis=1))[0]
-    assert 0 < at < 150
-    np.testing.assert_array_equal(path[0, at:], np.tile(path[0, at], (200 - at, 1)))
-    assert np.linalg.norm(path[0, -1] - SCENARIO.obstacle) == pytest.approx(0.09, abs=0.01)
-
-
 def test_no_sample_of_a_path_is_inside_the_obstacle() -> None:
     path, _ = paths(drawn(50))
     distance = np.linalg.norm(path - SCENARIO.obstacle, axis=-1)
@@ -114,15 +96,3 @@ def test_a_model_predicts_a_free_path_exactly_and_a_stopped_one_better_each_time
     for one, ret in zip(z[:200], returns[:200], strict=True):
         model.learn(one, float(ret))
     assert np.abs(model.predict(z) - returns)[200:].mean() < 0.7 * before
-
-
-def test_the_shipped_demonstrations_make_a_scenario_of_the_arm() -> None:
-    scenario = taught_scenario()
-    assert scenario.demonstrations.shape == (4, 200, 3)
-    way = scenario.demonstrated[-1] - scenario.start
-    assert np.linalg.norm(way) == pytest.approx(0.5, abs=0.05)
-    policy = scenario.policy
-    stiffness, attractors = policy.stiffness[np.newaxis], policy.attractors[np.newaxis]
-    assert scenario.evaluate(stiffness, attractors)[1][0]
-    free = scenario.free_paths(stiffness, attractors)[0]
-    assert np.linalg.norm(free[-1] - scenario.demonstrated[-1]) < 0.04

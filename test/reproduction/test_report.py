@@ -1,17 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The reproduction: one command, one report, the same numbers wherever it ran."""
+"""The reproduction: one command, one report of chapters, the same wherever it ran."""
 
 import dataclasses
 import re
 from pathlib import Path
 
+import jinja2
 import pytest
 import study_jobs
+from matplotlib.figure import Figure
 from test_jobs import draws, files
 
 from reproduction import jobs as job_cache
 from reproduction import report
-from reproduction.chapter import Chapter
+from reproduction.chapter import Chapter, Claim
+from wam_power_ros.reporting import figures
 
 
 @pytest.fixture
@@ -51,10 +54,53 @@ def test_a_run_that_fails_is_reported_and_ends_the_reproduction_with_an_error(
     assert len(files(tmp_path / "results")) == 2
 
 
-def test_without_a_verdict_no_share_of_claims_is_counted(tmp_path: Path) -> None:
-    (template := tmp_path / "chapter.html.j2").write_text(
-        '{% do claim("ours ahead", ours="1.0", spread="", count="2 runs", met=true, runs=2) %}'
+CLAIM = """{% do claim("return <after> 100", ours="0.754", spread="", count="40 seeds") %}"""
+
+
+@pytest.fixture
+def template(tmp_path: Path) -> Path:
+    """File of a template."""
+    return tmp_path / "chapter.html.j2"
+
+
+def rendered(template: Path, text: str, **values: object) -> Chapter:
+    template.write_text(text)
+    return Chapter("Reaching", template, values)
+
+
+def drawing() -> Figure:
+    return figures.learning_curve([0.5, 0.7])
+
+
+def test_a_chapter_shows_what_its_template_names_in_this_order_and_escaped(template: Path) -> None:
+    chapter = rendered(
+        template,
+        CLAIM + '<p>{{ words }}</p>{{ table("A <table>.", ["who"], [["PoWER"]], [(0, 0)]) }}'
+        '{{ figure("a", "A figure.", drawn) }}',
+        words="Words & more.",
+        drawn=drawing(),
     )
-    html = report.render("quick", [Chapter("chapter", template, {})], [], "", tmp_path)
-    assert "No claim has the 5 runs that a verdict needs." in html
-    assert "0 of 0" not in html
+    order = ["<h2>Reaching", "Words &amp; more.", "A &lt;table&gt;.", "A figure."]
+    assert [chapter.html.index(words) for words in order] == sorted(map(chapter.html.index, order))
+    assert chapter.html.count("<img") == 1
+    assert '<td class="text best">PoWER</td>' in chapter.html
+    assert [claim.what for claim in chapter.claims] == ["return <after> 100"]
+    assert [name for name, png in chapter.figures.items() if png.startswith(b"\x89PNG")] == ["a"]
+
+
+def test_a_name_without_a_value_a_figure_twice_and_a_row_of_another_width_are_refused(
+    template: Path,
+) -> None:
+    with pytest.raises(jinja2.UndefinedError, match="'missing' is undefined"):
+        rendered(template, "{{ missing }}")
+    with pytest.raises(ValueError, match="two figures with the same name: a"):
+        rendered(template, '{{ figure("a", "", drawn) }}' * 2, drawn=drawing())
+    with pytest.raises(ValueError, match="row of 1 cells in a table of 2 columns"):
+        rendered(template, '{{ table("", ["a", "b"], [["1"]]) }}')
+
+
+def test_a_few_runs_are_no_ground_for_a_verdict() -> None:
+    few, enough = (Claim("a", "1", "", "", False, runs) for runs in (2, 5))
+    assert (few.holds, few.verdict) == (None, "too few runs")
+    assert (enough.holds, enough.verdict) == (False, "not met")
+    assert Claim("a", "1", "", "", runs=1).verdict == "reported"

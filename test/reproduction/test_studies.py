@@ -1,17 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command of the studies, and studies of what a person wants."""
+"""The studies: their command, what a person wants, grounds of the flip, the ball in the cup."""
 
 import inspect
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from reproduction.rivals.learners import RandomSearch
+from reproduction.rivals.learners import RIVALS
 from reproduction.studies import __main__ as studies
-from reproduction.studies import equal_knowledge, new_goals, rated
-from reproduction.studies.equal_knowledge import InformedLearner, Planner, runs
+from reproduction.studies import ball_in_cup, equal_knowledge, grounds, new_goals, rated
+from reproduction.studies.equal_knowledge import Planner, runs
+from reproduction.studies.flip_sessions import HELD_OUT, stand_in, teach
 from wam_power_ros.learning.policy import with_id
+from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.ball_in_cup.task import BallInCup
 
 
@@ -71,14 +74,6 @@ def test_ratings_bring_the_end_of_a_movement_near_where_a_person_wants_it() -> N
     assert rated.line(found)["near"] == 2
 
 
-def test_a_person_who_rates_at_random_does_not() -> None:
-    assert rated.line([rated.session(seed, "shifts", 1.0) for seed in (1, 2)])["left"] > rated.NEAR
-
-
-def searching(seed: int = 0) -> RandomSearch:
-    return RandomSearch(2, RandomSearch.Settings(), np.random.default_rng(seed))
-
-
 class Hill:
     """A model that knows the optimum and records the returns it gets."""
 
@@ -94,22 +89,6 @@ class Hill:
         self.returns.append(ret)
 
 
-def test_with_a_model_the_best_of_its_own_draws_is_tried() -> None:
-    drawn = searching()
-    expected = np.stack([drawn.ask() for _ in range(equal_knowledge.CANDIDATES)])
-    z = InformedLearner(searching(), Hill(), 0.0, np.random.default_rng(9)).ask()
-    assert z.tolist() == expected[np.argmin(((expected - 1.0) ** 2).sum(axis=1))].tolist()
-
-
-def test_noise_reaches_learner_and_model_alike_and_no_return_is_negative() -> None:
-    learner, model = searching(), Hill()
-    informed = InformedLearner(learner, model, 0.5, np.random.default_rng(9))
-    for _ in range(50):
-        informed.tell(np.zeros(2), 0.1)
-    assert learner._rollouts.returns.tolist() == model.returns
-    assert min(model.returns) == 0.0 and np.std(model.returns) > 0.1
-
-
 def test_the_planner_tries_what_the_model_says_is_best() -> None:
     planner = Planner(2, np.random.default_rng(0), Hill())
     assert planner.ask() == pytest.approx([1.0, 1.0], abs=0.1)
@@ -120,3 +99,87 @@ def test_a_row_is_a_function_of_its_seeds(row: str) -> None:
     (one, again), other = (runs(row, 0.02, [1], 3) for _ in range(2)), runs(row, 0.02, [2], 3)
     assert one == again
     assert (one == other) == (row == "nothing")
+
+
+def test_learners_of_a_ground_differ_only_in_the_learner_and_what_it_is_told() -> None:
+    assert not {7001, grounds.FIRST} & set(HELD_OUT)
+    found = grounds.TABLE.jobs([1], ["novice"], list(grounds.LEARNERS))
+    own = {"task_settings", "learner", "learner_settings", "practice"}
+    blank = {"name": "", "changes": 0}
+    searched = ("model_based", "hindsight", "power")
+    plain = preset("flip", "hindsight", **found[0].arguments["changes"])
+    for job, (learner, row) in zip(found, grounds.LEARNERS.items(), strict=True):
+        assert {**job.arguments, **blank} == {**found[0].arguments, **blank}
+        settings = preset("flip", job.arguments["name"], **job.arguments["changes"])
+        assert settings.model_dump(exclude=own) == plain.model_dump(exclude=own)
+        assert settings.practice.budget == plain.practice.budget
+        assert settings.practice.retests == plain.practice.retests
+        assert learner not in searched or settings.practice == plain.practice
+        named = job.arguments["changes"].get("learner")
+        assert named in (None, {"name": RIVALS.get(learner, learner)})
+        task = settings.task_settings
+        blind = not task.gain
+        assert ("rotation" in row.told) == (not blind)
+
+
+def test_a_habit_changes_the_demonstration() -> None:
+    plain, twisted, slow = (
+        teach(stand_in(1), 1, 1, habit=each)[0] for each in ("", "late twist", "slow")
+    )
+    usual = 1.15 * plain.basis.duration
+    assert twisted.basis.duration <= usual < slow.basis.duration
+    assert not np.allclose(twisted.rotation_attractors, plain.rotation_attractors, atol=0.02)
+
+
+def a_session(
+    true: int,
+    ended_by: str,
+    used: int,
+    first: bool = False,
+    landed: int = 30,
+) -> dict[str, Any]:
+    return {
+        "carried": {},
+        "used": used,
+        "ended_by": ended_by,
+        "confirmed": 10 if ended_by == "confirmation" else 0,
+        "trials": [{"true_flip": first}],
+        "retests": [{"true_flip": k < true, "landed": k < landed} for k in range(30)],
+    }
+
+
+def test_the_statistics_of_a_row_count_sessions_and_not_rollouts() -> None:
+    sessions = [
+        a_session(30, "confirmation", 20),
+        a_session(27, "confirmation", 30, first=True),
+        a_session(24, "confirmation", 50),
+        a_session(0, "budget", 60, landed=26),
+    ]
+    found = grounds.line(sessions)
+    assert found["landed"] == 3  # turned over and caught, however far in the air
+    assert (found["sessions"], found["reproduced"], found["solved"]) == (4, 1, 2)
+    assert found["confirmed"] == 3 and found["to_streak"] == 20.0  # ten confirm
+    assert found["wrong"] == 1 and found["rollouts"] == (40.0, 60.0)
+    assert found["true"][0] == 0.675 and 0.0 <= found["true"][1] < 0.3
+    assert grounds.line([a_session(0, "budget", 60)])["to_streak"] is None
+
+
+def a_swing_session(
+    caught: int, used: int, confirmed: bool, first: float | None = 0.2
+) -> dict[str, Any]:
+    retests = [{"kind": "retest", "caught": k < caught} for k in range(30)]
+    first_one = {"kind": "reproduction", "distance": first, "caught": False}
+    return {"used": used, "confirmed": confirmed, "trials": [first_one, *retests]}
+
+
+def test_the_statistics_of_swings_count_sessions_and_not_rollouts() -> None:
+    found = ball_in_cup.line(
+        [
+            a_swing_session(30, 18, True, first=0.04),
+            a_swing_session(27, 28, True),
+            a_swing_session(26, 38, True, first=None),
+            a_swing_session(0, 75, False),
+        ]
+    )
+    assert (found["sessions"], found["near"], found["solved"]) == (4, 1, 2)
+    assert found["confirmed"] == 3 and found["rollouts"] == [33.0, 18.0, 75.0]

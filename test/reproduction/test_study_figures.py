@@ -5,21 +5,8 @@ import numpy as np
 import pytest
 
 from reproduction import figures as study_figures
-from reproduction.paper_curves import FIG5
 from reproduction.reach_paths import Panel, paths
 from wam_power_ros.regions import Region
-
-
-def test_figure_5_has_our_mean_and_the_gain_from_the_first_five_to_the_last() -> None:
-    runs = [[0.5] * 5 + [None] + [0.9] * 5, [0.7] * 5 + [1.1] * 5]
-    early, late = study_figures.first_and_last_five(runs)
-    np.testing.assert_allclose(early, [0.5, 0.7])
-    np.testing.assert_allclose(late, [0.9, 1.1])
-    axes, gain = study_figures.sessions_over_paper({"ours": runs}, FIG5).axes
-    np.testing.assert_array_equal(axes.lines[0].get_ydata(), FIG5[:, 1])
-    ours = axes.containers[0].lines[0].get_ydata()
-    np.testing.assert_allclose(ours[[0, 5, 6]], [0.6, 1.1, 1.0])  # of those that are there
-    assert [text.get_text() for text in gain.texts] == ["+0.35", "+0.40"]
 
 
 def test_learner_curves_are_medians_and_every_learner_is_named_once() -> None:

@@ -8,7 +8,6 @@ from reproduction.rivals.slopes import ALONE, FIXED, SHARPENED, LessInformed, Ne
 from reproduction.studies import two_axes
 from wam_power_ros.learning.learner import Prediction
 from wam_power_ros.learning.model_based import ModelBased
-from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.errors import RoughErrors
 
 SIZE, DIRECTIONS = 3, np.eye(3)[:2]
@@ -65,15 +64,6 @@ def test_newton_takes_the_whole_step_of_the_slopes_and_stays_where_nothing_is_me
     z = np.array([0.2, 0.1, 0.0])
     learner.tell(z, 0.0)
     assert np.array_equal(learner.ask(), z)
-
-
-@pytest.mark.parametrize("name", two_axes.LEARNERS)
-def test_each_learner_is_one_of_a_session_and_differs_from_the_planner_alone(name: str) -> None:
-    told, arguments = two_axes.LEARNERS[name]
-    learner = arguments["learner"]
-    settings, plain = preset("flip", "model_based", learner=learner), preset("flip", "model_based")
-    assert settings.task_settings == plain.task_settings and settings.practice == plain.practice
-    assert settings.learner == learner["name"] and told.startswith("errors, ")
 
 
 def test_a_session_that_is_confirmed_and_fails_its_retests_is_wrong() -> None:
