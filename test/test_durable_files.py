@@ -46,18 +46,6 @@ def test_the_text_is_flushed_before_the_rename_and_the_folder_after_it(
     assert list(tmp_path.iterdir()) == [path]
 
 
-@pytest.mark.parametrize("name", ["", "policy.json"])
-def test_a_file_and_a_folder_can_be_flushed_and_nothing_stays_open(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
-    (tmp_path / "policy.json").write_text("text")
-    before = set(os.listdir("/proc/self/fd"))
-    flushed = record_flushes(monkeypatch, lambda: None)
-    durable_files.sync(tmp_path / name)
-    assert flushed == [(tmp_path / name, None)]
-    assert set(os.listdir("/proc/self/fd")) == before
-
-
 @pytest.mark.parametrize(
     ("number", "remedy"),
     [(errno.ENOSPC, "free some space"), (errno.EROFS, "read-only"), (errno.EACCES, "not yours")],

@@ -282,20 +282,3 @@ def test_a_learner_works_with_a_preset_or_is_refused_with_all_that_do(task: str)
         for refusal in refusals:
             assert refusal.endswith(f"learners that work: {', '.join(works)}")
     assert refused
-
-
-def test_the_budget_is_checked_also_where_a_task_knows_no_made_up_movement(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def refuse(demonstrations: object, policy_id: str) -> None:
-        raise ValueError("none of its movements")
-
-    monkeypatch.setattr(Flip, "policy_of", refuse)
-    preset("flip", "paper", {"name": "model_based"}, budget=4).check(3)
-    with pytest.raises(ValueError, match=r"budget of 3 .* allow 4 trials or more"):
-        preset("flip", budget=3).check(3)
-
-
-def test_settings_of_a_task_that_forbid_what_they_do_not_know_are_accepted() -> None:
-    own = STATED | {"Settings": Strict, "parametrization": lambda self, policy: None}
-    assert type("Mine", (Task,), own).Settings is Strict
