@@ -15,7 +15,7 @@ from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
 from wam_power_ros.tasks.errors import Effect, Error
 from wam_power_ros.tasks.settings import TaskSettings
-from wam_power_ros.tasks.task import Assessment, Task
+from wam_power_ros.tasks.task import Assessment, Pose, Task
 
 POLICY = demonstrated_policy()
 END = POLICY.basis.duration + TaskSettings().settle_time  # [s] of a rollout
@@ -153,3 +153,9 @@ def test_it_learns_what_the_settings_say_and_what_its_effects_move() -> None:
         np.testing.assert_allclose(after - after[0], 1.1 * (before - before[0]), atol=1e-12)
         np.testing.assert_allclose(after[0], before[0])
     assert moved("tempo", math.log(2.0)).basis.duration == pytest.approx(0.5 * END - 0.5, abs=0.01)
+
+
+def test_it_is_ready_once_its_body_is_seen() -> None:
+    tool = Pose(np.zeros(3), np.eye(3))
+    seen = type("State", (), {"position": np.zeros(3), "velocity": np.zeros(3), "stamp_ns": 0})()
+    assert TASK.ready(None, tool) == "the puck is not seen" and TASK.ready(seen, tool) == ""

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from wam_power_ros.faults import Fault
+from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.demonstration import from_positions
 from wam_power_ros.learning.dmp import fit
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
@@ -89,6 +89,11 @@ def test_a_ball_that_is_not_seen_is_neither_judged_nor_ready_nor_put_back() -> N
         assert assessment.ret is None and "not seen" in assessment.why
     assert "not seen" in task().ready(None, Pose(CUP, np.eye(3)))
     assert task().reset(None, HeldCup(), np.zeros(7)) == "person"
+
+
+def test_a_fault_of_the_policy_is_worth_nothing_and_any_other_is_not_judged() -> None:
+    for kind, ret in ((FaultKind.JOINT_SPEED, 0.0), (FaultKind.STATES_LOST, None)):
+        assert task().assess(POLICY, rollout(0.0, True, fault=Fault(kind, "fault"))).ret == ret
 
 
 @pytest.mark.parametrize(

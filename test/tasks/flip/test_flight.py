@@ -29,6 +29,7 @@ from wam_power_ros.tasks.flip.frames import (
 )
 from wam_power_ros.tasks.flip.spin_fit import (
     Spin,
+    _spin_guesses,
     _SpinProblem,
     angle_between,
     fit_spin,
@@ -368,3 +369,12 @@ def test_the_side_up_is_seen_before_the_start_and_never_after_the_flight() -> No
     assert frames.normal == pytest.approx(true, abs=0.1)  # the first frame is no longer level
     assert frames.end_state(truth.pan.t[-1]) == (True, True)
     assert frames_from_pan(truth.pan, quick).resting_frames == 0
+
+
+def test_frequent_frames_show_one_spin_and_rare_ones_may_hide_a_turn_more_or_less() -> None:
+    for gap, whole_turns in ((0.05, [0.0]), (0.1, [0.0, -1.0, 1.0])):
+        t = np.arange(6) * gap
+        vectors = np.outer(t, [0.0, 4.0, 0.0])
+        guesses = _spin_guesses(t, rotations.exp(vectors) @ UP)
+        expected = [4.0 + turns * 2.0 * math.pi / gap for turns in whole_turns]
+        np.testing.assert_allclose([guess[1] for guess in guesses], expected, rtol=1e-9)

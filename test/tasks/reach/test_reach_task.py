@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from reproduction.studies.reaching_scenario import midpoint
+from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.demonstration import Demonstration, from_positions
 from wam_power_ros.learning.rollout import EndEffectorPath, Rollout
 from wam_power_ros.practice.settings import preset
@@ -105,6 +106,11 @@ def test_a_rollout_that_the_controller_stopped_in_its_region_has_touched_the_obs
     assessment = task().assess(POLICY, Rollout(path, stopped_in="obstacle"))
     assert assessment.observation["touched"] and assessment.ret is not None
     assert assessment.why == "stopped at the obstacle"
+
+
+def test_a_fault_counts_by_its_kind() -> None:
+    for kind, ret in ((FaultKind.TOOL_SPEED, 0.0), (FaultKind.STATES_LOST, None)):
+        assert task().assess(POLICY, Rollout(around(), None, Fault(kind, "why"))).ret == ret
 
 
 def test_a_table_names_the_distance_and_the_contact() -> None:
