@@ -114,9 +114,9 @@ def test_replaying_the_log_rebuilds_the_practice_at_every_boundary(name: str) ->
             practice.learn_assessed(trial, judge(trial))
         images.append(image(practice))
     assert practice.finished and len(practice.records) > 27
+    log = [parse_line(line.to_json()) for line in practice.log]
     for cut, expected in enumerate(images):
-        lines = [parse_line(line.to_json()) for line in practice.log[:cut]]
-        assert image(practice_of(CANDIDATES, practice.settings, 1, lines)) == expected
+        assert image(practice_of(CANDIDATES, practice.settings, 1, log[:cut])) == expected
 
 
 def test_a_session_is_a_function_of_candidates_settings_and_seed() -> None:
