@@ -227,6 +227,22 @@ def test_a_clock_that_is_set_back_starts_the_track_again() -> None:
     assert len(tracker.path("a", stamp(0) - hour, stamp(99) - hour).t) == 6
 
 
+def test_the_path_does_not_depend_on_absolute_time() -> None:
+    paths = []
+    for shift in (-START + 1, 0, 123_456_789_012_345_678):
+        tracker = Tracker(SETTINGS)
+        rng = np.random.default_rng(0)
+        for index in range(40):
+            tracker.add(stamp(index) + shift, PAN + rng.normal(0.0, 0.0005, 3), LEVEL)
+        paths.append(tracker.path("trial-1", stamp(5) + shift + 7, stamp(30) + shift))
+    assert len(paths[0].t) == 31  # from before the start
+    expected = (np.arange(31) - 5) * PERIOD * 1e-9  # since the start, which was 7 ns after one
+    np.testing.assert_allclose(paths[0].t, expected, rtol=0.0, atol=1e-8)
+    for path in paths[1:]:
+        np.testing.assert_array_equal(path.t, paths[0].t)
+        np.testing.assert_array_equal(path.position, paths[0].position)
+
+
 def test_world_to_base_and_latency_are_taken_out() -> None:
     quarter = rotations.quat_of_vector(np.array([0.0, 0.0, np.pi / 2]))
     tracker = Tracker(having(world_to_base=(0.1, 0.2, 0.3, *quarter.tolist()), latency_offset=0.02))
