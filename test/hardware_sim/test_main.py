@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import signal
 import time
+from collections import Counter
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +16,8 @@ from sensor_msgs.msg import PointCloud2
 from stand_ins import NAMES, TICK, Hardware, arm_model
 from std_msgs.msg import Float64MultiArray, String
 
+from hardware_sim.arm_node import IDLE_TIME, ArmSim
+from hardware_sim.main import Simulation
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.ros import interface, joint_messages, pose_messages
 from wam_power_ros.ros.stamps import nanoseconds
@@ -102,6 +106,26 @@ def test_a_killed_controller_lets_the_arm_come_to_rest_under_its_own_gravity(
     speeds = [arm.speeds(r.q, r.qd).tool_speed for r in after]
     assert arm.tool_pose(killed.q)[0][2] - min(height) < 0.05
     assert max(speeds[len(speeds) // 2 :]) < 0.05
+
+
+def test_a_torque_waits_only_while_nothing_moves_and_nothing_is_requested() -> None:
+    simulation, taken = Simulation.__new__(Simulation), []
+    simulation._held, simulation._step = None, taken.append
+    simulation.wam = SimpleNamespace(stamp_ns=TICK, counters=Counter(), idle=False)
+    for stamp_ns, idle in ((TICK, False), (TICK + 1, False), (TICK, True)):
+        simulation.wam.idle = idle
+        simulation._answered(SimpleNamespace(stamp_ns=stamp_ns))
+    assert [reading.stamp_ns for reading in taken] == [TICK]
+    assert simulation.wam.counters["torques out of step"] == 1 and simulation._held is not None
+
+    def idle(ticks: int, busy: bool) -> bool:
+        scene = SimpleNamespace(busy=busy)
+        params = SimpleNamespace(period=0.002)
+        node = SimpleNamespace(_still_ticks=ticks, _scene=scene, params=params)
+        return ArmSim.idle.fget(node)
+
+    longest = round(IDLE_TIME / 0.002)
+    assert idle(longest + 1, False) and not idle(longest, False) and not idle(longest + 1, True)
 
 
 def test_a_camera_whose_images_are_drawn_is_refused_in_real_time(processes: Processes) -> None:

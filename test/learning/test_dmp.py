@@ -116,6 +116,19 @@ def test_the_toss_is_reproduced_to_millimetres_and_a_degree() -> None:
     assert rmse(np.array(path), vectors) < math.radians(1.5)
 
 
+def test_a_reach_ends_turned_as_demonstrated() -> None:
+    flat = reach(0)
+    u = np.clip((flat.t / flat.duration - 0.4) / 0.6, 0.0, 1.0)
+    turn = np.outer(10 * u**3 - 15 * u**4 + 6 * u**5, [math.pi / 3, 0.0, 0.0])
+    policy = fit([replace(flat, quat_xyzw=rotations.quat_of_vector(turn))], REACH_FIT, "p")
+    springs = np.tile(policy.rotation_stiffness * np.eye(3), (1, 2, 1, 1))
+    attractors, steps = policy.rotation_attractors[None], round(policy.basis.duration / DT) + 1
+    r, _ = reproduce_many(
+        policy.basis, springs, attractors, policy.rotation_damping, turn[0], turn[0], steps, DT
+    )
+    assert np.linalg.norm(r[0, -1] - turn[-1]) < math.radians(0.5)
+
+
 def test_the_stiffness_is_the_rescaled_inverse_of_the_residuals_covariance() -> None:
     demonstration = toss()
     policy = fit([demonstration], FLIP_FIT, "p")

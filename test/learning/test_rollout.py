@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
 
 T = np.array([0.0, 0.01, 0.03])
 LEVEL = np.tile([0.0, 0.0, 0.0, 1.0], (3, 1))
@@ -40,3 +40,11 @@ def test_a_body_may_never_have_been_seen_and_a_tool_has_at_least_one_pose() -> N
         path(EndEffectorPath, **nothing)
     one = {"t": T[:1], "position": np.zeros((1, 3)), "quat_xyzw": LEVEL[:1]}
     assert len(path(EndEffectorPath, **one).t) == 1
+
+
+def test_the_two_paths_of_a_rollout_are_of_one_policy() -> None:
+    tool = path(EndEffectorPath)
+    assert Rollout(tool).body is None and Rollout(tool).fault is None
+    assert Rollout(tool, path()).body.id == "a"
+    with pytest.raises(ValueError, match="body path of rollout 'b', but tool path of 'a'"):
+        Rollout(tool, path(id="b"))
