@@ -108,7 +108,7 @@ BUDGET = {
     "tasks": 3542,  # +93: what cannot be the pancake in the pan
     "practice": 2317,  # +32: tools and springs that failed; +46: candidates are fitted here
     "conformance": 1105,  # +13: frames of poses; +25: effort without gravity
-    "bags": 2496,  # +246: sets of LeRobot, written and read
+    "bags": 2417,  # +246: sets of LeRobot, written and read
     "params": 1298,  # what may be set at rest; -p body:=NAME is derived from; NatNet, FR3
     "ros": 2342,  # +24: PoseStamped; variables of ROS and DDS are named with their remedy
     "client": 1290,

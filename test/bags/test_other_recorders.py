@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import sqlite3
 from pathlib import Path
@@ -26,7 +25,6 @@ from wam_power_ros.bags import importing, takes
 from wam_power_ros.bags.bag import Bag
 from wam_power_ros.bags.layout import JOINT_STATE, TYPES
 from wam_power_ros.bags.reader import States, read_states
-from wam_power_ros.bags.writer import BagWriter
 
 MS = 1_000_000
 PERIOD = 4 * MS
@@ -93,13 +91,6 @@ def test_a_file_without_message_indexes_is_read(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_states(Bag(file), NAMES).q, Q)
 
 
-def test_messages_that_the_recorder_counted_and_lost_are_said(tmp_path: Path) -> None:
-    metadata = recorded(tmp_path / "theirs", ARM, StoragePlugin.MCAP) / "metadata.yaml"
-    metadata.write_text(metadata.read_text().replace("message_count: 60", "message_count: 67"))
-    states = read_states(Bag(tmp_path / "theirs"), NAMES)
-    assert "7 of 67 messages that the bag counts are not in it" in remarks(states)
-
-
 def test_late_states_are_put_in_the_order_of_their_stamps(tmp_path: Path) -> None:
     states = ARM.copy()
     for at in (10, 30):
@@ -134,45 +125,15 @@ def test_a_clock_that_was_set_back_is_refused_unless_by_reception(tmp_path: Path
     np.testing.assert_array_equal(read_states(Bag(made), NAMES).stamps, STAMPS + MS)
 
 
-@pytest.mark.parametrize("shift", [0, 1_300_000])
-def test_joints_of_two_publishers_are_joined(shift: int, tmp_path: Path) -> None:
-    q = np.linspace(0.0, 1.0, 60)[:, None] * [1.0, -1.0, 0.5]  # linear, as is the joining
-    states = []
-    for stamp, row in zip(STAMPS.tolist(), q, strict=True):
-        states.append((stamp, stamp, NAMES[:2], row[:2]))
-        late = row[2] + 0.5 / 59 * shift / PERIOD
-        states.append((stamp + shift + 1, stamp + shift, NAMES[2:], [late]))
-    path = of_states(tmp_path / "split", states)
-    found = read_states(Bag(path), NAMES)
-    first = 1 if shift else 0  # before the other publisher there is nothing to interpolate
-    np.testing.assert_allclose(found.q, q[first:], atol=1e-12)
-    np.testing.assert_array_equal(found.stamps, STAMPS[first:])
-    assert "states joined from messages of their own: wam_j1, wam_j2 and" in remarks(found)[0]
-
-
-def test_joints_are_not_joined_across_a_gap_of_one_publisher(tmp_path: Path) -> None:
-    states = by_reception(
-        [(r, s, NAMES[:2], row[:2]) for r, s, _, row in ARM]
-        + [(r + 1, s, NAMES[2:], row[2:]) for r, s, _, row in ARM[:20] + ARM[40:]]
-    )
-    found = read_states(Bag(of_states(tmp_path / "gap", states)), NAMES)
-    np.testing.assert_array_equal(found.stamps, np.r_[STAMPS[:20], STAMPS[40:]])
-
-
-def test_a_joint_in_messages_of_two_kinds_is_refused(tmp_path: Path) -> None:
+def test_joints_in_messages_of_two_kinds_are_refused(tmp_path: Path) -> None:
     states = [*ARM, (ARM[-1][0] + 1, ARM[-1][1] + MS, NAMES[:1], [0.0])]
     with pytest.raises(ValueError, match="messages of several kinds"):
         read_states(Bag(of_states(tmp_path / "both", states)), NAMES)
 
 
 def test_gaps_are_those_of_the_arm_whatever_else_is_on_its_topic(tmp_path: Path) -> None:
-    writer = BagWriter(tmp_path / "two")
-    writer.add("/joint_states", JOINT_STATE, [])
-    for received, stamp, names, row in by_reception(ARM + GRIPPER):
-        writer.write("/joint_states", received, joint_state(stamp, names, np.asarray(row)))
-    noted = writer.completeness({"joint_names": json.dumps(NAMES)})
-    assert (noted["rate"], json.loads(noted["missing"])) == ("250.0", {"/joint_states": 0})
-    assert takes.read(Bag(writer.close({})), NAMES).missing == {"/joint_states": 0}
+    two = Bag(of_states(tmp_path / "two", by_reception(ARM + GRIPPER)))
+    assert takes.read(two, NAMES).missing == {"/joint_states": 0}
     cut = by_reception(ARM[:20] + ARM[25:] + GRIPPER[:40] + GRIPPER[45:])
     missing = takes.read(Bag(of_states(tmp_path / "cut", cut)), NAMES).missing
     assert missing == {"/joint_states": 5}

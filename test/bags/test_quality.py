@@ -63,6 +63,12 @@ def test_angles_in_degrees_are_asked_about_where_limits_are_known() -> None:
     assert remarks(40.0 * reach(), None) == []
 
 
+def test_gaps_are_counted_in_periods_and_stamps_that_repeat_or_go_back_make_none() -> None:
+    found = quality.gaps(2_000_000 * np.array([0, 1, 2, 2, 3, 6, 7, 8, 20, 19]))
+    assert (found.period, found.missing, found.longest) == (0.002, 2 + 11, 0.024)
+    assert quality.gaps([]) == quality.gaps([1]) == quality.Gaps(0.0, 0, 0.0)
+
+
 def test_what_a_recording_lacks_is_named_from_a_share_on() -> None:
     counts = {"/joint_states": 900, "/pose": 50}
     assert quality.completeness_remarks(counts, {"/joint_states": 10, "/pose": 2}, "") == []

@@ -90,7 +90,7 @@ ONES = [1.0] * 3
         ([(START, NAMES, ONES), (START - 60_000_000, NAMES, ONES)], "follows"),
         ([(START, NAMES, ONES), (START, NAMES, [2.0] * 3)], "follows"),
         ([(START, ("hand",), [1.0])], "no message on"),
-        ([], "no message on"),
+        ([], "no topic /joint_states"),
     ],
 )
 def test_states_that_cannot_be_a_demonstration_are_refused_by_name(

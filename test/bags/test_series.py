@@ -45,11 +45,6 @@ def test_a_bag_that_was_never_closed_can_be_discarded(tmp_path: Path) -> None:
     assert not left.exists()
 
 
-def test_what_is_not_there_is_not_discarded(file: Path) -> None:
-    with pytest.raises(ValueError, match="is not a bag"):
-        series.discard(file.parent / "none")
-
-
 @pytest.mark.parametrize("way", ["link/bags/a", "real/bags/../bags/a"])
 def test_a_bag_that_is_named_another_way_is_the_one_in_its_series(way: str, tmp_path: Path) -> None:
     bag = demonstration(tmp_path / "real/bags/a", random_q(20))
@@ -57,9 +52,3 @@ def test_a_bag_that_is_named_another_way_is_the_one_in_its_series(way: str, tmp_
     series.write(tmp_path / "real" / series.FILE, [bag])
     series.discard(tmp_path / way)
     assert bag not in series.read(tmp_path / "real" / series.FILE)
-
-
-def test_a_bag_with_control_characters_in_its_name_is_refused_in_one_line(tmp_path: Path) -> None:
-    bag = demonstration(tmp_path / "a\nb", random_q(20))
-    with pytest.raises(ValueError, match=r"a\\nb has control characters"):
-        Bag(bag)

@@ -19,7 +19,7 @@ from mcap.reader import make_reader
 from wam_power_ros.bags import layout
 from wam_power_ros.bags.layout import unfinished
 from wam_power_ros.bags.reader import read_demonstration
-from wam_power_ros.bags.writer import BagWriter, has_header, header_stamp
+from wam_power_ros.bags.writer import BagWriter
 
 # of `ros2 topic info -v /joint_states` on Jazzy
 JOINT_STATE_HASH = "RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e"
@@ -66,18 +66,3 @@ def test_a_bag_under_way_is_recognisable_and_appears_whole(tmp_path: Path) -> No
     assert read_demonstration(path, NAMES)[1].tolist() == [[1.0, 2.0, 3.0]]
     with pytest.raises(FileExistsError):
         BagWriter(path)
-
-
-def test_the_stamp_of_a_serialized_header_is_read_without_decoding() -> None:
-    assert header_stamp(joint_state(START, NAMES, [0.0] * 3)) == START
-    with pytest.raises(ValueError, match="cannot hold a header"):
-        header_stamp(b"\0\1\0\0")
-    assert has_header(layout.JOINT_STATE)
-    assert not has_header(layout.STRING)
-
-
-def test_a_free_path_is_that_of_no_bag_and_of_none_under_way(tmp_path: Path) -> None:
-    demonstration(tmp_path / "demo", random_q(5))
-    assert layout.free_path(tmp_path, "demo") == tmp_path / "demo_2"
-    BagWriter(tmp_path / "demo_2").abandon()  # unfinished: taken as well
-    assert layout.free_path(tmp_path, "demo") == tmp_path / "demo_3"

@@ -269,8 +269,7 @@ def test_a_demonstration_holds_every_state_and_another_reader_agrees(
     custom = info["custom_data"]
     assert json.loads(custom["joint_names"]) == NAMES
     assert Bag(path).arm == Arm(share("urdf/wam7.urdf").read_text(), NAMES).identity()
-    assert (custom["source"], custom["rate"]) == ("hardware", "500.0")
-    assert json.loads(custom["missing"])["/joint_states"] == 0
+    assert custom["source"] == "hardware"
     topics = {item["topic_metadata"]["name"]: item for item in info["topics_with_message_count"]}
     offered = {
         name: (profile["reliability"], profile["durability"])
@@ -358,7 +357,7 @@ def test_a_best_effort_driver_that_comes_later_is_heard_too(
     assert len(reader.read_demonstration(path, NAMES)[1]) == 100
 
 
-def test_what_is_missing_is_said_in_the_bag_the_log_and_the_diagnostics(
+def test_what_is_missing_is_said_in_the_log_and_the_diagnostics(
     probe: Probe, processes: Processes, tmp_path: Path
 ) -> None:
     bench = Bench(probe, processes, tmp_path)
@@ -367,8 +366,7 @@ def test_what_is_missing_is_said_in_the_bag_the_log_and_the_diagnostics(
     bench.send(30)
     bench.send(1, step=5)
     bench.send(30)
-    path = bench.stop()
-    assert json.loads(information(path)["custom_data"]["missing"])["/joint_states"] == 4
+    bench.stop()
     note = "4 messages missing on /joint_states, longest gap 0.010 s"
     bench.status(note)
     assert note in processes.output(bench.node)

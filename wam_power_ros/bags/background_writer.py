@@ -83,7 +83,7 @@ class Recording:
         if self.error is not None:
             raise self.error
         try:
-            self._writer.close({**notes, **self._writer.completeness(notes)})
+            self._writer.close(notes)
         except OSError:
             self._writer.abandon()
             raise

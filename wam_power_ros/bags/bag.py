@@ -7,7 +7,6 @@ import shutil
 import tempfile
 import weakref
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -34,7 +33,6 @@ class Bag:
         """
         self.path = Path(path)
         self._files: list[files.McapFile | files.SqliteFile] = []
-        listed: list[Mapping[str, Any]] = []
         notes: list[dict[str, str]] = []
         for each in map(Path, (path, *others)):
             durable_files.check_name(each)
@@ -43,7 +41,6 @@ class Bag:
                 found = self._opened(each, described)
                 described = described or found[0].information
                 notes.append(layout.notes(described))
-                listed += described.get("topics_with_message_count") or []
             except Exception as error:  # of any type, depending on the damage
                 raise _unreadable(each, error) from error
             self._files += found
@@ -51,10 +48,11 @@ class Bag:
         if len({noted.get("arm") for noted in notes}) > 1:
             raise ValueError(f"{', '.join(map(str, (path, *others)))} are of different arms")
         self._files.sort(key=lambda file: file.first)
-        try:
-            self.topics = self._topics(listed)
-        except Exception as error:  # the list of a metadata.yaml may be anything
-            raise _unreadable(self.path, error) from error
+        topics: dict[str, Topic] = {}
+        for file in self._files:
+            for name, topic in file.topics.items():
+                files.add_topic(topics, name, topic)
+        self.topics = dict(sorted(topics.items()))
 
     @property
     def arm(self) -> ArmIdentity | None:
@@ -124,21 +122,6 @@ class Bag:
                     f"{', '.join(sorted(differ))} differ from the copy in {name.name}"
                 )
         return found
-
-    def _topics(self, listed: Iterable[Mapping[str, Any]]) -> dict[str, Topic]:
-        """Topics of the files, and those that only the recorder lists, with what it counted.
-
-        A recorder that was killed, and some conversions, leave a list that is not complete.
-        """
-        found: dict[str, Topic] = {}
-        for file in self._files:
-            for name, topic in file.topics.items():
-                files.add_topic(found, name, topic)
-        for each in listed:
-            item, count = each["topic_metadata"], int(each.get("message_count") or 0)
-            known = found.get(item["name"]) or Topic(item["type"])
-            found[item["name"]] = replace(known, counted=known.counted + count)
-        return dict(sorted(found.items()))
 
 
 def _unreadable(path: Path, error: Exception) -> ValueError:

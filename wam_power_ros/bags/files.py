@@ -26,10 +26,8 @@ from backports import zstd
 from mcap.exceptions import EndOfFile
 from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
-from rosbags.interfaces import Qos
 
 from wam_power_ros import plain_yaml
-from wam_power_ros.bags import layout
 
 FILES = (".mcap", ".db3")  # what a bag may consist of
 TABLES = (".csv", ".parquet")  # files that are no bag, of which an import makes one
@@ -50,9 +48,7 @@ class Topic:
     """A topic of a bag."""
 
     msgtype: str  # message type, such as "std_msgs/msg/String"; no such name if it is not of ROS 2
-    offered: tuple[Qos, ...] = ()  # QoS of its publishers
-    found: int = 0  # number of its messages in the files
-    counted: int = 0  # number of its messages according to the recorder
+    found: int  # number of its messages
 
     @property
     def foreign(self) -> bool:
@@ -62,11 +58,9 @@ class Topic:
 
 def add_topic(topics: dict[str, Topic], name: str, topic: Topic) -> None:
     """Add a topic to others, of which one may have the same name; with two types it has neither."""
-    known = topics.get(name, topic)
+    known = topics.get(name, Topic(topic.msgtype, 0))
     kinds = dict.fromkeys(f"{known.msgtype} and {topic.msgtype}".split(" and "))
-    offered = topic.offered if known is topic else (*known.offered, *topic.offered)
-    found = topic.found if known is topic else known.found + topic.found
-    topics[name] = replace(known, msgtype=" and ".join(kinds), offered=offered, found=found)
+    topics[name] = Topic(" and ".join(kinds), known.found + topic.found)
 
 
 def unpacked(data: bytes, compression: str) -> bytes:
@@ -150,9 +144,8 @@ class McapFile:
             of = schemas.get(channel.schema_id, "no type")
             ros = channel.message_encoding == "cdr"
             kind = of if ros else f"{of} in {channel.message_encoding or 'no encoding'}"
-            offered = layout.parsed_qos(channel.metadata.get("offered_qos_profiles"))
             self._names[number] = channel.topic
-            add_topic(self.topics, channel.topic, Topic(kind, tuple(offered), counts[number]))
+            add_topic(self.topics, channel.topic, Topic(kind, counts[number]))
         *self._later, self.first = accumulate(reversed([*firsts, 2**64]), min)  # from the end on
 
     def messages(self, names: Collection[str]) -> Iterator[Received]:
@@ -225,9 +218,8 @@ class SqliteFile:
             for row in map(dict, database.execute("SELECT * FROM topics")):
                 ros = row["serialization_format"] == "cdr"
                 kind = row["type"] if ros else f"{row['type']} in {row['serialization_format']}"
-                offered = tuple(layout.parsed_qos(row.get("offered_qos_profiles")))
                 count, _ = found.get(row["id"], (0, 0))
-                add_topic(self.topics, row["name"], Topic(kind, offered, count))
+                add_topic(self.topics, row["name"], Topic(kind, count))
 
     def messages(self, names: Collection[str]) -> Iterator[Received]:
         """Messages on some topics, in the order of reception."""

@@ -69,7 +69,7 @@ def import_bag(
         for row, (stamp, number) in enumerate(zip(received, states.index, strict=True)):
             data = _converted(messages[number][2], states, row, joint_names)
             writer.write(STATES, stamp, data)
-        made = writer.close({**notes, **writer.completeness(notes)})
+        made = writer.close(notes)
     return made, states.remarks
 
 
@@ -86,11 +86,10 @@ def _only_states(bag: Bag) -> str:
 def _converted(data: bytes, states: States, row: int, joint_names: Sequence[str]) -> bytes:
     """A joint state with the names and order of the arm, and the stamp and angles as read."""
     message = layout.decoded(data, JOINT_STATE)
-    whole = set(states.names) <= set(message.name)  # not joined from several messages
-    order = [message.name.index(name) for name in states.names] if whole else []
+    order = [message.name.index(name) for name in states.names]
     for field in ("velocity", "effort"):
         values = getattr(message, field)
-        complete = whole and len(values) == len(message.name)
+        complete = len(values) == len(message.name)
         setattr(message, field, values[order] if complete else np.zeros(0))
     message.name, message.position = list(joint_names), states.q[row]
     time = message.header.stamp

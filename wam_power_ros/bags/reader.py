@@ -16,7 +16,6 @@ from wam_power_ros.bags.layout import JOINT_STATE, STATES, decoded, noted_names
 from wam_power_ros.bags.quality import Grade, Remark
 
 LATE_MAX = 50_000_000  # a state may come this much after a newer one; more is a wrong clock [ns]
-JOIN_MAX = 50_000_000  # longest interval over which joints are interpolated to be joined [ns]
 
 
 @dataclass(frozen=True)
@@ -51,12 +50,10 @@ def read_states(
     Joints are matched by name; time is that of the headers, or of the reception if none has one; if
     only some have none, as before the first message of a simulated clock, these are left out.
     Messages without any of these joints are another device's and are skipped, as are repetitions
-    (same stamp, same angles). States that came late are put in the order of their stamps. Joints
-    in messages of their own, as of two publishers, are joined: those of the fewer messages are
-    interpolated at the stamps of the others. A bag taught with another driver may have other names
-    for the same joints: if it has none of `joint_names`, and its metadata has as many names (our
-    recorder notes them, base to tip), those are used. Angles are unwrapped and bad states left out:
-    see `jumps`.
+    (same stamp, same angles). States that came late are put in the order of their stamps. A bag
+    taught with another driver may have other names for the same joints: if it has none of
+    `joint_names`, and its metadata has as many names (our recorder notes them, base to tip), those
+    are used. Angles are unwrapped and bad states left out: see `jumps`.
 
     Args:
         joint_names: Order of the columns of the result.
@@ -79,9 +76,6 @@ def read_states(
     except ValueError as error:
         raise ValueError(f"{bag.path}: {topic}: {error}") from None
     remarks = list(states.remarks)
-    if (lost := bag.topics[topic].counted - len(messages)) > 0:
-        text = f"{lost} of {bag.topics[topic].counted} messages that the bag counts are not in it"
-        remarks.insert(0, Remark(Grade.FAIR, text))
     if foreign := [f"{name} ({of.msgtype})" for name, of in bag.topics.items() if of.foreign]:
         remarks.append(Remark(Grade.GOOD, f"not read: {', '.join(foreign)}"))
     return replace(states, remarks=tuple(remarks))
@@ -100,45 +94,42 @@ def _states(
     seen = {name for _, angles in states for name in angles}
     if not seen & set(names) and len(noted) == len(names):
         names = noted
-    groups: dict[tuple[str, ...], list[tuple[int, int, np.ndarray]]] = {}  # by joints
+    arm: list[tuple[int, int, np.ndarray]] = []  # number, stamp [ns] and angles
+    kinds: set[tuple[str, ...]] = set()
     for number, (stamp_ns, angles) in enumerate(states):
         if found := tuple(name for name in names if name in angles):
-            row = np.array([angles[name] for name in found])
-            groups.setdefault(found, []).append((number, stamp_ns, row))
-    if not groups:
+            kinds.add(found)
+            arm.append((number, stamp_ns, np.array([angles[name] for name in found])))
+    if not kinds:
         raise ValueError(
             f"no message on this topic has the joints {list(names)}; it has {sorted(seen)}. "
             "Name the joints of the arm, base to tip: wam-power bags import BAG --joints ..."
         )
     if missing := [name for name in names if name not in seen]:
         raise ValueError(f"joints {missing} missing among {sorted(seen)}")
-    if sum(map(len, groups)) > len(names):
-        sets = " and ".join(str(list(found)) for found in groups)
+    if len(kinds) > 1:
+        sets = " and ".join(str(list(found)) for found in sorted(kinds))
         raise ValueError(f"joints are in messages of several kinds: {sets}")
-    received = [received_ns for received_ns, _ in messages]
-    parts = {}
-    for found, group in groups.items():
-        stamped = [] if by_reception else [state for state in group if state[1]]
-        timed = stamped or [(number, received[number], row) for number, _, row in group]
-        of = _of_same_joints(timed, found, simulated, part)
-        if left := len(group) - len(timed):
-            text = f"{left} of {len(group)} states left out: they have no stamp"
-            of = replace(of, remarks=(Remark(Grade.FAIR, text), *of.remarks))
-        parts[found] = of
-    return _joined(parts, names) if len(parts) > 1 else parts[names]
+    stamped = [] if by_reception else [state for state in arm if state[1]]
+    timed = stamped or [(number, messages[number][0], row) for number, _, row in arm]
+    of = _in_order(timed, names, simulated, part)
+    if left := len(arm) - len(timed):
+        text = f"{left} of {len(arm)} states left out: they have no stamp"
+        return replace(of, remarks=(Remark(Grade.FAIR, text), *of.remarks))
+    return of
 
 
-def _of_same_joints(
-    group: Sequence[tuple[int, int, np.ndarray]],
+def _in_order(
+    states: Sequence[tuple[int, int, np.ndarray]],
     names: tuple[str, ...],
     simulated: bool,
     part: tuple[float, float] | None,
 ) -> States:
-    """States of messages that have the same joints: number, stamp [ns] and angles of each."""
+    """States that can be a movement, of number, stamp [ns] and angles of each message."""
     rows: dict[int, tuple[int, np.ndarray]] = {}  # number and angles by stamp
     newest = -(2**63)
     repeated = late = 0
-    for number, stamp_ns, row in group:
+    for number, stamp_ns, row in states:
         if stamp_ns in rows and row.tobytes() == rows[stamp_ns][1].tobytes():
             repeated += 1
             continue
@@ -169,32 +160,6 @@ def _of_same_joints(
         counted = "1 repetition" if repeated == 1 else f"{repeated} repetitions"
         remarks.insert(0, Remark(Grade.GOOD, f"{counted} left out"))
     return States(stamps[found.kept], found.q, index, names, tuple(remarks))
-
-
-def _joined(parts: Mapping[tuple[str, ...], States], names: tuple[str, ...]) -> States:
-    """States of all joints, at the stamps of the part that has most, where no part has a gap."""
-    first = max(parts.values(), key=lambda part: len(part.stamps))
-    near = np.ones(len(first.stamps), dtype=bool)
-    q = np.empty((len(first.stamps), len(names)))
-    for found, part in parts.items():
-        after = np.searchsorted(part.stamps, first.stamps)
-        before = np.searchsorted(part.stamps, first.stamps, side="right") - 1
-        inside = (before >= 0) & (after < len(part.stamps))
-        last = len(part.stamps) - 1
-        apart = part.stamps[after.clip(0, last)] - part.stamps[before.clip(0, last)]
-        near &= inside & (apart <= JOIN_MAX)
-        since = part.stamps[0]
-        for name, values in zip(found, part.q.T, strict=True):
-            q[:, names.index(name)] = np.interp(first.stamps - since, part.stamps - since, values)
-    if not near.any():
-        raise ValueError(f"joints {[*map(list, parts)]} are never there at the same time")
-    of = " and ".join(", ".join(found) for found in parts)
-    text = f"{near.sum()} of {len(near)} states joined from messages of their own: {of}"
-    remarks = [
-        Remark(Grade.GOOD, text),
-        *(each for part in parts.values() for each in part.remarks),
-    ]
-    return States(first.stamps[near], q[near], first.index[near], names, tuple(remarks))
 
 
 def _joint_angles(cdr: bytes, known: Collection[str]) -> tuple[int, dict[str, float]]:

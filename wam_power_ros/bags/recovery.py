@@ -60,23 +60,20 @@ def recover(path: Path) -> Recovered:
     """
     if path.name.endswith(layout.UNFINISHED):
         path = path.with_name(path.name.removesuffix(layout.UNFINISHED))
-    found = _files(path)
+    damaged = _files(path)
     bag = path.with_suffix("") if path.is_file() else path
     with new_bag(bag.with_name(bag.name + "_recovered")) as writer:
         copy = _Copy(writer)
-        for file in found:
+        for file in damaged:
             copy.file(file)
-        if (metadata := found[0].with_name("metadata.yaml")).is_file():
+        if (metadata := damaged[0].with_name("metadata.yaml")).is_file():
             with suppress(ValueError):  # damaged as well
                 copy.notes |= layout.notes(plain_yaml.read(metadata))
-        notes = copy.notes | writer.completeness(copy.notes) | {"recovered": json.dumps(True)}
-        made = writer.close(notes)
+        made = writer.close(copy.notes | {"recovered": json.dumps(True)})
     for name, topic in Bag(made).topics.items():
-        if topic.found < topic.counted:
-            raise ValueError(
-                f"{made}: {topic.found} of {topic.counted} messages on {name} are there"
-            )
-    return Recovered(made, dict(writer.counts), copy.left_out)
+        if topic.found != (count := writer.counts[name]):
+            raise ValueError(f"{made}: {topic.found} of {count} messages on {name} are there")
+    return Recovered(made, writer.counts, copy.left_out)
 
 
 def _files(path: Path) -> list[Path]:

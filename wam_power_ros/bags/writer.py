@@ -26,12 +26,10 @@ from rosbags.interfaces import Qos
 from wam_power_ros import durable_files
 from wam_power_ros.bags.layout import (
     EVENT,
-    STATES,
     STRING,
     TYPES,
     described_qos,
     device,
-    noted_names,
     qos,
     unfinished,
 )
@@ -177,19 +175,6 @@ class BagWriter:
         """Flush everything written so far to the disk, readable after a crash."""
         self._writer.flush()
         os.fsync(self._file.fileno())
-
-    def completeness(self, notes: Mapping[str, str]) -> dict[str, str]:
-        """Notes for the metadata: rate of the arm's states [Hz], and missing messages by topic.
-
-        Other notes may name the arm's joints and the topic of its states.
-        """
-        state_topic, joints = notes.get("state_topic", STATES), noted_names(notes)
-        found = {topic: of for topic in self._channels if (of := self.gaps(topic, joints))}
-        period = found[state_topic].period if state_topic in found else 0.0
-        return {
-            "rate": f"{1.0 / period:.1f}" if period else "0",
-            "missing": json.dumps({topic: of.missing for topic, of in found.items()}),
-        }
 
     def close(self, custom_data: Mapping[str, str]) -> Path:
         """Finish the bag, with notes for its metadata, and return its path.
