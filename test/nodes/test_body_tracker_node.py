@@ -7,18 +7,14 @@ import time
 import numpy as np
 import pytest
 from conftest import Probe, Processes
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry, Path
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import PointCloud2
 
-from hardware_sim import body_messages
 from wam_power_ros import rotations
 from wam_power_ros.learning.rollout import EndEffectorPath
 from wam_power_ros.ros import interface, pose_messages
 from wam_power_ros.ros.stamps import time_message
-from wam_power_ros.tracking import marker_fit
 
 NODE = "wam_power_ros.nodes.body_tracker"
 CONFIG = "pancake_tracker.yaml"
@@ -54,9 +50,7 @@ class Bench:
         state = interface.body_topic("pancake", "state")
         self.states = probe.listen(Odometry, state, interface.STATE_RECORD)  # bursts, too
         self.paths = probe.listen(Path, interface.rollout_topic("pancake"), interface.LATCHED)
-        self.diagnostics = probe.listen(
-            DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
-        )
+        self.diagnostics = probe.diagnostics()
         self.ends = probe.publisher(Path, interface.ROLLOUT_END_EFFECTOR, interface.LATCHED)
         probe.until(lambda: self.diagnostics, "the tracker's diagnostics")
 
@@ -189,120 +183,94 @@ def test_stamps_of_another_clock_are_reported_and_no_path_is_made_of_them(
     assert f"rollout-{start_ns} not scored" in status["last problem"]
 
 
-def test_a_cloud_of_markers_in_a_y_up_world_gives_the_state_in_the_base(
-    probe: Probe, processes: Processes
-) -> None:
-    bench = Bench(probe, processes, pose_topic='""', markers_topic=interface.MARKERS, up_axis='"y"')
-    frames = probe.publisher(PointCloud2, interface.MARKERS, RELIABLE)
-    rng = np.random.default_rng(0)
-    other = np.array([[0.0, 0.0, 0.1]])
-    for _ in range(5):
-        place = PAN + rng.normal(0.0, 5e-4, 3)
-        x, y, z = rng.permutation(np.vstack([marker_fit.LAYOUT + place, other])).T
-        cloud = np.stack([x, z, -y], axis=1)
-        kind = "sensor_msgs/msg/PointCloud2"
-        frames.publish(body_messages.message(kind, time.time_ns(), "world", "", cloud))
-        probe.spin(0.04)
-    state = pose_messages.odometry(probe.until(lambda: bench.states, "a state")[-1])
-    np.testing.assert_allclose(state.position, PAN, atol=3e-3)
-    np.testing.assert_allclose(rotations.matrix(state.quat_xyzw), np.eye(3), atol=1e-4)
+class Lockstep(Bench):
+    """A tracker in simulated time, which the tests below share; each begins at a later second."""
+
+    def __init__(self, probe: Probe, processes: Processes) -> None:
+        super().__init__(probe, processes, use_sim_time=True, silence=0.5)
+        pose = interface.body_topic("pancake", "pose")
+        self._frames = probe.publisher(PoseStamped, pose, interface.MOCAP)
+        self._clock = probe.publisher(Clock, interface.CLOCK, interface.CLOCK_QOS)
+        self.begin_ns = 0
+
+    def end(self, duration: float) -> None:
+        """Send the path of the tool in a rollout [s]."""
+        message = pose_messages.path_message(pan_path("a", duration), self.begin_ns, "wam_base")
+        self.ends.publish(message)
+
+    def tick(self, t: float) -> None:
+        """Send the time since the begin of the rollout [s]."""
+        self._clock.publish(Clock(clock=time_message(self.begin_ns + round(t * 1e9))))
+
+    def frame(self, index: int, place: np.ndarray, quat: np.ndarray) -> None:
+        """Send a frame of the rollout."""
+        stamp_ns = self.begin_ns + index * PERIOD
+        self._frames.publish(pose_messages.pose_message(stamp_ns, "world", place, quat))
 
 
-@pytest.mark.parametrize("tethered", [False, True])
-def test_a_fall_along_another_axis_is_reported_unless_a_string_may_hold_the_body(
-    tethered: bool, probe: Probe, processes: Processes
-) -> None:
-    bench = Bench(probe, processes, use_sim_time=True, tethered=tethered)
-    frames = probe.publisher(PoseStamped, interface.body_topic("pancake", "pose"), RELIABLE)
-    clock = probe.publisher(Clock, interface.CLOCK, interface.CLOCK_QOS)
-    second = 1_000_000_000
-    bench.ends.publish(pose_messages.path_message(pan_path("fall", 1.5), second, "wam_base"))
+@pytest.fixture(scope="module")
+def tracker(shared_nodes: tuple[Probe, Processes]) -> Lockstep:
+    return Lockstep(*shared_nodes)
+
+
+@pytest.fixture
+def lockstep(tracker: Lockstep) -> Lockstep:
+    tracker.begin_ns += 100_000_000_000
+    return tracker
+
+
+def test_a_fall_along_another_axis_is_reported(lockstep: Lockstep) -> None:
+    lockstep.end(1.5)
     for index, (place, quat) in enumerate(toss(np.random.default_rng(1), 50)):
         x, y, z = place - PAN
-        stamp_ns = second + index * PERIOD
-        clock.publish(Clock(clock=time_message(stamp_ns)))
-        frames.publish(
-            pose_messages.pose_message(stamp_ns, "world", PAN + np.array([x, z, -y]), quat)
-        )
-        probe.spin(0.005)
-    bench.path()
-    bench.diagnostics.clear()
-    problem = bench.status("last problem")["last problem"]
-    assert ("not along -z" in problem) == (not tethered)
+        lockstep.tick(index * PERIOD * 1e-9)
+        lockstep.frame(index, PAN + np.array([x, z, -y]), quat)
+        lockstep.probe.spin(0.005)
+    lockstep.path()
+    lockstep.diagnostics.clear()
+    assert "not along -z" in lockstep.status("last problem")["last problem"]
 
 
-def test_in_lockstep_a_standing_clock_is_no_silence(probe: Probe, processes: Processes) -> None:
-    bench = Bench(probe, processes, use_sim_time=True, silence=0.5)
-    frames = probe.publisher(PoseStamped, interface.body_topic("pancake", "pose"), RELIABLE)
-    clock = probe.publisher(Clock, interface.CLOCK, interface.CLOCK_QOS)
+def test_in_lockstep_a_standing_clock_is_no_silence(lockstep: Lockstep) -> None:
     poses = toss(np.random.default_rng(1), 40)
-    second = 1_000_000_000
 
     def send(first: int, last: int) -> None:
         for index in range(first, last):
-            stamp_ns = second + index * PERIOD
-            clock.publish(Clock(clock=time_message(stamp_ns)))
-            frames.publish(pose_messages.pose_message(stamp_ns, "world", *poses[index]))
-            probe.spin(0.005)
+            lockstep.tick(index * PERIOD * 1e-9)
+            lockstep.frame(index, *poses[index])
+            lockstep.probe.spin(0.005)
 
     send(0, 20)
-    bench.ends.publish(pose_messages.path_message(pan_path("held", 1.0), second, "wam_base"))
-    probe.spin(1.2)  # the arm's stand-in waits for a torque
-    assert not bench.paths
+    lockstep.end(1.0)
+    lockstep.probe.spin(1.2)  # the arm's stand-in waits for a torque
+    assert not lockstep.paths
     send(20, 40)
-    assert len(bench.path().t) == 31
+    assert len(lockstep.path().t) == 31
 
 
 def test_in_lockstep_frames_that_are_sent_again_later_belong_to_the_path(
-    probe: Probe, processes: Processes
+    lockstep: Lockstep,
 ) -> None:
-    bench = Bench(probe, processes, use_sim_time=True, silence=0.5)
-    frames = probe.publisher(PoseStamped, interface.body_topic("pancake", "pose"), RELIABLE)
-    clock = probe.publisher(Clock, interface.CLOCK, interface.CLOCK_QOS)
-    second = 1_000_000_000
-    bench.ends.publish(pose_messages.path_message(pan_path("held", 1.0), second, "wam_base"))
+    lockstep.end(1.0)
     for late in range(20):  # simulated time goes on
-        clock.publish(Clock(clock=time_message(second + late * second // 10)))
-        probe.spin(0.1)
-    assert not bench.paths
+        lockstep.tick(0.1 * late)
+        lockstep.probe.spin(0.1)
+    assert not lockstep.paths
     for index, pose in enumerate(toss(np.random.default_rng(1), 40)):
-        frames.publish(pose_messages.pose_message(second + index * PERIOD, "world", *pose))
-        probe.spin(0.005)
-    assert len(bench.path().t) == 31
+        lockstep.frame(index, *pose)
+        lockstep.probe.spin(0.005)
+    assert len(lockstep.path().t) == 31
 
 
-def test_in_lockstep_a_tracker_that_stood_still_loses_no_frame(
-    probe: Probe, processes: Processes
-) -> None:
-    bench = Bench(probe, processes, use_sim_time=True)
-    frames = probe.publisher(PoseStamped, interface.body_topic("pancake", "pose"), interface.MOCAP)
-    clock = probe.publisher(Clock, interface.CLOCK, interface.CLOCK_QOS)
-    poses = toss(np.random.default_rng(1), 300)
-    second = 1_000_000_000
-    bench.node.send_signal(signal.SIGSTOP)
-    try:
-        for index in range(300):  # more than the middleware keeps for a process that does not read
-            stamp_ns = second + index * PERIOD
+def test_in_lockstep_a_tracker_that_stood_still_loses_no_frame(lockstep: Lockstep) -> None:
+    lockstep.node.send_signal(signal.SIGSTOP)
+    try:  # more than the middleware keeps for a process that does not read
+        for index, pose in enumerate(toss(np.random.default_rng(1), 300)):
             for _ in range(5):
-                clock.publish(Clock(clock=time_message(stamp_ns)))
-            frames.publish(pose_messages.pose_message(stamp_ns, "world", *poses[index]))
-            probe.spin(0.002)
+                lockstep.tick(index * PERIOD * 1e-9)
+            lockstep.frame(index, *pose)
+            lockstep.probe.spin(0.002)
     finally:
-        bench.node.send_signal(signal.SIGCONT)
-    bench.ends.publish(pose_messages.path_message(pan_path("held", 9.9), second, "wam_base"))
-    assert len(bench.path().t) == 298  # within 9.9 s
-
-
-@pytest.mark.parametrize(
-    ("parameters", "why"),
-    [
-        ({"pose_topic": '""'}, "pose_topic or markers_topic"),
-        ({"colour": "red"}, "colour"),
-    ],
-)
-def test_a_configuration_that_cannot_be_stops_the_node_with_its_name(
-    processes: Processes, parameters: dict, why: str
-) -> None:
-    node = processes.node(NODE, CONFIG, **parameters)
-    assert node.wait(20.0) == 2
-    assert why in processes.output(node)
+        lockstep.node.send_signal(signal.SIGCONT)
+    lockstep.end(9.9)
+    assert len(lockstep.path().t) == 298  # within 9.9 s
