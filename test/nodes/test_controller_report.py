@@ -114,19 +114,6 @@ def test_refusals_are_counted_a_warning_for_one_second_and_remembered(
     assert values["last refusal"] == "policy refused: too large"
 
 
-def test_a_callback_that_fails_again_and_again_is_logged_once_in_a_second_with_where(
-    report: ControllerReport, beside: Preparation
-) -> None:
-    for _ in range(2):
-        try:
-            raise KeyError("x")
-        except KeyError as error:
-            report.failed(error)
-    ((severity, text),) = beside.logged
-    assert severity == "warning"
-    assert text.startswith(f"callback refused: KeyError('x') at {__file__}:")
-
-
 def test_what_is_worst_is_the_summary(beside: Preparation) -> None:
     report = ControllerReport(NODE, PARAMS.model_copy(update={"realtime_priority": 60}), beside)
     held = active()

@@ -20,7 +20,6 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path as NavPath
 from rclpy.duration import Duration
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
 from rosbags.rosbag2 import Reader
 from rosgraph_msgs.msg import Clock
@@ -53,12 +52,9 @@ class Bench:
     def __init__(
         self, probe: Probe, processes: Processes, folder: Path, **parameters: object
     ) -> None:
-        self.probe = probe
-        self.processes = processes
+        self.probe, self.processes, self.folder = probe, processes, folder
         self.node = processes.node(NODE, CONFIG, directory=folder, **parameters)
-        self.diagnostics = probe.listen(
-            DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
-        )
+        self.diagnostics = probe.diagnostics()
         self.states = probe.publisher(JointState, interface.JOINT_STATES, interface.STATE_OUT)
         self.write = joint_messages.JointStateWriter(NAMES)
         self.sent = 0
@@ -101,6 +97,21 @@ class Bench:
         return self.probe.until(
             lambda: next((msg for msg in self.diagnostics if text in str(msg)), None), text
         )
+
+
+@pytest.fixture(scope="module")
+def started(
+    shared_nodes: tuple[Probe, Processes], tmp_path_factory: pytest.TempPathFactory
+) -> Bench:
+    return Bench(*shared_nodes, tmp_path_factory.mktemp("recorder") / "bags")
+
+
+@pytest.fixture
+def bench(started: Bench) -> Bench:
+    """A recorder that several tests share, which does not record."""
+    started.record(False)  # what a failed test has left
+    started.diagnostics.clear()
+    return started
 
 
 Make = Callable[..., DemonstrationRecorder]
@@ -155,14 +166,6 @@ def test_messages_that_wait_in_the_queue_at_a_request_are_not_recorded(
     assert (stamps_ns - START).tolist() == [5, 6, 7, 8]
 
 
-def test_a_recording_that_cannot_be_is_refused_with_its_reason(make: Make) -> None:
-    node = make()
-    assert record(node, False) == (False, "not recording")
-    _, path = record(node, True)
-    assert record(node, True) == (False, f"already recording {path}")
-    record(node, False)  # its writer flushes files until then
-
-
 @pytest.mark.parametrize(
     ("parameters", "why"),
     [
@@ -183,6 +186,7 @@ def test_a_disk_that_is_nearly_full_closes_the_bag_in_time(
     node = make(free_to_start=0.0, free_to_continue=1e9)
     monkeypatch.setattr(node._topics, "layout_of", lambda topic: (layout.JOINT_STATE, ()))
     _, path = record(node, True)
+    assert record(node, True) == (False, f"already recording {path}")
     state = joint_messages.JointStateWriter(NAMES)(START, np.zeros(7), (), ())
     node._on_message(node._state_topic, serialize_message(state))
     node._check_disk()
@@ -300,10 +304,8 @@ def test_a_demonstration_holds_every_state_and_another_reader_agrees(
     assert events == ["start", "stop"]
 
 
-def test_a_rollout_is_named_after_the_policy_that_came_for_it(
-    probe: Probe, processes: Processes, tmp_path: Path
-) -> None:
-    bench = Bench(probe, processes, tmp_path)
+def test_a_rollout_is_named_after_the_policy_that_came_for_it(bench: Bench) -> None:
+    probe = bench.probe
     publisher = probe.publisher(PolicyMessage, interface.POLICY, interface.LATCHED)
     names = []
     for id in ("trial-0007", "trial-0007", "", "../trial-0008"):  # the last two are no names
@@ -315,14 +317,12 @@ def test_a_rollout_is_named_after_the_policy_that_came_for_it(
         names.append(bench.stop().name)
     assert names[:2] == ["rollout_trial-0007", "rollout_trial-0007_2"]
     assert [name[:5] for name in names[2:]] == ["demo_"] * 2
-    with Reader(tmp_path / names[0]) as bag:
+    with Reader(bench.folder / names[0]) as bag:
         assert bag.topics["/policy"].msgcount == 1  # the message latched at the start
 
 
-def test_the_path_of_a_body_is_waited_for_when_its_rollout_has_finished(
-    probe: Probe, processes: Processes, tmp_path: Path
-) -> None:
-    bench = Bench(probe, processes, tmp_path)
+def test_the_path_of_a_body_is_waited_for_when_its_rollout_has_finished(bench: Bench) -> None:
+    probe = bench.probe
     paths = probe.publisher(NavPath, interface.rollout_topic("pancake"), interface.LATCHED)
     tool = probe.publisher(NavPath, interface.ROLLOUT_END_EFFECTOR, interface.LATCHED)
     bench.start()
@@ -357,10 +357,7 @@ def test_a_best_effort_driver_that_comes_later_is_heard_too(
     assert len(reader.read_demonstration(path, NAMES)[1]) == 100
 
 
-def test_what_is_missing_is_said_in_the_log_and_the_diagnostics(
-    probe: Probe, processes: Processes, tmp_path: Path
-) -> None:
-    bench = Bench(probe, processes, tmp_path)
+def test_what_is_missing_is_said_in_the_log_and_the_diagnostics(bench: Bench) -> None:
     bench.start()
     bench.status("no message on /joint_states yet")
     bench.send(30)
@@ -369,7 +366,7 @@ def test_what_is_missing_is_said_in_the_log_and_the_diagnostics(
     bench.stop()
     note = "4 messages missing on /joint_states, longest gap 0.010 s"
     bench.status(note)
-    assert note in processes.output(bench.node)
+    assert note in bench.processes.output(bench.node)
 
 
 def test_a_recorder_that_is_stopped_closes_its_bag(
@@ -415,15 +412,12 @@ def test_states_reach_the_disk_during_a_recording_and_survive_a_kill(
 
 
 @pytest.mark.requirement("S-66")
-def test_a_folder_that_goes_away_ends_the_recording_and_nothing_else(
-    probe: Probe, processes: Processes, tmp_path: Path
-) -> None:
-    bench = Bench(probe, processes, tmp_path / "bags")
+def test_a_folder_that_goes_away_ends_the_recording_and_nothing_else(bench: Bench) -> None:
     bench.start()
     bench.send(50)
-    (tmp_path / "bags").rename(tmp_path / "pulled out")
+    away = bench.folder.rename(bench.folder.with_name("pulled out"))
     bench.status("left unfinished")
-    (tmp_path / "pulled out").rename(tmp_path / "bags")
+    away.rename(bench.folder)
     again = bench.start()
     bench.send(100)
     assert bench.stop() == again
@@ -458,12 +452,13 @@ def test_a_disk_that_fills_up_ends_the_recording_and_nothing_else(
     assert len(reader.read_demonstration(again, NAMES)[0]) == 100
 
 
-@pytest.mark.parametrize(("qos", "lost"), [(interface.DEEP, False), (interface.STATE_OUT, True)])
-def test_what_came_while_the_recorder_stood_still_is_sent_again_or_told_as_missing(
-    probe: Probe, processes: Processes, tmp_path: Path, qos: QoSProfile, lost: bool
+def test_what_came_while_the_recorder_stood_still_is_sent_again(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    bench = Bench(probe, processes, tmp_path)
-    bench.states = probe.publisher(JointState, interface.JOINT_STATES, qos)
+    probe = bench.probe
+    deep = probe.publisher(JointState, interface.JOINT_STATES, interface.DEEP)
+    monkeypatch.setattr(bench, "states", deep)
+    first = bench.sent
     bench.start()
     bench.send(50)
     probe.spin(1.0)
@@ -471,27 +466,23 @@ def test_what_came_while_the_recorder_stood_still_is_sent_again_or_told_as_missi
     try:
         for _ in range(1500):  # more than a reader's socket holds
             q, stamp_ns = np.arange(7.0) + 0.001 * bench.sent, START + 2_000_000 * bench.sent
-            bench.states.publish(bench.write(stamp_ns, q, np.zeros(7), np.zeros(7)))
+            deep.publish(bench.write(stamp_ns, q, np.zeros(7), np.zeros(7)))
             bench.sent += 1
             time.sleep(1e-4)
     finally:
         bench.node.send_signal(signal.SIGCONT)
     bench.send(50)
-    if not lost:
-        bench.status(f"/joint_states', value='{bench.sent}'")
-    path = bench.stop()
-    if lost:
-        bench.status("messages missing on /joint_states")
-    stamps, _ = reader.read_demonstration(path, NAMES)
-    assert (len(stamps) < bench.sent) == lost
+    bench.status(f"/joint_states', value='{bench.sent - first}'")
+    stamps, _ = reader.read_demonstration(bench.stop(), NAMES)
+    assert len(stamps) == bench.sent - first
+    probe.node.destroy_publisher(deep)
 
 
 @pytest.mark.parametrize("left_out", [(), np.full(7, np.nan)], ids=["empty", "NaN"])
 def test_states_without_velocity_or_effort_are_recorded_and_read_however_they_were_sent(
-    probe: Probe, processes: Processes, tmp_path: Path, left_out: Sequence[float]
+    bench: Bench, left_out: Sequence[float]
 ) -> None:
     """A player of bags sends the bytes in them: what `serialize_message` makes is longer."""
-    bench = Bench(probe, processes, tmp_path)
     path = bench.start()
     cases = [(left_out, np.ones(7)), (np.ones(7), left_out), (left_out, left_out)]
     wanted, excess = np.arange(7.0) + 0.001 * np.arange(60)[:, None], set()
@@ -499,7 +490,7 @@ def test_states_without_velocity_or_effort_are_recorded_and_read_however_they_we
         state = bench.write(START + 2_000_000 * number, q, *cases[number % 3])
         played = serialize_message(state)
         bench.states.publish(played if number % 2 else state)
-        probe.spin(0.002)
+        bench.probe.spin(0.002)
     bench.stop()
     stamps, q = reader.read_demonstration(path, NAMES)
     np.testing.assert_array_equal(q, wanted)
@@ -515,10 +506,7 @@ def test_states_without_velocity_or_effort_are_recorded_and_read_however_they_we
     assert {size for played, size in excess if played} == ({0} if len(left_out) else {4, 8})
 
 
-def test_a_recorder_that_stands_still_holds_nobody_up(
-    probe: Probe, processes: Processes, tmp_path: Path
-) -> None:
-    bench = Bench(probe, processes, tmp_path)
+def test_a_recorder_that_stands_still_holds_nobody_up(bench: Bench) -> None:
     bench.start()
     bench.send(100)
     bench.node.send_signal(signal.SIGSTOP)

@@ -44,12 +44,6 @@ def demonstrations(arm: SimulatedArm) -> Demonstrations:
     return of_arm(arm)
 
 
-def test_an_arm_without_the_links_of_the_wam_is_simulated_by_its_own_set_up() -> None:
-    cobot = overlay.setup(["cobot"], simulated=True)["learner"]
-    given = (cobot["urdf"], cobot["model_joint_names"], cobot["tool_frame"], cobot["controller"])
-    assert SimulatedArm(*given, str).kinematics.name == "cobot7"
-
-
 def test_what_cannot_be_read_is_left_out_and_the_others_keep_their_numbers(
     demonstrations: Demonstrations, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -101,15 +95,3 @@ def test_a_policy_has_the_springs_that_the_session_asks_for(
     _, _, (policy,) = demonstrations.candidates(preset("flip", springs=springs), [BAG])
     assert policy.basis.count == count
     assert np.linalg.eigvalsh(policy.stiffness).max() == pytest.approx(500.0 * count / 8)
-
-
-def test_a_movement_is_simulated_once_whatever_its_id(
-    demonstrations: Demonstrations, monkeypatch: pytest.MonkeyPatch, arm: SimulatedArm
-) -> None:
-    reports: list[str] = []
-    monkeypatch.setattr(arm, "_report", reports.append)
-    monkeypatch.setattr(arm, "_verdicts", {})
-    for number in (1, 2):
-        policy = demonstrations.fit(demonstrations.read(BAG), BAG, f"demonstration-{number}", 0)
-        arm.infeasible(policy)
-    assert len(reports) == 1

@@ -15,7 +15,6 @@ from conftest import ROOT, Probe, Process, Processes, lift
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from played_arm import HOME, MODULE, NAMES, TICK, PlayedArm
-from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -187,16 +186,6 @@ def test_teaching_and_stopping_are_a_service_call_away(arm: PlayedArm) -> None:
     assert arm.answer().label == "hold"
 
 
-def test_each_request_is_answered_by_its_id_and_one_at_a_time(arm: PlayedArm) -> None:
-    probe = arm.probe
-    first = probe.ask("move_to_start", lift("first"))
-    arm.diagnosis(lambda values: values["mode"] == "move_to_start", "the move")
-    second = probe.ask("move_to_start", lift("second"))
-    assert probe.answer(second).code is Code.BUSY and second.status == ABORTED
-    assert probe.answer(first, arm.send).code is Code.DONE and first.status == SUCCEEDED
-    assert (first.stages, second.stages) == (["moving"], [])
-
-
 def points(count: int) -> JointTrajectory:
     """A movement of so many points, which are not looked at."""
     return JointTrajectory(joint_names=NAMES, points=[JointTrajectoryPoint()] * count)
@@ -326,31 +315,6 @@ def test_a_cancel_stops_the_arm_and_ends_the_goal_and_a_late_one_does_nothing(
     assert not probe.cancel(sent)
     again = probe.ask("move_to_start", lift("trial-0001"))
     assert probe.answer(again, arm.send).code is Code.DONE
-
-
-def test_in_simulated_time_states_may_stay_away(probe: Probe, processes: Processes) -> None:
-    probe.publisher(Clock, interface.CLOCK, interface.CLOCK_QOS, readers=0)
-    arm = PlayedArm(probe, processes, state_timeout=0.006, use_sim_time=True)
-    arm.activate()
-    count = len(arm.read())
-    probe.spin(0.5)
-    assert len(arm.read()) == count
-    arm.send()
-    assert arm.answer().label == "hold"
-
-
-def test_a_recorded_movement_is_replayed(arm: PlayedArm) -> None:
-    replay = arm.probe.replay(joint_messages.movement_message(NAMES, STILL))
-    labels = set()
-
-    def played() -> None:
-        arm.send()
-        labels.add(arm.answer().label)
-
-    answer = arm.probe.answer(replay, played)
-    assert answer.success
-    assert "rms" in answer.text
-    assert "replay" in labels
 
 
 def test_a_movement_on_the_topic_is_played_whatever_its_frame_and_a_bad_one_logged(

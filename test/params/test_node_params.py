@@ -159,14 +159,6 @@ def test_settings_that_a_node_includes_are_parameters_without_default_or_constan
         ArmSimParams.of_values("wam_sim", values | {"body_mass": 0.9})
 
 
-def test_a_refusal_names_key_value_rule_and_reason(node_with: Callable[..., Node]) -> None:
-    class Grill(Oven):
-        heat: float = Field(ge=50.0, le=300.0, description="in C: the thermostat's range")
-
-    with pytest.raises(ValueError, match=r"heat = 301\.0: .*300 .*the thermostat's range"):
-        Grill.of(node_with(**(GOOD | {"heat": 301.0})))
-
-
 @pytest.mark.requirement("S-18")
 def test_a_key_twice_in_the_parameter_file_of_a_process_stops_its_node(
     node_with: Callable[..., Node], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

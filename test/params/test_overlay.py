@@ -179,21 +179,6 @@ def test_a_set_up_is_a_value_that_reads_back_as_it_was_written(tmp_path: Path) -
     assert ArmSimParams.of_setup(overlay.read(file)).seed == 7
 
 
-def test_the_last_file_wins_and_may_override_derived_parameters(tmp_path: Path) -> None:
-    one = write(tmp_path, "one", "torque_controller: {ros__parameters: {torque_share: 0.3}}")
-    two = write(
-        tmp_path,
-        "two",
-        "torque_controller: {ros__parameters: {torque_share: 0.2}}\n"
-        "demonstration_recorder: {ros__parameters: {source: sim}}",
-    )
-    assert overlay.setup([one, two])["torque_controller"]["torque_share"] == 0.2
-    assert overlay.setup([two, one])["torque_controller"]["torque_share"] == 0.3
-    assert overlay.setup([one])["demonstration_recorder"]["source"] == "hardware"
-    assert overlay.setup([two])["demonstration_recorder"]["source"] == "sim"
-    assert overlay.setup(["geodude", "full_speed"])["torque_controller"]["torque_share"] == 1.0
-
-
 @pytest.mark.parametrize(
     ("text", "says"),
     [

@@ -18,27 +18,20 @@ from wam_power_ros.ros.action_server import Action
 from wam_power_ros.ros.outcomes import Answer, Code
 
 SUCCEEDED, CANCELED = GoalStatus.STATUS_SUCCEEDED, GoalStatus.STATUS_CANCELED
-ABORTED = GoalStatus.STATUS_ABORTED
 
 
 class Moves:
-    """A node whose goals end when the test says so: "no" is refused, "now" is done at once."""
+    """A node whose goals end when the test says so."""
 
-    def __init__(self, link: Link, cancels: bool = True) -> None:
+    def __init__(self, link: Link) -> None:
         self._link = link
         self.begun: list[str] = []
         self.cancelled: list[str] = []
-        cancel = self.cancelled.append if cancels else None
-        of = ExecutePolicy, interface.EXECUTE_POLICY, self._begin, cancel
+        of = ExecutePolicy, interface.EXECUTE_POLICY, self._begin, self.cancelled.append
         self.action = Action(link.node, *of)
 
-    def _begin(self, id: str, goal: ExecutePolicy.Goal) -> Answer | None:
-        if goal.policy.text == "no":
-            raise ValueError("'no' is no policy")
-        if goal.policy.text == "now":
-            return Answer(Code.DONE, "done at once")
+    def _begin(self, id: str, _: ExecutePolicy.Goal) -> None:
         self.begun.append(id)
-        return None
 
     def report(self, id: str, stage: str) -> None:
         """Report a stage, as in another callback of the node."""
@@ -78,17 +71,6 @@ def test_a_goal_reports_its_stage_and_ends_with_its_outcome_and_result_when_it_i
     assert not moves.action.under_way
 
 
-def test_a_goal_that_is_refused_or_done_at_once_ends_at_once(probe: Probe, moves: Moves) -> None:
-    for text, code, says, status in (
-        ("no", Code.REFUSED, "'no' is no policy", ABORTED),
-        ("now", Code.DONE, "done at once", SUCCEEDED),
-    ):
-        sent = probe.ask("execute", text)
-        answer = probe.answer(sent)
-        assert (answer.code, answer.text, sent.status) == (code, says, status)
-        assert not moves.begun and not moves.action.under_way
-
-
 def test_a_goal_that_is_cancelled_ends_once_when_what_it_asked_for_has_ended(
     probe: Probe, moves: Moves
 ) -> None:
@@ -104,12 +86,3 @@ def test_a_goal_that_is_cancelled_ends_once_when_what_it_asked_for_has_ended(
         moves.finish(moves.begun[-1], Answer(Code.BUSY))
         answer = probe.answer(sent)
         assert (answer.code, answer.stop, sent.status) == (code, "17", status)
-
-
-def test_an_action_without_a_cancel_goes_on(probe: Probe, link: Link) -> None:
-    moves = Moves(link, cancels=False)
-    sent = probe.ask("execute", lift("a"))
-    probe.until(lambda: moves.begun, "the begin")
-    assert not probe.cancel(sent)
-    moves.finish(moves.begun[0], Answer(Code.DONE))
-    assert probe.answer(sent).success and sent.status == SUCCEEDED

@@ -24,8 +24,3 @@ def test_a_controller_is_known_by_its_namespace(name: str, namespace: str, mine:
     message = diagnostics_message(Time(), name, "wam7", "error", "a fault", values)
     found = of_controller(namespace, message.status[0])
     assert found == (values if mine else None)
-
-
-def test_no_other_node_is_taken_for_the_controller() -> None:
-    message = diagnostics_message(Time(), "wam_sim: loop", "stand-in", "ok", "idle", {"mode": "x"})
-    assert of_controller("/", message.status[0]) is None

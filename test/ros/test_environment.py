@@ -9,7 +9,6 @@ import time
 import pytest
 from conftest import ROOT, Process, Processes
 
-from wam_power_ros.cli import main
 from wam_power_ros.cli.processes import LOG_FORM, LOG_LINE
 from wam_power_ros.ros import network
 
@@ -62,16 +61,6 @@ def test_a_session_reads_the_logs_of_its_nodes_whatever_form_the_terminal_asks_f
     form = LOG_FORM["RCUTILS_CONSOLE_OUTPUT_FORMAT"]
     line = form.format(severity="INFO", time="1795899277.302561418", name="learner", message="m")
     assert LOG_LINE.match(line)
-
-
-@pytest.mark.parametrize("columns", ["1", "no number"])
-def test_the_help_is_whole_at_any_width(
-    columns: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("COLUMNS", columns)
-    assert main.main([]) == 0
-    words = capsys.readouterr().out.split()
-    assert {name for names in main.HEADINGS.values() for name in names} <= {*words}
 
 
 def test_a_python_without_our_modules_is_named_with_what_it_misses_and_the_remedy(

@@ -19,11 +19,6 @@ def test_what_is_of_one_arm_has_a_relative_name_and_only_what_all_share_is_absol
     assert {name for name in names if name.startswith("/")} == shared
 
 
-def test_frames_have_the_namespace_of_their_arm_as_prefix() -> None:
-    assert interface.frame("/", "wam_base") == "wam_base"
-    assert interface.frame("/left", "wam_base") == "left/wam_base"
-
-
 @pytest.mark.parametrize("leaf", ["pose", "state", "drop"])
 def test_without_a_body_there_is_the_truth_of_the_scene_alone(leaf: str) -> None:
     assert interface.body_topic("", "truth") == "scene/truth"

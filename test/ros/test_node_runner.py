@@ -60,41 +60,6 @@ def test_a_script_ends_with_the_status_of_what_ended_it(
     assert ("Traceback" in processes.output(process)) == (what == "break")  # only for a defect
 
 
-COLLECTED = """
-import gc
-from rclpy import executors
-from rclpy.node import Node
-from wam_power_ros.ros.node_runner import run_script
-
-make_condition = executors.SignalHandlerGuardCondition
-def younger_in_the_lists_of_the_garbage_collector(context):
-    gc.freeze()
-    return make_condition(context)
-executors.SignalHandlerGuardCondition = younger_in_the_lists_of_the_garbage_collector
-
-def work(node):
-    executor = executors.SingleThreadedExecutor()
-    gc.collect()
-    gc.unfreeze()
-    executor.add_node(node)
-    arrived = node.create_guard_condition(lambda: None)
-    arrived.trigger()
-    executor.spin_once(timeout_sec=10.0)
-    print("spun", executor._cb_iter is not None)
-
-run_script(lambda: Node("script"), work)
-gc.collect()
-"""
-
-
-def test_a_script_ends_without_a_traceback_of_its_executor_however_that_is_collected(
-    processes: Processes,
-) -> None:
-    process = processes.script(COLLECTED)
-    assert process.wait(60.0) == 0
-    assert processes.output(process).splitlines()[-1] == "spun True"
-
-
 NODE = """
 import sys
 from rclpy.node import Node

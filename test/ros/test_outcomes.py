@@ -5,12 +5,10 @@ from __future__ import annotations
 
 import math
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from std_srvs.srv import Trigger
 
-from wam_power_interfaces.msg import Outcome, RolloutEnd
+from wam_power_interfaces.msg import Outcome
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.ros import outcomes
 from wam_power_ros.ros.outcomes import Answer, Code, Ended
@@ -40,19 +38,7 @@ def test_every_constant_of_the_message_is_a_code_and_a_later_one_is_unknown() ->
     assert outcomes.read(Outcome()).code is Code.DONE
 
 
-@pytest.mark.parametrize("code", [Code.DONE, Code.BUSY])
-def test_a_service_says_whether_it_was_done_and_its_sentence_or_else_its_code(code: Code) -> None:
-    for text in ("the arm is 0.2 rad away", ""):
-        filled = outcomes.fill(Trigger.Response(), Answer(code, text))
-        assert (filled.success, filled.message) == (code is Code.DONE, text or code.value)
-
-
 def test_the_end_of_a_rollout_keeps_its_id_start_fault_region_and_stop() -> None:
     for fault, stop in ((None, "17"), (Fault(FaultKind.TOOL_SPEED, "2.1 m/s"), "")):
         end = Ended("trial-0001", 1_795_640_661_883_907_267, fault, "the obstacle", stop)
         assert Ended.of(end.message()) == end
-
-
-def test_a_fault_of_an_unknown_kind_is_refused() -> None:
-    with pytest.raises(ValueError, match="'luck'"):
-        Ended.of(RolloutEnd(policy_id="trial-0001", fault="luck"))

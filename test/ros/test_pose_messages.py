@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from hardware_sim import body_messages
 from wam_power_interfaces.msg import GroundTruth
-from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
+from wam_power_ros.learning.rollout import EndEffectorPath
 from wam_power_ros.ros import pose_messages
 
 LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
@@ -96,20 +96,6 @@ def test_a_rollout_path_keeps_its_start_and_poses_in_one_frame(count: int, start
     np.testing.assert_allclose(back.t, t, atol=1e-9)
     np.testing.assert_array_equal(back.position, there.position)
     np.testing.assert_array_equal(back.quat_xyzw, there.quat_xyzw)
-
-
-def test_an_empty_path_keeps_its_start() -> None:
-    nothing = BodyPath("trial-0008", np.empty(0), np.empty((0, 3)), np.empty((0, 4)))
-    back = pose_messages.path(pose_messages.path_message(nothing, 5, "wam_base"))
-    assert (back.start_ns, len(back.t), back.position.shape) == (5, 0, (0, 3))
-
-
-def test_a_path_whose_time_stands_still_is_refused() -> None:
-    path = BodyPath("a", np.array([0.1, 0.2]), np.zeros((2, 3)), np.tile(LEVEL, (2, 1)))
-    message = pose_messages.path_message(path, 5, "wam_base")
-    message.poses[1].header.stamp = message.poses[0].header.stamp
-    with pytest.raises(ValueError, match="increase"):
-        pose_messages.path(message)
 
 
 def test_the_ground_truth_of_a_rollout_keeps_its_policy_end_and_values() -> None:

@@ -125,22 +125,3 @@ def test_the_first_type_of_a_topic_is_recorded_and_every_other_is_named(
     recorder.publish("next", RELIABLE, VOLATILE)
     assert recorder.topics.layout_of("/notes")[0] == "std_msgs/msg/String"
     assert recorder.topics._subscribed["/notes"].reliable  # whatever the other type offers
-
-
-def test_a_topic_of_an_expected_type_waits_for_it(recorder: Recorder) -> None:
-    topics = RawTopics(recorder.node, {"count": ("std_msgs/msg/Float64",)}, recorder._on_message)
-    recorder.other.create_publisher(String, "count", 1)
-    for _ in range(200):
-        topics.discover()
-        if topics.unmatched.get("/count"):
-            break
-        time.sleep(0.05)
-    assert "not std_msgs/msg/Float64" in topics.unmatched["/count"][0]
-    assert recorder.node.count_subscribers("/count") == 0
-    later = recorder.sender.create_publisher(Float64, "count", 1)
-    for _ in range(200):
-        topics.discover()
-        if later.get_subscription_count():
-            break
-        time.sleep(0.05)
-    assert topics.layout_of("/count")[0] == "std_msgs/msg/Float64"

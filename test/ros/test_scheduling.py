@@ -4,8 +4,6 @@
 import subprocess
 import sys
 
-from wam_power_ros.ros import scheduling
-
 REQUEST = """
 import os, pathlib, threading, time
 from wam_power_ros.ros import scheduling
@@ -15,10 +13,6 @@ threads = [int(path.name) for path in pathlib.Path("/proc/self/task").iterdir()]
 fifo = {os.sched_getscheduler(thread) == os.SCHED_FIFO for thread in threads}
 assert len(threads) > 1 and fifo == {granted.scheduling == "granted"} and granted.memory, granted
 """
-
-
-def test_nothing_is_asked_for_without_a_priority() -> None:
-    assert not scheduling.request(0).complete
 
 
 def test_what_the_machine_grants_is_reported_and_holds_for_every_thread() -> None:
