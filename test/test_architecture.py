@@ -108,11 +108,11 @@ BUDGET = {
     "tasks": 3542,  # +93: what cannot be the pancake in the pan
     "practice": 2317,  # +32: tools and springs that failed; +46: candidates are fitted here
     "conformance": 1105,  # +13: frames of poses; +25: effort without gravity
-    "bags": 2417,  # +246: sets of LeRobot, written and read
+    "bags": 2363,  # +246: sets of LeRobot, written and read
     "params": 1298,  # what may be set at rest; -p body:=NAME is derived from; NatNet, FR3
-    "ros": 2342,  # +24: PoseStamped; variables of ROS and DDS are named with their remedy
+    "ros": 2341,  # +24: PoseStamped; variables of ROS and DDS are named with their remedy
     "client": 1290,
-    "nodes": 3465,  # +22: frames of poses; +217: an FR3 by its maker's library; +122: NatNet
+    "nodes": 3473,  # +22: frames of poses; +217: an FR3 by its maker's library; +122: NatNet
     "console": 469,  # a person supports the arm, however a movement ended
     "view": 834,
     "reporting": 779,

@@ -323,7 +323,7 @@ def test_a_movement_on_the_topic_is_played_whatever_its_frame_and_a_bad_one_logg
     probe, processes = shared_nodes
     logged = lambda: processes.output(arm.process).count("movement refused: joints ['wam_j7']")  # noqa: E731
     before = logged()
-    movements = probe.publisher(JointTrajectory, interface.REPLAY, interface.REPLAYS)
+    movements = probe.publisher(JointTrajectory, interface.REPLAY, interface.STATE_OUT)
     movements.publish(joint_messages.movement_message(NAMES[:6], STILL._replace(q=STILL.q[:, :6])))
     probe.until(lambda: logged() > before, "its log")
     assert "refused: request" in arm.diagnosis(lambda d: True, "a report")

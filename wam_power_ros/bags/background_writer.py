@@ -15,8 +15,6 @@ from pathlib import Path
 
 from rosbags.interfaces import Qos
 
-from wam_power_ros.bags.layout import STATES, noted_names
-from wam_power_ros.bags.quality import Gaps
 from wam_power_ros.bags.writer import BagWriter
 
 WRITE_PERIOD = 0.3  # between two flushes; a kill loses the messages of about this time [s]
@@ -71,8 +69,8 @@ class Recording:
         """Queue a serialized message; its time of reception is now."""
         self._enqueue(self._writer.write, topic, self._now(), cdr)
 
-    def close(self, reason: str, notes: Mapping[str, str]) -> Gaps | None:
-        """Write the queue and finish the bag, with notes; the gaps of the states if there are any.
+    def close(self, reason: str, notes: Mapping[str, str]) -> None:
+        """Write the queue and finish the bag, with notes.
 
         Raises:
             OSError: The writing failed; the bag stays unfinished.
@@ -87,8 +85,6 @@ class Recording:
         except OSError:
             self._writer.abandon()
             raise
-        state_topic = notes.get("state_topic", STATES)
-        return self._writer.gaps(state_topic, noted_names(notes))
 
     def _enqueue(self, call: Callable[..., None], *arguments: object) -> None:
         if len(self._queue) < WAITING_MAX:

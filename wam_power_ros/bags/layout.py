@@ -134,16 +134,6 @@ def decoded(cdr: bytes, msgtype: str) -> object:
         raise ValueError(f"{len(cdr)} bytes are not a {msgtype}: {error}") from None
 
 
-def device(cdr: bytes, msgtype: str) -> tuple[str, ...]:
-    """Device that sent a message: names of its joints in a JointState; else, or if damaged, ()."""
-    if msgtype != JOINT_STATE:
-        return ()
-    try:
-        return tuple(decoded(cdr, msgtype).name)
-    except ValueError:
-        return ()
-
-
 def event(cdr: bytes) -> dict[str, Any]:
     """Contents of a message on EVENT, see `BagWriter.event`; empty if it is not one."""
     try:

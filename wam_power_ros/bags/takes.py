@@ -10,10 +10,11 @@ from pathlib import Path
 
 from wam_power_ros.bags import layout
 from wam_power_ros.bags.bag import Bag
-from wam_power_ros.bags.quality import device_gaps
+from wam_power_ros.bags.layout import STATES
+from wam_power_ros.bags.quality import gaps
 from wam_power_ros.bags.reader import States, read_states
 from wam_power_ros.bags.series import TRASH
-from wam_power_ros.bags.writer import has_header, header_stamp
+from wam_power_ros.bags.writer import header_stamp
 
 FOLDERS = ("bags", "demonstrations", "replays", "sessions")  # searched by default
 
@@ -59,18 +60,20 @@ def read(bag: Bag, joint_names: Sequence[str]) -> Take:
     """Summary of a take."""
     states = read_states(bag, joint_names)
     counts = {name: topic.found for name, topic in bag.topics.items()}
-    stamps: dict[str, dict[tuple[str, ...], list[int]]] = {}  # by topic and device
+    stamped = [name for name, topic in bag.topics.items() if _has_header(topic.msgtype)]
+    stamps: dict[str, list[int]] = {}
+    for name, _, cdr in bag.messages(stamped):
+        stamps.setdefault(name, []).append(header_stamp(cdr))
+    stamps[bag.notes.get("state_topic", STATES)] = states.stamps.tolist()  # of the arm alone
     ended = ""
-    known = {n: t.msgtype for n, t in bag.topics.items() if t.msgtype in layout.TYPES.fielddefs}
-    for name, _, cdr in bag.messages({n for n, kind in known.items() if has_header(kind)}):
-        devices = stamps.setdefault(name, {})
-        devices.setdefault(layout.device(cdr, known[name]), []).append(header_stamp(cdr))
     for _, _, cdr in bag.messages([layout.EVENT]):
         if (event := layout.event(cdr)).get("event") == "stop":
             ended = str(event.get("reason", ended))
-    missing = {
-        name: device_gaps(found, states.names).missing
-        for name, found in stamps.items()
-        if counts[name] > 2
-    }
+    missing = {name: gaps(of).missing for name, of in stamps.items() if counts[name] > 2}
     return Take(bag, states, counts, missing, ended)
+
+
+def _has_header(msgtype: str) -> bool:
+    """Whether messages of a type, which may be unknown, begin with a std_msgs/Header."""
+    _, fields = layout.TYPES.fielddefs.get(msgtype, ((), ()))
+    return bool(fields) and fields[0][1][1] == "std_msgs/msg/Header"

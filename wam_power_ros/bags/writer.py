@@ -12,8 +12,7 @@ import json
 import os
 import shutil
 import struct
-from array import array
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,20 +28,12 @@ from wam_power_ros.bags.layout import (
     STRING,
     TYPES,
     described_qos,
-    device,
     qos,
     unfinished,
 )
-from wam_power_ros.bags.quality import Gaps, device_gaps
 
 _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # the same text, in a tenth of the time
 METADATA_VERSION = 9  # of metadata.yaml, that of Jazzy
-
-
-def has_header(msgtype: str) -> bool:
-    """Whether messages of a known type begin with a std_msgs/Header."""
-    fields = TYPES.fielddefs[msgtype][1]
-    return bool(fields) and fields[0][1][1] == "std_msgs/msg/Header"
 
 
 def header_stamp(cdr: bytes) -> int:
@@ -59,14 +50,10 @@ def header_stamp(cdr: bytes) -> int:
 
 @dataclass
 class _Channel:
-    """A topic being written.
-
-    `stamps` are those of the headers [ns] by device, see `layout.device`; None without headers.
-    """
+    """A topic being written."""
 
     number: int
     metadata: dict[str, Any]
-    stamps: dict[tuple[str, ...], array[int]] | None
     count: int = 0
 
 
@@ -101,16 +88,6 @@ class BagWriter:
         """Number of messages written, by topic."""
         return {topic: channel.count for topic, channel in list(self._channels.items())}
 
-    def gaps(self, topic: str, joint_names: Collection[str]) -> Gaps | None:
-        """Gaps between the header stamps of a topic, of the devices with some joints if one has.
-
-        None if the topic has no headers or was not added.
-        """
-        channel = self._channels.get(topic)
-        if channel is None or channel.stamps is None:
-            return None
-        return device_gaps(channel.stamps, joint_names)
-
     def add(self, topic: str, msgtype: str, offered: Sequence[Qos]) -> None:
         """Add a topic with a message type of Jazzy's common interfaces.
 
@@ -135,8 +112,7 @@ class BagWriter:
             "topic_type_hash": metadata["type_description_hash"],
         }
         number = self._writer.register_channel(topic, "cdr", self._schemas[msgtype], notes)
-        stamps: dict[tuple[str, ...], array[int]] | None = {} if has_header(msgtype) else None
-        self._channels[topic] = _Channel(number, metadata, stamps)
+        self._channels[topic] = _Channel(number, metadata)
 
     def write(self, topic: str, stamp_ns: int, cdr: bytes) -> None:
         """Write a serialized message received at `stamp_ns`; it is on the disk after `flush`.
@@ -150,9 +126,6 @@ class BagWriter:
         channel.count += 1
         self._first_ns = min(self._first_ns, stamp_ns)
         self._last_ns = max(self._last_ns, stamp_ns)
-        if channel.stamps is not None and len(cdr) >= 12:
-            sender = device(cdr, channel.metadata["type"])
-            channel.stamps.setdefault(sender, array("q")).append(header_stamp(cdr))
 
     def event(
         self, event: str, reason: str, stamp_ns: int, notes: Mapping[str, str] | None = None

@@ -11,7 +11,9 @@ import itertools
 import json
 import math
 import shutil
+import struct
 import time
+from array import array
 from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
@@ -26,6 +28,7 @@ from wam_power_interfaces.msg import Policy
 from wam_power_ros import __version__, arm_identity
 from wam_power_ros.bags import layout
 from wam_power_ros.bags.background_writer import Recording
+from wam_power_ros.bags.quality import gaps
 from wam_power_ros.bags.writer import header_stamp
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.durable_files import explained
@@ -105,7 +108,10 @@ class DemonstrationRecorder(Node):
         topics[params.state_topic] = (layout.JOINT_STATE,)
         topics.pop("", None)  # an empty list in ROS parameters is [""]
         self._sim_time = self.get_parameter("use_sim_time").value
-        self._state_ns = 0  # stamp of the newest state, in lockstep
+        self._state_ns = 0  # stamp of the newest state
+        self._stamps = array("q")  # of the states in the recording
+        joint = f"{params.joint_names[0]}\0".encode()
+        self._joint = struct.pack("<I", len(joint)) + joint  # in a state of the arm
         if self._sim_time:
             topics[interface.CLOCK] = ()
         self._topics = RawTopics(self, topics, self._on_message)
@@ -137,9 +143,10 @@ class DemonstrationRecorder(Node):
         return self._state_ns or self.get_clock().now().nanoseconds
 
     def _on_message(self, topic: str, cdr: bytes) -> None:
-        if self._sim_time and topic == self._state_topic:
-            with suppress(ValueError):
-                self._state_ns = header_stamp(cdr)
+        if topic == self._state_topic and self._joint in cdr:
+            self._state_ns = header_stamp(cdr)
+            if self._recording is not None:
+                self._stamps.append(self._state_ns)
         if topic in self._latched:
             self._latched_messages[topic] = cdr
         if self._recording is not None:
@@ -176,6 +183,7 @@ class DemonstrationRecorder(Node):
         stem = self._policy_id or f"{datetime.now():%Y%m%d_%H%M%S}"
         path = layout.free_path(self._directory, f"{kind}_{stem}")
         self._recording = Recording(path, kind, self._notes, self._now)
+        self._stamps = array("q")
         self._policy_id = self._error = self._warning = ""
         for topic, cdr in self._latched_messages.items():
             self._write(topic, cdr)
@@ -189,14 +197,14 @@ class DemonstrationRecorder(Node):
             return Answer(Code.NOTHING, "not recording")
         self._take_pending(recording)
         try:
-            states = recording.close(reason, self._notes)
+            recording.close(reason, self._notes)
         except OSError as error:
             self._abandon(error)
             raise
         self._recording = None
         count = sum(recording.counts.values())
         self.get_logger().info(f"recorded {recording.path}: {count} messages")
-        if states is not None and states.missing:
+        if (states := gaps(self._stamps)).missing:
             longest = f"longest gap {states.longest:.3f} s"
             self._warning = f"{states.missing} messages missing on {self._state_topic}, {longest}"
             self.get_logger().warning(self._warning)

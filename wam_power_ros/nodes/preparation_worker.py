@@ -88,7 +88,7 @@ class PreparationWorker(Node):
                 (FollowJointTrajectory, interface.FOLLOW_TRAJECTORY, "replay", followed),
             )
         ]
-        topic, qos = interface.REPLAY, interface.REPLAYS
+        topic, qos = interface.REPLAY, interface.STATE_OUT
         self.create_subscription(JointTrajectory, topic, self._on_movement, qos)
         # Not Executor.wake(), after which the executor waits again without calling anything.
         self._arrived = self.create_guard_condition(self._handle_messages)

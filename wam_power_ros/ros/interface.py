@@ -108,7 +108,6 @@ MOCAP = qos(500)  # a path needs every frame: two seconds at 240 Hz
 MOCAP_BEST_EFFORT = qos(500, "BEST_EFFORT")
 LATCHED = qos(1, durability="TRANSIENT_LOCAL")
 FIXED = qos(100, durability="TRANSIENT_LOCAL")  # of /tf_static, as tf2 subscribes
-REPLAYS = qos(10)
 DIAGNOSTICS_QOS = qos(10)
 LOG_QOS = qos(1000, durability="TRANSIENT_LOCAL")
 CLOCK_QOS = qos(1, "BEST_EFFORT")
