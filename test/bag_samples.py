@@ -6,7 +6,6 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-from mcap.writer import IndexType, Writer
 from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 
@@ -56,18 +55,3 @@ def of_states(path: Path, states: Iterable[tuple[int, int, tuple[str, ...], obje
     for received_ns, stamp_ns, names, q in states:
         writer.write("/joint_states", received_ns, joint_state(stamp_ns, names, np.asarray(q)))
     return writer.close({})
-
-
-def without_message_indexes(file: Path, q: np.ndarray) -> Path:
-    """An MCAP file in chunks whose messages are not indexed, as of rosbag2's noMessageIndex."""
-    definition, _ = layout.TYPES.generate_msgdef(layout.JOINT_STATE, ros_version=2)
-    with file.open("wb") as out:
-        writer = Writer(out, chunk_size=4000, index_types=IndexType.CHUNK)
-        writer.start("ros2")
-        schema = writer.register_schema(layout.JOINT_STATE, "ros2msg", definition.encode())
-        channel = writer.register_channel("/joint_states", "cdr", schema)
-        for index, row in enumerate(q):
-            stamp_ns = START + 2_000_000 * index
-            writer.add_message(channel, stamp_ns, joint_state(stamp_ns, NAMES, row), stamp_ns)
-        writer.finish()
-    return file

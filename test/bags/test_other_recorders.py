@@ -15,7 +15,6 @@ from bag_samples import (
     joint_state,
     of_states,
     random_q,
-    without_message_indexes,
 )
 from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
@@ -84,11 +83,6 @@ def test_a_folder_and_its_lone_file_are_bags_however_compressed(
     whole(read_states(Bag(lone), NAMES))
     with pytest.raises(ValueError, match=r"name its \.mcap or \.db3 file"):
         Bag(tmp_path)
-
-
-def test_a_file_without_message_indexes_is_read(tmp_path: Path) -> None:
-    file = without_message_indexes(tmp_path / "theirs.mcap", Q)
-    np.testing.assert_array_equal(read_states(Bag(file), NAMES).q, Q)
 
 
 def test_late_states_are_put_in_the_order_of_their_stamps(tmp_path: Path) -> None:

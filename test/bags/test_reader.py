@@ -11,13 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
-from rosbags.rosbag2 import StoragePlugin, Writer
 
 from wam_power_ros import arm_identity
 from wam_power_ros.arm_identity import ArmIdentity
 from wam_power_ros.bags import layout
 from wam_power_ros.bags.bag import Bag
-from wam_power_ros.bags.layout import TYPES
 from wam_power_ros.bags.reader import read_demonstration, read_states
 from wam_power_ros.bags.writer import BagWriter
 
@@ -56,25 +54,6 @@ def test_an_independent_reader_decodes_the_bag(tmp_path: Path) -> None:
     schemas = {schema.name: schema for schema in summary.schemas.values()}
     assert schemas[layout.JOINT_STATE].encoding == "ros2msg"
     assert b"MSG: builtin_interfaces/Time" in schemas[layout.JOINT_STATE].data
-
-
-@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
-def test_a_bag_whose_metadata_note_another_qos_than_its_file_is_read(
-    storage: StoragePlugin, tmp_path: Path
-) -> None:
-    """As in bags of rosbag2, which notes in one what discovery told later."""
-    q = random_q(20)
-    with Writer(tmp_path / "old", version=8, storage_plugin=storage) as writer:
-        topic = writer.add_connection(
-            "/wam/joint_states", layout.JOINT_STATE, typestore=TYPES, offered_qos_profiles=[QOS[0]]
-        )
-        for index, row in enumerate(q):
-            stamp_ns = START + 2_000_000 * index
-            writer.write(topic, stamp_ns, joint_state(stamp_ns, NAMES, row))
-    metadata = tmp_path / "old/metadata.yaml"
-    metadata.write_text(metadata.read_text().replace("depth: 10", "depth: 0"))
-    back = read_states(Bag(tmp_path / "old"), NAMES, "/wam/joint_states").q
-    np.testing.assert_array_equal(back, q)
 
 
 ONES = [1.0] * 3

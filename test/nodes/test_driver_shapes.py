@@ -3,29 +3,20 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from conftest import Probe, Processes, diagnosis, lift
-from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Path as PathMessage
-from open_loop import reproduced
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
-from wam_power_ros import rotations
-from wam_power_ros.control.arm import Arm
-from wam_power_ros.learning.demonstration import from_joint_samples
-from wam_power_ros.learning.dmp import fit
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.params import overlay
-from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface, joint_messages, pose_messages
 from wam_power_ros.ros.stamps import sensor_stamp
-from wam_power_ros.tasks.reach.settings import REACH_FIT
 
 IN_STEP = "wam_sim: {ros__parameters: {pace: lockstep}}"  # at any speed of the machine
 
@@ -42,9 +33,7 @@ class Rehearsal:
         self.file.write_text(overlay.text(self.setup))
         arm = self.setup["torque_controller"]
         self.states = probe.listen(JointState, arm["state_topic"], interface.STATE_OUT)
-        self.diagnostics = probe.listen(
-            DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
-        )
+        self.diagnostics = probe.diagnostics()
         processes.node("hardware_sim.main", self.file)
         probe.until(lambda: self.states, "a state")
 
@@ -127,47 +116,3 @@ def test_an_arm_that_was_idled_is_active_again_once_the_fault_is_reset(
     probe.until(lambda: doing() == "idle", "the arm idle")
     step("hold")
     probe.until(lambda: doing() == "commanded", "the arm active")
-
-
-# A second arm, by URDF and YAML alone
-
-
-def led_to(arm: Arm, home: np.ndarray, way: np.ndarray, arc: np.ndarray) -> np.ndarray:
-    """Joints (N, 7) at 500 Hz as a hand guides the level tool in 2 s from `home` along a path."""
-    start, level = arm.tool_pose(home)
-    q, rows = home.copy(), [home.copy()] * 250
-    for u in np.linspace(0.0, 1.0, 1000):
-        s = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
-        goal = start + s * way + np.sin(np.pi * s) * arc
-        for _ in range(3):
-            position, rotation = arm.tool_pose(q)
-            turn = rotations.log(level @ rotation.T)
-            q = q + np.linalg.pinv(arm.jacobian(q), rcond=1e-3) @ [*(goal - position), *turn]
-        rows.append(q.copy())
-    return np.array(rows + [q] * 250)
-
-
-@pytest.mark.long
-def test_another_arm_reaches_by_urdf_and_yaml_alone(
-    probe: Probe, processes: Processes, tmp_path: Path
-) -> None:
-    bench = Rehearsal(probe, processes, tmp_path, "franka", "cobot")
-    set_up = bench.setup["torque_controller"]
-    urdf = share(set_up["urdf"]).read_text()
-    arm = Arm(urdf, set_up["model_joint_names"], set_up["tool_frame"], guarded=())
-    home = np.array(bench.setup["wam_sim"]["home"])
-    way, arc = np.array([-0.1, 0.4, 0.05]), np.array([0.0, 0.0, 0.08])
-    q = led_to(arm, home, way, arc)
-    stamps_ns = 1_000_000_000 + 2_000_000 * np.arange(len(q))
-    taught = from_joint_samples(arm, stamps_ns, q)
-    policy = fit([taught], REACH_FIT, "reach")
-    path = bench.execute(policy)
-    assert {tuple(state.name) for state in bench.states} == {tuple(set_up["joint_names"])}
-    planned, _ = reproduced(policy, taught.position[0])
-    t = 0.002 * np.arange(len(planned))
-    within = path.t <= t[-1]
-    wanted = np.stack([np.interp(path.t[within], t, axis) for axis in planned.T], axis=1)
-    error = np.linalg.norm(path.position[within] - wanted, axis=1)
-    sys.stdout.write(f"tracking error {1e3 * error.mean():.1f} mm, worst {1e3 * error.max():.1f}\n")
-    assert error.max() < 0.03
-    assert np.linalg.norm(path.position[-1] - path.position[0]) > 0.3

@@ -36,10 +36,3 @@ def test_who_comes_late_sees_everything_in_the_frame_of_the_arm(probe: Probe) ->
     ellipsoids = [marker for marker in drawn if marker.ns == "stiffness"]
     centres = [[getattr(marker.pose.position, axis) for axis in "xyz"] for marker in ellipsoids]
     np.testing.assert_array_equal(centres, POLICY.attractors)
-
-
-def test_without_a_region_there_is_none(probe: Probe) -> None:
-    received = probe.listen(MarkerArray, interface.LEARNER_MARKERS, interface.LATCHED)
-    Markers(probe.node, "arm_base", None).plan(POLICY, START)
-    (message,) = probe.until(lambda: received, "the markers")
-    assert {marker.ns for marker in message.markers[1:]} == {"planned", "stiffness"}

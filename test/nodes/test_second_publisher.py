@@ -10,7 +10,6 @@ import pytest
 import rclpy
 from conftest import Probe, Processes, diagnosis
 from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
 from played_arm import GRAVITY, HOME, NAMES, PlayedArm
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
@@ -33,9 +32,7 @@ class Lab:
 
     def change(self, transition: int) -> bool:
         """Whether a transition of the controller succeeds."""
-        request = ChangeState.Request(transition=Transition(id=transition))
-        name = "/torque_controller/change_state"
-        return bool(self.probe.call(ChangeState, name, request).success)
+        return self.probe.change(transition)
 
     def activated(self, beside: Callable[[], None] = lambda: None) -> bool:
         """Whether an attempt to activate the controller succeeds after some states."""

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import shown_tags
 from conftest import Probe, Processes
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import CameraInfo, Image
@@ -130,13 +129,12 @@ def test_images_of_every_encoding_are_read_and_others_named() -> None:
         grey_image(message)
 
 
-def test_tags_are_measured_to_a_millimetre_through_a_distorting_lens() -> None:
-    for tags in (shown_tags.ONE, shown_tags.TWO):
-        found = shown_tags.measure(tags)
-        errors = np.array(found["errors"])
-        assert len(errors) >= 57, found["lost"]
-        assert (np.median(errors, axis=0) < [0.5, 0.15]).all()
-        assert (np.percentile(errors, 95, axis=0) < [2.0, 1.0]).all()
+def test_a_tag_is_measured_to_a_millimetre_through_a_distorting_lens() -> None:
+    found = shown_tags.measure(shown_tags.ONE)
+    errors = np.array(found["errors"])
+    assert len(errors) >= 57, found["lost"]
+    assert (np.median(errors, axis=0) < [0.5, 0.15]).all()
+    assert (np.percentile(errors, 95, axis=0) < [2.0, 1.0]).all()
 
 
 def test_images_become_states_of_the_tracker(
@@ -157,7 +155,7 @@ def test_images_become_states_of_the_tracker(
     fixed = probe.publisher(kind, "/tf_static", interface.LATCHED, readers=0)
     place = position, rotations.quat_xyzw(rotation)
     fixed.publish(body_messages.message(body_sources.TF_TYPE, 1, "world", "camera_optical", *place))
-    reports = probe.listen(DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS)
+    reports = probe.diagnostics()
     states = probe.listen(Odometry, "pancake/state", interface.DEEP)
     poses = probe.listen(PoseStamped, "pancake/pose", interface.DEEP)
     processes.node("wam_power_ros.nodes.tag_camera", parameters)
@@ -189,7 +187,7 @@ def test_images_become_states_of_the_tracker(
 
 def test_what_is_missing_is_in_the_diagnostics(probe: Probe, processes: Processes) -> None:
     processes.node("wam_power_ros.nodes.tag_camera", "tag_camera.yaml")
-    reports = probe.listen(DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS)
+    reports = probe.diagnostics()
     images = probe.publisher(Image, "camera/image_raw", interface.STATE_OUT)
     infos = probe.publisher(CameraInfo, "camera/camera_info", interface.STATE_OUT)
     message = Image(height=480, width=640, step=640, encoding="mono8")

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from conftest import ROOT, Probe, Processes, diagnosis, lift
 from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
 from played_arm import GRAVITY, HOME, NAMES, SIMULATED, PlayedArm
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
@@ -42,8 +41,7 @@ raise SystemExit(node_runner.run(make))
 def change(arm: PlayedArm, transition: int) -> bool:
     """Whether a transition of the life cycle succeeds, after a state."""
     arm.send()
-    request = ChangeState.Request(transition=Transition(id=transition))
-    return arm.probe.call(ChangeState, "torque_controller/change_state", request).success
+    return arm.probe.change(transition)
 
 
 def commander(probe: Probe) -> Publisher:

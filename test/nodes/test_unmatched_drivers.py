@@ -9,10 +9,8 @@ from collections.abc import Callable, Iterator
 import pytest
 import rclpy
 from conftest import Probe, Processes, diagnosis
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped
 from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
 from played_arm import NAMES
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
@@ -49,7 +47,7 @@ def driver(domain_id: int) -> Iterator[Callable[[str], Node]]:
 def test_a_mocap_driver_of_another_type_is_named_by_tracker_recorder_and_check(
     probe: Probe, processes: Processes, driver: Callable[[str], Node]
 ) -> None:
-    reports = probe.listen(DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS)
+    reports = probe.diagnostics()
     driver("mocap_driver").create_publisher(PointStamped, "/pancake/pose", 10)
     words = ["run", "check_driver", "--seconds", "0.5", "--config", "natnet_ros2"]
     check = processes.start([sys.executable, "-m", "wam_power_ros.cli", *words])
@@ -87,7 +85,7 @@ def test_a_mocap_driver_of_another_type_is_named_by_tracker_recorder_and_check(
 def test_the_controller_names_states_description_and_commands_that_do_not_match(
     probe: Probe, processes: Processes, driver: Callable[[str], Node]
 ) -> None:
-    reports = probe.listen(DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS)
+    reports = probe.diagnostics()
     arm = driver("arm_driver")
     arm.create_publisher(Float64MultiArray, "/joint_states", 10)
     arm.create_publisher(String, "/robot_description", 1)
@@ -96,24 +94,20 @@ def test_the_controller_names_states_description_and_commands_that_do_not_match(
     files = ("torque_controller.yaml", "simulation.yaml")
     controller = processes.node(CONTROLLER, *files, **given)
 
-    def change(transition: int) -> bool:
-        request = ChangeState.Request(transition=Transition(id=transition))
-        return bool(probe.call(ChangeState, "/torque_controller/change_state", request).success)
-
     def refusal(*parts: str) -> str:
         newest = lambda: diagnosis(reports, "torque_controller").get("last refusal", "")  # noqa: E731
         return str(probe.until(lambda: all(p in newest() for p in parts) and newest(), str(parts)))
 
-    assert not change(Transition.TRANSITION_CONFIGURE)
+    assert not probe.change(Transition.TRANSITION_CONFIGURE)
     refusal("node 'arm_driver' publishes std_msgs/msg/String (reliable, volatile)", "not std_msgs")
     processes.end(controller)
 
     processes.node(CONTROLLER, *files, **(given | {"urdf": "urdf/wam7.urdf"}))
-    assert change(Transition.TRANSITION_CONFIGURE)
+    assert probe.change(Transition.TRANSITION_CONFIGURE)
 
     def refused(*parts: str, before: Callable[[], None] = lambda: None) -> bool:
         before()
-        assert not change(Transition.TRANSITION_ACTIVATE)
+        assert not probe.change(Transition.TRANSITION_ACTIVATE)
         newest = diagnosis(reports, "torque_controller").get("last refusal", "")
         return all(part in newest for part in parts)
 

@@ -201,14 +201,6 @@ def test_a_bad_file_is_refused_by_name(text: str, says: str, tmp_path: Path) -> 
     assert path in str(refused.value)
 
 
-def test_a_urdf_path_may_be_relative_to_the_set_up_file(tmp_path: Path) -> None:
-    (tmp_path / "my.urdf").write_text("<robot/>")
-    path = write(tmp_path, "arm", "torque_controller: {ros__parameters: {urdf: my.urdf}}")
-    setup = overlay.setup([path])
-    assert setup["torque_controller"]["urdf"] == str(tmp_path / "my.urdf")
-    assert setup["learner"]["urdf"] == str(tmp_path / "my.urdf")
-
-
 PLAIN = st.text(st.characters(codec="ascii", exclude_categories=["Cc"]), max_size=8)
 VALUES = st.one_of(
     st.booleans(), st.integers(-5, 5), st.floats(allow_nan=False, allow_infinity=False), PLAIN
