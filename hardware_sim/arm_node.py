@@ -82,7 +82,7 @@ class ArmSim(Node):
         self._others = joint_messages.JointStateWriter(others) if others else None
         if self.params.lockstep:
             self._clock_ns = self._state_ns = -CLOCK_PERIOD_NS  # when last published
-            self._clocks = self.create_publisher(Clock, interface.CLOCK, interface.CLOCK_QOS)
+            self._clocks = self.create_publisher(Clock, interface.CLOCK, interface.NEWEST)
         self._description = self.create_publisher(
             String, interface.ROBOT_DESCRIPTION, interface.LATCHED
         )

@@ -178,7 +178,7 @@ class Probe:
 
     def diagnostics(self) -> list[DiagnosticArray]:
         """Listen to the diagnostics of all nodes."""
-        return self.listen(DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS)
+        return self.listen(DiagnosticArray, interface.DIAGNOSTICS, interface.STATE_OUT)
 
     def publisher(
         self, message_type: type, topic: str, qos: QoSProfile, readers: int = 1, node: str = ""

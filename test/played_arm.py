@@ -8,7 +8,6 @@ from collections.abc import Callable
 
 import numpy as np
 from conftest import ROOT, Probe, Process, Processes, diagnosis
-from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
@@ -43,9 +42,7 @@ class PlayedArm:
         self.messages = probe.listen(
             Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND
         )
-        self.diagnostics = probe.listen(
-            DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
-        )
+        self.diagnostics = probe.diagnostics()
         self.stamp_ns = TICK
         simulated = parameters.get("use_sim_time", False)
         self.sent_ns, self._real_time = 0, bool(parameters.get("state_timeout")) and not simulated

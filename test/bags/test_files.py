@@ -11,6 +11,7 @@ import struct
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import lz4.frame
@@ -185,6 +186,7 @@ def compressed(path: Path, mode: CompressionMode, storage: StoragePlugin, q: np.
 LARGE = 500_000_000  # [byte]
 
 
+@cache
 def zeros(size: int) -> bytes:
     """Many zeros, compressed by zstd, some ten thousand times smaller."""
     packer = zstd.ZstdCompressor()

@@ -68,7 +68,7 @@ class Cell:
         self._execution = Action(node, ExecutePolicy, interface.EXECUTE_POLICY, execute)
         node.create_service(Trigger, interface.RESET, self._reset)
         self._diagnostics = self.node.create_publisher(
-            DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
+            DiagnosticArray, interface.DIAGNOSTICS, interface.STATE_OUT
         )
         self.end = WHOLE  # of the path [s]
         self.fault: Fault | None = None  # of the rollout

@@ -38,7 +38,7 @@ def test_a_key_is_held_while_it_repeats_and_released_soon_after() -> None:
 
 @pytest.mark.requirement("S-30")
 def test_the_terminals_key_is_published_and_its_release_too(probe: Probe, domain_id: int) -> None:
-    switch = probe.listen(Bool, interface.ENABLE, interface.ENABLE_IN)
+    switch = probe.listen(Bool, interface.ENABLE, interface.NEWEST)
     ours, terminal = pty.openpty()
     process = subprocess.Popen(
         [sys.executable, "-m", "wam_power_ros.cli", "enable"],

@@ -27,7 +27,7 @@ def test_in_lockstep_each_torque_advances_the_world_by_one_step(
     probe: Probe, processes: Processes
 ) -> None:
     hardware = Hardware(probe, processes, "lockstep")
-    clock = probe.listen(Clock, interface.CLOCK, interface.CLOCK_QOS)
+    clock = probe.listen(Clock, interface.CLOCK, interface.NEWEST)
     description = probe.listen(String, interface.ROBOT_DESCRIPTION, interface.LATCHED)
     torques = probe.publisher(Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND)
     write = joint_messages.TorqueWriter(NAMES, "multiarray")

@@ -190,7 +190,7 @@ class Lockstep(Bench):
         super().__init__(probe, processes, use_sim_time=True, silence=0.5)
         pose = interface.body_topic("pancake", "pose")
         self._frames = probe.publisher(PoseStamped, pose, interface.MOCAP)
-        self._clock = probe.publisher(Clock, interface.CLOCK, interface.CLOCK_QOS)
+        self._clock = probe.publisher(Clock, interface.CLOCK, interface.NEWEST)
         self.begin_ns = 0
 
     def end(self, duration: float) -> None:

@@ -199,7 +199,7 @@ def test_in_lockstep_states_that_arrive_after_the_request_to_end_are_waited_for(
     probe: Probe, processes: Processes, tmp_path: Path
 ) -> None:
     bench = Bench(probe, processes, tmp_path / "bags", use_sim_time=True)
-    clock = probe.publisher(Clock, interface.CLOCK, interface.CLOCK_QOS, readers=2)  # one records
+    clock = probe.publisher(Clock, interface.CLOCK, interface.NEWEST, readers=2)  # one records
     bench.start()
     bench.send(20)
     clock.publish(Clock(clock=time_message(START + 2_000_000 * 29)))
@@ -217,7 +217,7 @@ def test_a_bag_of_a_simulation_is_stamped_by_its_time_whatever_its_pace(
     probe: Probe, processes: Processes, tmp_path: Path
 ) -> None:
     bench = Bench(probe, processes, tmp_path / "bags", use_sim_time=True)
-    clock = probe.publisher(Clock, interface.CLOCK, interface.CLOCK_QOS, readers=2)  # one records
+    clock = probe.publisher(Clock, interface.CLOCK, interface.NEWEST, readers=2)  # one records
     torques = probe.publisher(Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND)
     bench.send(100)  # before the recording
     bench.start()

@@ -243,7 +243,7 @@ def test_an_ended_controller_waits_until_a_busy_driver_has_the_last_torque(
 def test_a_released_or_silent_switch_ends_teaching(probe: Probe, processes: Processes) -> None:
     arm = PlayedArm(probe, processes, hold_to_run=True)
     arm.activate()
-    switch = probe.publisher(Bool, interface.ENABLE, interface.ENABLE_OUT)
+    switch = probe.publisher(Bool, interface.ENABLE, interface.COMMAND)
     on = SetBool.Request(data=True)
     refusal = probe.call(SetBool, interface.GRAVITY_COMPENSATION, on)
     assert not refusal.success and "enabling switch" in refusal.message

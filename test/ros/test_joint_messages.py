@@ -42,15 +42,6 @@ def test_joints_are_matched_by_name_in_any_order_beside_others(
     assert reading.stamp_ns == 10**9
 
 
-def test_a_new_order_of_names_is_noticed() -> None:
-    read = joint_messages.JointStateReader(NAMES)
-    q = [float(i) for i in range(7)]
-    for names in (NAMES, NAMES[::-1], NAMES):
-        assert (
-            read(joint_state(names, [q[NAMES.index(name)] for name in names], [])).q.tolist() == q
-        )
-
-
 @pytest.mark.requirement("S-14")
 @pytest.mark.parametrize("qd", [[], [0.0] * 6 + [math.nan]])
 def test_velocity_that_is_left_out_or_nan_reads_as_none(qd: list[float]) -> None:

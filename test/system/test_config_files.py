@@ -16,12 +16,10 @@ from pathlib import Path
 import pytest
 import yaml
 from conftest import ROOT, Probe, Processes, diagnosis
-from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import GetParameters
 
 from wam_power_ros.params import overlay
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
-from wam_power_ros.ros import interface
 
 MODULES = {  # other nodes have no topic for a torque (test_security)
     "torque_controller": "wam_power_ros.nodes.torque_controller",
@@ -126,7 +124,7 @@ def test_plain_files_and_printed_ones_send_no_torque_to_a_strangers_driver(
     printed.write_text(overlay.text(overlay.setup(["ur"], True)))
     lists = [files(own), files((*own, "simulation", "geodude")), [printed]]
     places = [f"/place{number}" for number in range(len(lists))]
-    reports = probe.listen(DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS)
+    reports = probe.diagnostics()
     driver = processes.script(DRIVER, *places)
     probe.until(lambda: "driver" in processes.output(driver), "the driver")
     started = {}

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 from conftest import Probe, Processes, diagnosis, lift
-from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Path as PathMessage
 from played_arm import MODULE, SIMULATED
 from std_srvs.srv import SetBool, Trigger
@@ -33,7 +32,7 @@ def test_the_real_controller_teaches_holds_moves_and_executes_with_the_driver_of
     driver = [sys.executable, str(EXAMPLES / f"{DRIVER}.py"), "--ros-args"]
     processes.start([*driver, "-r", "__node:=wam_sim"])
     processes.node(MODULE, *SIMULATED, state_timeout=0.0, realtime_priority=0)
-    reports = probe.listen(DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS)
+    reports = probe.diagnostics()
     paths = probe.listen(PathMessage, interface.ROLLOUT_END_EFFECTOR, interface.LATCHED)
     policy = lift("lift")
 

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import ROOT, Probe, Processes
-from diagnostic_msgs.msg import DiagnosticArray
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from nav_msgs.msg import Path as PathMessage
@@ -99,7 +98,7 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_in_a_rollout_ch
         probe.until(lambda: told.poll() is not None, "an answer", 300.0)
         return told.returncode, processes.output(told)
 
-    reports = probe.listen(DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS)
+    reports = probe.diagnostics()
 
     killed = learner(processes, folder)
     recording = layout.unfinished(folder / "bags" / "rollout_trial-0001")

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 from conftest import Probe, Process, Processes, lift
-from diagnostic_msgs.msg import DiagnosticArray
 from test_session_over_dds import arm_and_controller, learner, states_of_the_learner
 
 from wam_power_interfaces.srv import Rate
@@ -31,7 +30,7 @@ def test_a_session_waits_for_a_persons_rating_of_each_rollout_and_learns_from_it
     (folder / "logs").mkdir()
     (folder / "logs" / DOMAIN_FILE).write_text(processes.environment["ROS_DOMAIN_ID"])
     arm_and_controller(processes)
-    reports = probe.listen(DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS)
+    reports = probe.diagnostics()
 
     def started() -> Process:
         return learner(processes, folder, record_rollouts=False, scene_reset=False)

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 from conftest import ACTIONS, Probe, Processes
-from diagnostic_msgs.msg import DiagnosticArray
 from std_srvs.srv import SetBool, Trigger
 from test_session_over_dds import (
     SEED,
@@ -54,7 +53,7 @@ def test_nothing_moves_after_a_stop_until_a_person_continues_and_kill_9_changes_
             lambda _, do=do: begun.append(do),
             10,
         )
-    reports = probe.listen(DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS)
+    reports = probe.diagnostics()
 
     def paused() -> bool:
         return states_of_the_learner(reports)[-1:] == ["paused"]

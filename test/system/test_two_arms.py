@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 from conftest import ROOT, Probe, Processes
-from diagnostic_msgs.msg import DiagnosticArray
 
 from wam_power_ros.bags import layout
 from wam_power_ros.bags.bag import Bag
@@ -16,7 +15,6 @@ from wam_power_ros.cli.launcher import Devices
 from wam_power_ros.cli.plan import LEARNER, Plan
 from wam_power_ros.cli.session_options import SessionOptions, learner_parameters
 from wam_power_ros.params import overlay
-from wam_power_ros.ros import interface
 
 BAGS = sorted((ROOT / "bags").glob("reach_*"))
 PATIENCE = 300.0  # [s of wall time]
@@ -27,7 +25,7 @@ ARMS = {"left": 5, "right": 6}  # namespace -> seed
 def test_two_arms_in_two_namespaces_learn_side_by_side(
     probe: Probe, processes: Processes, tmp_path: Path
 ) -> None:
-    heard = probe.listen(DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS)
+    heard = probe.diagnostics()
     learners = {}
     for name, seed in ARMS.items():
         folder, asked = tmp_path / name, SessionOptions("reach", trials=2, bags=BAGS)

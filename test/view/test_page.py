@@ -65,7 +65,7 @@ class Running:
         )
         self._policy = node.create_publisher(PolicyMessage, interface.POLICY, interface.LATCHED)
         self._diagnoses = node.create_publisher(
-            DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
+            DiagnosticArray, interface.DIAGNOSTICS, interface.STATE_OUT
         )
         self._policy.publish(PolicyMessage(id="lift", text=to_json(lift("lift"))))
         self._lock = (folder / ".lock").open("a")

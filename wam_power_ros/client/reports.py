@@ -18,7 +18,7 @@ class ControllerReports:
         self.count = 0
         self.mode = self.text = self.refusal = self.last_stop = ""
         self.fault: Fault | None = None
-        qos = interface.DIAGNOSTICS_QOS
+        qos = interface.STATE_OUT
         link.listen(DiagnosticArray, interface.DIAGNOSTICS, self._on_report, qos)
 
     def _on_report(self, message: DiagnosticArray) -> None:

@@ -48,7 +48,7 @@ def main() -> int:
         raise ValueError("enable reads keys from a terminal, but standard input is not one")
     interrupt_on_signals()
     with participant(lambda: rclpy.create_node("enabling_switch")) as node:
-        switch = node.create_publisher(Bool, interface.ENABLE, interface.ENABLE_OUT)
+        switch = node.create_publisher(Bool, interface.ENABLE, interface.COMMAND)
         key, terminal = HeldKey(), sys.stdin.fileno()
         before = termios.tcgetattr(terminal)
         show("Hold any key down to enable the arm; Ctrl-C ends.")

@@ -75,7 +75,7 @@ class PreparationWorker(Node):
         self._paths = publish(Path, interface.ROLLOUT_END_EFFECTOR, latched)
         self._policies = publish(Policy, interface.POLICY, latched)
         self._ends = publish(RolloutEnd, interface.ROLLOUT_END, latched)
-        qos = interface.DIAGNOSTICS_QOS
+        qos = interface.STATE_OUT
         self._diagnostics = publish(DiagnosticArray, interface.DIAGNOSTICS, qos)
         self._log = publish(Log, interface.LOG, interface.LOG_QOS)
         cancel = lambda id: channel.send({"what": "cancel", "id": id})  # noqa: E731

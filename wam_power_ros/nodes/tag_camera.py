@@ -57,9 +57,9 @@ class TagCamera(Node):
         topic = interface.body_topic(params.body, "pose")
         self._poses = self.create_publisher(PoseStamped, topic, interface.STATE_OUT)
         self._diagnostics = Diagnostics(self, "tags", params.body)
-        newest = interface.ENABLE_IN  # best effort, 1: an old image is worth nothing
-        self.create_subscription(CameraInfo, params.info_topic, self._on_info, newest)
-        self.create_subscription(Image, params.image_topic, self._on_image, newest)
+        subscribe, newest = self.create_subscription, interface.NEWEST
+        subscribe(CameraInfo, params.info_topic, self._on_info, newest)
+        subscribe(Image, params.image_topic, self._on_image, newest)
         self.create_timer(1.0, self._report, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _on_info(self, message: CameraInfo) -> None:

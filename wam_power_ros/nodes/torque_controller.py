@@ -113,7 +113,7 @@ class TorqueController(LifecycleNode):
         on_state, on_velocity = with_info(self._on_state), with_info(self._on_velocity)
         self._states = subscribe(JointState, params.state_topic, on_state, state_in, raw=True)
         if params.hold_to_run:
-            subscribe(Bool, interface.ENABLE, self._on_enable, interface.ENABLE_IN)
+            subscribe(Bool, interface.ENABLE, self._on_enable, interface.NEWEST)
         if params.velocity_topic:
             subscribe(JointState, params.velocity_topic, on_velocity, state_in)
         self._descriptions: Subscription | None = None

@@ -52,7 +52,7 @@ class Diagnostics:
 
     def __init__(self, node: Node, part: str, hardware_id: str) -> None:
         self._node, self._of = node, (component(node, part), hardware_id)
-        topic, qos = interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
+        topic, qos = interface.DIAGNOSTICS, interface.STATE_OUT
         self._publisher = node.create_publisher(DiagnosticArray, topic, qos)
 
     def publish(self, level: str, text: str, values: Mapping[str, object]) -> None:

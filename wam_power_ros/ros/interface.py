@@ -96,9 +96,10 @@ def qos(depth: int, reliability: str = "RELIABLE", durability: str = "VOLATILE")
 
 
 # QoS: publish reliable, subscribe best effort, except for latched topics
-STATE_OUT = qos(10)
+STATE_OUT = qos(10)  # and diagnostics
 STATE_IN = qos(10, "BEST_EFFORT")
 COMMAND = qos(1)
+NEWEST = qos(1, "BEST_EFFORT")  # of a clock, a switch, images: an old one is worth nothing
 # For readers that must lose nothing while they write to a disk: four seconds at 500 Hz.
 # Lockstep waits for the controller alone, so states and torques are kept for a recorder.
 DEEP = qos(2000)
@@ -108,10 +109,7 @@ MOCAP = qos(500)  # a path needs every frame: two seconds at 240 Hz
 MOCAP_BEST_EFFORT = qos(500, "BEST_EFFORT")
 LATCHED = qos(1, durability="TRANSIENT_LOCAL")
 FIXED = qos(100, durability="TRANSIENT_LOCAL")  # of /tf_static, as tf2 subscribes
-DIAGNOSTICS_QOS = qos(10)
 LOG_QOS = qos(1000, durability="TRANSIENT_LOCAL")
-CLOCK_QOS = qos(1, "BEST_EFFORT")
-ENABLE_OUT, ENABLE_IN = qos(1), qos(1, "BEST_EFFORT")
 # A request to idle that is delayed by a cut network would drop an arm that is held again by then.
 IDLE_QOS = qos(1)
 IDLE_QOS.lifespan = Duration(seconds=0.2)

@@ -69,7 +69,7 @@ class View(Node):
         self._path = link.last(Path, interface.ROLLOUT_END_EFFECTOR, pose_messages.path)
         if not self.urdf:
             link.last(String, interface.ROBOT_DESCRIPTION, self._on_urdf)
-        qos = interface.DIAGNOSTICS_QOS
+        qos = interface.STATE_OUT
         link.listen(DiagnosticArray, interface.DIAGNOSTICS, self._on_diagnostics, qos)
         taught = (interface.GRAVITY_COMPENSATION, True), (interface.RECORD, True)
         self._offered = {**dict(SERVICES.values()), **dict(taught)}
