@@ -4,15 +4,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import pinocchio as pin
 import pytest
-import yaml
 from all_params import READS
 from conftest import ROOT
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from hardware_sim.settings import ArmSimParams
 from wam_power_ros import installed
@@ -199,19 +195,6 @@ def test_a_bad_file_is_refused_by_name(text: str, says: str, tmp_path: Path) -> 
     with pytest.raises(ValueError, match=says) as refused:
         overlay.setup([path])
     assert path in str(refused.value)
-
-
-PLAIN = st.text(st.characters(codec="ascii", exclude_categories=["Cc"]), max_size=8)
-VALUES = st.one_of(
-    st.booleans(), st.integers(-5, 5), st.floats(allow_nan=False, allow_infinity=False), PLAIN
-)
-
-
-@settings(max_examples=30)
-@given(st.dictionaries(st.text("abc_", min_size=1), VALUES | st.lists(PLAIN, min_size=1)))
-def test_a_written_set_up_reads_back_unchanged(values: dict[str, Any]) -> None:
-    text = overlay.text({"node": values})
-    assert yaml.safe_load(text) == {"/**/node": {"ros__parameters": values}}
 
 
 PAIRS = [("geodude", "natnet_ros2"), ("cobot", "libbarrett"), ("reach", "franka", "full_speed")]

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import pytest
@@ -70,14 +69,6 @@ def test_ambiguous_contents_are_refused_with_their_line(
         parameter_file.read(file)
     assert str(file) in str(refused.value)
     assert "\n" not in str(refused.value)
-
-
-def test_a_fifo_and_a_large_file_are_refused_at_once(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "fifo.yaml")
-    with pytest.raises(ValueError, match="is a FIFO"):
-        parameter_file.read(tmp_path / "fifo.yaml")
-    with pytest.raises(ValueError, match=r"10000[0-9]+ bytes; at most 1000000"):
-        parameter_file.read(written(tmp_path, "    heat: " + "1" * 1_000_000))
 
 
 def test_parameter_files_are_found_among_the_arguments_of_a_process() -> None:
