@@ -222,10 +222,17 @@ class Robot:
         """
         self.await_recorder()
         with self.guided():
+            return self.take(lead)
+
+    def take(self, lead: Callable[[], object] | None = None) -> Path:
+        """Record a demonstration of an arm that is `guided` already; see `teach`."""
+        if lead is None:
+            self.scene_reset.send().done()
+        with self.record() as bag:
             if lead is None:
-                self.put_back()
-            with self.record() as bag:
-                (lead or self.demonstrate)()
+                self.demonstrator.send().done(MOVE_TIMEOUT)
+            else:
+                lead()
         return bag
 
     def await_recorder(self) -> None:
@@ -255,14 +262,6 @@ class Robot:
             yield bag
         finally:
             self.link.insist(interface.RECORD, False)
-
-    def put_back(self) -> None:
-        """Put arm and body of a simulation to the start of the next demonstration."""
-        self.scene_reset.send().done()
-
-    def demonstrate(self) -> None:
-        """Let the simulated demonstrator guide the arm."""
-        self.demonstrator.send().done(MOVE_TIMEOUT)
 
 
 @contextmanager

@@ -32,7 +32,9 @@ def record_series(robot: Robot, file: Path, wanted: int, *, person: bool, review
         if not person:  # who is slower than the start of any node
             robot.await_recorder()
         while number <= wanted:
-            bag = _take(robot, number, person)
+            if person:
+                confirm(f"demonstration {number}: press Enter, then guide the arm by hand ")
+            bag = robot.take(_led if person else None)
             bags.append(bag)
             series.write(file, bags)  # at once: kept even if interrupted
             show(f"  {number} of {wanted}: {bag}")
@@ -44,15 +46,6 @@ def record_series(robot: Robot, file: Path, wanted: int, *, person: bool, review
             number += choice in (KEEP, DONE)
 
 
-def _take(robot: Robot, number: int, person: bool) -> Path:
-    """Record one demonstration; returns the path of its bag."""
-    if person:
-        confirm(f"demonstration {number}: press Enter, then guide the arm by hand ")
-    else:
-        robot.put_back()
-    with robot.record() as bag:
-        if person:
-            confirm("press Enter when the movement is over ")
-        else:
-            robot.demonstrate()
-    return bag
+def _led() -> None:
+    """Wait until a person has guided the arm."""
+    confirm("press Enter when the movement is over ")
