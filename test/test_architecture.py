@@ -111,13 +111,13 @@ BUDGET = {
     "bags": 2363,  # +246: sets of LeRobot, written and read
     "params": 1298,  # what may be set at rest; -p body:=NAME is derived from; NatNet, FR3
     "ros": 2339,  # +24: PoseStamped; variables of ROS and DDS are named with their remedy
-    "client": 1290,
+    "client": 1289,
     "nodes": 3473,  # +22: frames of poses; +217: an FR3 by its maker's library; +122: NatNet
-    "console": 469,  # a person supports the arm, however a movement ended
+    "console": 459,  # a person supports the arm, however a movement ended
     "view": 834,
     "reporting": 779,
     "in_process": 509,  # a session on disk without nodes
-    "cli": 2326,  # mistakes of a set-up, new-arm, sessions
+    "cli": 2321,  # mistakes of a set-up, new-arm, sessions
     "hardware_sim": 3336,  # +170: a camera films tags; +146: what stand-ins alone send
     "launch": 158,
     "wam_power_interfaces": 159,  # its build without ROS

@@ -228,13 +228,6 @@ def run_policy(
     return status
 
 
-def enable() -> int:
-    """Publish the state of the enabling switch from the keyboard."""
-    from wam_power_ros.console import enabling_switch
-
-    return enabling_switch.main()
-
-
 def _record_demonstrations(launcher: Launcher, folder: Path, wanted: int) -> list[Path]:
     """Record the demonstrations that a session lacks; return the bags of all.
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from wam_power_ros import installed
 from wam_power_ros.cli.plan import DOMAIN_FILE, LEARNER, RECORDER, SIMULATION, TRACKER, Plan
 from wam_power_ros.cli.processes import ProcessError, Processes, Running
-from wam_power_ros.console.prompt import ask, show
+from wam_power_ros.console.prompt import confirm, show
 from wam_power_ros.durable_files import check_name, is_locked
 from wam_power_ros.entry import SIGNALS
 from wam_power_ros.params import overlay
@@ -139,6 +139,7 @@ def launch(plan: Plan, text: str = "") -> Iterator[Launcher]:
 
     Raises:
         UsageError: Another session or learner uses the folder, or its disk is nearly full.
+        ValueError: Nobody can answer, because standard input is closed.
         DomainError: Another session holds the robot's DDS domain, or ROS_DOMAIN_ID is invalid.
     """
     # First, because an import of rclpy may execute the program anew.
@@ -165,11 +166,11 @@ def launch(plan: Plan, text: str = "") -> Iterator[Launcher]:
                 f"The simulation uses ROS_DOMAIN_ID {domain} so that it reaches no robot. To see "
                 f"its topics in another terminal: export ROS_DOMAIN_ID={domain}"
             )
-        elif not ask(
-            "The controller will hold the arm in its current posture once the driver sends states. "
-            "Keep a hand on the pendant, then press Enter: "
-        ):  # before `activate`
-            raise UsageError("no answer: standard input is closed")
+        else:  # before `activate`
+            confirm(
+                "The controller will hold the arm in its current posture once the driver sends "
+                "states. Keep a hand on the pendant, then press Enter: "
+            )
         for file, text in files.items():
             file.write_text(text, encoding="utf-8")
         launcher = Launcher(plan, stack.enter_context(Processes(plan.file.parent, environment)))

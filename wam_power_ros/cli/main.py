@@ -157,7 +157,7 @@ def _parser() -> argparse.ArgumentParser:
     view.add_argument("--port", type=natural, default=8080, help=port)
 
     text = "say what is missing before the first demonstration; status 1 if something is"
-    doctor = add("doctor", _later("doctor_command", "doctor"), text)
+    doctor = add("doctor", _later("cli.doctor_command", "doctor"), text)
     task_option(doctor, "none")
     arm_options(doctor)
 
@@ -192,7 +192,7 @@ def _parser() -> argparse.ArgumentParser:
     arm_options(run_policy)
 
     text = "propose the set-up of an arm from its URDF, with a reason for each value"
-    new_arm = add("new-arm", _later("new_arm_command", "new_arm"), text)
+    new_arm = add("new-arm", _later("cli.new_arm_command", "new_arm"), text)
     new_arm.add_argument("urdf", type=Path, metavar="URDF", help="file, or xacro file")
     new_arm.add_argument("--tool", default="", metavar="LINK", help="link that is the tool")
     taken = "what the driver takes"
@@ -201,7 +201,7 @@ def _parser() -> argparse.ArgumentParser:
 
     commission = add(
         "commission",
-        _later("commission_command", "commission"),
+        _later("cli.commission_command", "commission"),
         "let the arm measure its zeros, friction, tool and cameras; writes a set-up file",
         "Move the arm for about four minutes, with markers fixed to its empty tool, and compare "
         "what encoders, torques and cameras say. An arm that takes positions needs no markers, and "
@@ -220,7 +220,8 @@ def _parser() -> argparse.ArgumentParser:
     commission.add_argument("--folder", type=Path, help=recorded)
     arm_options(commission)
 
-    add("enable", commands.enable, "use the keyboard as the switch that hold_to_run requires")
+    switch = _later("console.enabling_switch", "main")
+    add("enable", switch, "use the keyboard as the switch that hold_to_run requires")
     bags_command.add_to(subparsers)
     recover = add("recover", bags_command.recover, "recover bags damaged by a kill or a full disk")
     recover.add_argument("bag", type=Path, nargs="+", help="folder of the bag, or .mcap file")
@@ -237,10 +238,10 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _later(module: str, name: str) -> Callable[..., int]:
-    """A command whose module, which computes with the arm's model, is imported when it is run."""
+    """A command whose module, slow to import or of ROS, is imported when it is run."""
 
     def command(**values: object) -> int:
-        return getattr(import_module(f"wam_power_ros.cli.{module}"), name)(**values)
+        return getattr(import_module(f"wam_power_ros.{module}"), name)(**values)
 
     return command
 

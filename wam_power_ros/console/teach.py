@@ -8,6 +8,7 @@ it, or end the series.
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 from wam_power_ros.bags import series
@@ -28,13 +29,14 @@ def record_series(robot: Robot, file: Path, wanted: int, *, person: bool, review
         ServiceError: A service does not appear, does not answer in time, or refuses.
     """
     bags, number = series.read(file), 1
+    lead = partial(confirm, "press Enter when the movement is over ") if person else None
     with robot.guided():
         if not person:  # who is slower than the start of any node
             robot.await_recorder()
         while number <= wanted:
             if person:
                 confirm(f"demonstration {number}: press Enter, then guide the arm by hand ")
-            bag = robot.take(_led if person else None)
+            bag = robot.take(lead)
             bags.append(bag)
             series.write(file, bags)  # at once: kept even if interrupted
             show(f"  {number} of {wanted}: {bag}")
@@ -44,8 +46,3 @@ def record_series(robot: Robot, file: Path, wanted: int, *, person: bool, review
                 show(f"  discarded; moved to {series.discard(bag)}")
             wanted = {DONE: number, DISCARD: wanted - 1}.get(choice, wanted)
             number += choice in (KEEP, DONE)
-
-
-def _led() -> None:
-    """Wait until a person has guided the arm."""
-    confirm("press Enter when the movement is over ")
