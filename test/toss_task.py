@@ -161,10 +161,27 @@ def toss(trial: Trial, task: FlipSettings, noise: float = 0.1) -> Assessment:
     return Assessment(ret, terms, flight, success)
 
 
+def session_of(
+    folder: Path,
+    settings: SessionSettings,
+    rollouts: int,
+    seed: int = 0,
+    demonstrations: Sequence[str] = (),
+) -> Path:
+    """A session on disk with its first rollouts, whose bags are named and not there."""
+    policies = [demonstrated_policy()]
+    practice = practice_of(policies, settings, seed)
+    begun = session.Session.begin(folder, settings, seed, policies, demonstrations=demonstrations)
+    with begun as written:
+        while len(practice.records) < rollouts and (trial := practice.next_trial()) is not None:
+            outcome, bag = toss(trial, practice.task.settings), f"rollout_{trial.id}"
+            written.append(practice.learn_assessed(trial, outcome, bag=bag))
+    return folder
+
+
 def some_records(count: int) -> list[Record]:
     """Records of the first rollouts of a session of the flip."""
     practice = practice_of([demonstrated_policy()], preset("flip", budget=count, confirm=0), seed=0)
-    records = []
-    while len(records) < count and (trial := practice.next_trial()) is not None:
-        records.append(practice.learn_assessed(trial, toss(trial, practice.task.settings)))
-    return records
+    while len(practice.records) < count and (trial := practice.next_trial()) is not None:
+        practice.learn_assessed(trial, toss(trial, practice.task.settings))
+    return [*practice.records]

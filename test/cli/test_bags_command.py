@@ -100,13 +100,6 @@ def test_bags_are_imported_in_part_or_together(
     assert "0 <= START < END" in refusal("bags", "import", str(take), "--part", "2", "1")
 
 
-def test_what_show_refuses_is_not_imported(tmp_path: Path, refusal: Callable[..., str]) -> None:
-    _, q = reader.read_demonstration(REACH, WAM)
-    demonstration(tmp_path / "theirs", np.degrees(q), WAM)
-    for command in ("show", "import"):
-        assert "degrees?" in refusal("bags", command, "theirs")
-
-
 def broken(tmp_path: Path, kind: str) -> Path:
     """A movement of the arm that no command takes as it is."""
     stamps, q = reader.read_demonstration(REACH, WAM)
@@ -131,14 +124,3 @@ def test_what_a_refusal_advises_imports_the_movement(
     part = ["--part", float(advised[2]) + 0.1, "1e9"] if advised[2] else []
     given = [theirs, *filter(None, [advised[1]]), *part]
     said("bags", "show", said("bags", "import", *given).split()[1])
-
-
-def test_a_table_is_imported_bit_for_bit(said: Said, refusal: Callable[..., str]) -> None:
-    said("bags", "export", REACH, "--output", "t.csv")
-    said("bags", "import", "t.csv", "--output", "ours")
-    for back, there in zip(
-        *(reader.read_demonstration(bag, WAM) for bag in ("ours", REACH)), strict=True
-    ):
-        np.testing.assert_array_equal(back, there)
-    why = refusal("bags", "import", "t.csv", "--joints", *"abcdefg", "--output", "no")
-    assert why.startswith("wam-power: t.csv: /joint_states: no message")  # no temporary folder

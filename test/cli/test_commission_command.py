@@ -182,19 +182,6 @@ def test_where_the_driver_adds_gravity_what_it_adds_is_counted(
     assert params.payload[0] == pytest.approx(0.08, abs=0.06)
 
 
-@pytest.mark.parametrize("kind", ["multiarray", "joint_state"])
-def test_torques_are_read_by_the_states_that_they_answer(tmp_path: Path, kind: str) -> None:
-    count = 60
-    t, nothing = 1.0 + 0.002 * np.arange(count), np.empty((0, 3))
-    tau = np.arange(7.0 * count).reshape(count, 7)
-    given = Recording(t, np.zeros_like(tau), tau, np.empty(0), nothing, np.empty((0, 3, 3)))
-    stamps = START + np.round(1e9 * t).astype(np.int64)
-    bag = Bag(bag_of(tmp_path / "bag", given, kind))
-    assert np.array_equal(read_commands(bag, COMMANDS, stamps, true_arm.JOINTS), tau)
-    later = np.append(stamps, stamps[-1] + 2_000_000)
-    assert np.array_equal(read_commands(bag, COMMANDS, later, true_arm.JOINTS)[-1], tau[-1])
-
-
 @pytest.mark.parametrize(
     ("ask", "reason"),
     [

@@ -21,12 +21,10 @@ from bag_samples import REACH, WAM
 from conftest import Probe, python_path
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
-from toss_task import demonstrated_policy
+from toss_task import session_of
 
 from wam_power_ros.bags import reader, series
-from wam_power_ros.cli import main
 from wam_power_ros.cli.plan import DOMAIN_FILE
-from wam_power_ros.practice.session import Session
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.domain import private_domain
@@ -128,34 +126,17 @@ def test_a_session_on_an_arm_is_refused_in_the_domain_of_another(
     assert "ROS_DOMAIN_ID='300' is not a whole number" in message
 
 
-@pytest.mark.parametrize("lock", [".lock", "logs/.lock"], ids=["a learner", "a launcher"])
 def test_a_second_learn_is_refused_before_it_writes_anything(
-    lock: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder = tmp_path / "s"
-    (folder / "logs").mkdir(parents=True)
-    (folder / "logs" / DOMAIN_FILE).write_text("42\n")
-    (folder / "logs" / "parameters.yaml").write_text("# of the first\n")
-    with (folder / lock).open("a") as first:
-        fcntl.flock(first, fcntl.LOCK_EX)
-        assert main.main(["learn", "--session", str(folder)]) == 2
-    out, err = capsys.readouterr()
-    assert "another session or learner is using" in err
-    assert out == ""  # no word of a beginning before a refusal
-    assert (folder / "logs" / DOMAIN_FILE).read_text() == "42\n"
-    assert (folder / "logs" / "parameters.yaml").read_text() == "# of the first\n"
-
-
-def test_too_few_trials_are_refused_before_anybody_teaches(
     tmp_path: Path, refusal: Callable[..., str]
 ) -> None:
-    said = refusal("learn", "--trials", "2", "--bags", "a", "b")
-    assert "a budget of 2 rollouts leaves none to practise" in said and "allow 3 trials" in said
-    taught = [tmp_path / "s/bags" / name for name in "abcde"]
-    (tmp_path / "s").mkdir()
-    series.write(tmp_path / "s" / series.FILE, taught)
-    said = refusal("learn", "--session", "s", "--trials", "5")
-    assert "after 5 reproductions of demonstrations: allow 6 trials or more" in said
+    (tmp_path / "s/logs").mkdir(parents=True)
+    (of_the_first := tmp_path / "s/logs" / DOMAIN_FILE).write_text("42\n")
+    for lock in (".lock", "logs/.lock"):  # of a learner, of a launcher
+        with (tmp_path / "s" / lock).open("a") as first:
+            fcntl.flock(first, fcntl.LOCK_EX)
+            assert "another session or learner is using" in refusal("learn", "--session", "s")
+    assert of_the_first.read_text() == "42\n"
+    assert not (tmp_path / "s/logs/parameters.yaml").exists()
 
 
 def test_a_learner_that_cannot_work_is_refused_in_a_new_session_and_in_one_that_was_begun(
@@ -163,17 +144,18 @@ def test_a_learner_that_cannot_work_is_refused_in_a_new_session_and_in_one_that_
 ) -> None:
     said = refusal("learn", "--session", "n", "--preset", "paper", "--learner", "model_based")
     assert "'model_based' needs a model of the vector error" in said
-    settings = preset("flip", "paper", {"name": "model_based"})
-    Session.begin(tmp_path / "s", settings, 0, [demonstrated_policy()]).close()
-    said = refusal("learn", "--session", "s")
-    assert "s cannot go on: learner 'model_based' needs" in said
+    session_of(tmp_path / "s", preset("flip", "paper", {"name": "model_based"}), 0)
+    assert "s cannot go on: learner 'model_based' needs" in refusal("learn", "--session", "s")
     assert not (tmp_path / "s/logs").exists()
+    (tmp_path / "taught").mkdir()
+    series.write(tmp_path / "taught" / series.FILE, [*map(Path, "abcde")])
+    said = refusal("learn", "--session", "taught", "--trials", "5")
+    assert "after 5 reproductions of demonstrations: allow 6 trials or more" in said
 
 
-@pytest.mark.parametrize("command", ["learn", "teach"])
 def test_a_full_disk_is_an_error_before_anybody_teaches(
-    command: str, refusal: Callable[..., str], monkeypatch: pytest.MonkeyPatch
+    refusal: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     usage = namedtuple("usage", "total used free")(10**9, 8 * 10**8, 2 * 10**8)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
-    assert "200 MB free on the disk of" in refusal(command)
+    assert "200 MB free on the disk of" in refusal("teach")

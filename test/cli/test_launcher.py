@@ -9,24 +9,10 @@ from pathlib import Path
 import pytest
 import yaml
 
-from wam_power_ros.cli.launcher import Devices, Launcher
+from wam_power_ros.cli.launcher import Devices
 from wam_power_ros.cli.plan import Plan
-from wam_power_ros.cli.processes import Processes
 from wam_power_ros.params import overlay
 from wam_power_ros.params.driver_params import FrankaDriverParams
-
-
-def test_nodes_get_their_parameters_whatever_characters_are_in_them(tmp_path: Path) -> None:
-    odd = str(tmp_path / "séries: 'a' #1.json")
-    plan = Plan(tmp_path, Devices().parameters(), stand_ins=True)
-    plan.file.parent.mkdir()
-    plan.file.write_text(overlay.text(plan.parameters))
-    with Processes(tmp_path / "logs", {"ROS_DOMAIN_ID": "97"}) as processes:
-        launcher = Launcher(plan, processes)
-        node = launcher.node("demonstration_recorder", directory=odd, stem="")
-        assert node.process.wait(60.0) == 2
-    assert "stem = " in node.log.read_text()
-    assert "directory" not in node.log.read_text()
 
 
 @pytest.mark.parametrize(

@@ -11,16 +11,13 @@ from pathlib import Path
 
 import pytest
 from conftest import ROOT
-from toss_task import demonstrated_policy, some_records
+from toss_task import demonstrated_policy
 
 from wam_power_ros.cli import main
 from wam_power_ros.cli.launcher import Devices, UsageError
 from wam_power_ros.cli.session_options import SessionOptions, chosen
 from wam_power_ros.practice.session import Session
 from wam_power_ros.practice.settings import preset
-from wam_power_ros.reporting import terminal
-
-TASK = preset("flip", "hindsight").make_task({})
 
 
 @pytest.fixture
@@ -74,16 +71,3 @@ def test_no_controller_starts_on_an_arm_without_a_person_to_confirm(
     message = capsys.readouterr().err
     assert "hand on the pendant" in message
     assert "no answer: standard input is closed" in message
-
-
-def test_the_summary_counts_the_retests_by_tracker_and_by_truth() -> None:
-    record = some_records(3)[-1]
-    good = {**(record.observation or {}), "resting": True, "flipped": True, "angle": 3.0}
-    truth = {"caught": True, "flipped": False}
-    tests = [
-        record.model_copy(update={"kind": "retest", "observation": good, "truth": truth}),
-        record.model_copy(update={"kind": "retest", "observation": {**good, "resting": False}}),
-    ]
-    text = terminal.summary(tests, TASK)
-    assert "1 of 2 flipped" in text
-    assert "simulator's ground truth: 0 of 1" in text

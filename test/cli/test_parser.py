@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import subprocess
 import sys
@@ -54,30 +53,9 @@ def test_a_mistyped_name_is_met_with_the_nearest_one(
     assert f"did you mean '{meant}'?" in refusal("learn", "--session", "s", *words.split())
 
 
-def test_options_of_a_node_are_left_to_the_node() -> None:
-    options = main._parser().parse_args(["run", "learner", "--ros-args", "-p", "seed:=1"])
-    assert options.rest == ["--ros-args", "-p", "seed:=1"]
-
-
 def test_stand_ins_without_a_set_up_are_refused(refusal: Callable[..., str]) -> None:
     for command in (["learn"], ["teach"], ["replay", "bag"], ["config"]):
         assert "everything is simulated already" in refusal(*command, "--simulate")
-
-
-def test_the_shell_completes_commands(tmp_path: Path) -> None:
-    pytest.importorskip("argcomplete")
-    answer = tmp_path / "answer"
-    words = {
-        "_ARGCOMPLETE": "1",
-        "_ARGCOMPLETE_SUPPRESS_SPACE": "1",
-        "_ARGCOMPLETE_STDOUT_FILENAME": str(answer),
-        "COMP_LINE": "wam-power rep",
-        "COMP_POINT": "13",
-        "_ARGCOMPLETE_IFS": "\n",
-    }
-    command = [sys.executable, "-c", "from wam_power_ros.cli.main import main; main()"]
-    subprocess.run(command, env=os.environ | words, timeout=60, check=True)
-    assert {*answer.read_text().split()} == {"report", "replay"}
 
 
 def test_a_name_without_a_command_prints_the_commands(said: Callable[..., str]) -> None:

@@ -14,7 +14,7 @@ from types import SimpleNamespace
 import pytest
 from conftest import python_path
 
-from wam_power_ros.cli.processes import ProcessError, Processes
+from wam_power_ros.cli.processes import NodeLogs, ProcessError, Processes
 
 SLEEP = [sys.executable, "-c", "import time; time.sleep(60)"]
 STUBBORN = [
@@ -84,3 +84,18 @@ def test_processes_end_when_their_parent_is_killed(tmp_path: Path) -> None:
     parent.kill()
     parent.wait(10.0)
     assert soon(lambda: not alive(child))
+
+
+def test_new_whole_lines_of_a_log_are_passed_on_once(tmp_path: Path) -> None:
+    log = tmp_path / "torque_controller.log"
+    log.write_text("[INFO] [1.5] [torque_controller]: of another day\n")
+    logs = NodeLogs(tmp_path)
+    with log.open("a") as file:
+        file.write("[ERROR] [2.5] [torque_controller]: fault (jump): joint 3\nTraceback\n[WARN] [")
+    assert list(logs.new()) == [("torque_controller: fault (jump): joint 3", True)]
+    with log.open("a") as file:
+        file.write("3.5] [torque_controller]: half a line\n")
+    (tmp_path / "learner.log").write_text("[INFO] [4.0] [learner]: begun\n")
+    texts = [text for text, _ in logs.new()]
+    assert texts == ["learner: begun", "torque_controller: half a line"]
+    assert list(logs.new()) == []

@@ -6,29 +6,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from toss_task import ANY_ARM, demonstrated_policy, toss
+from toss_task import session_of
 
-from wam_power_ros.practice.session import Session, read
+from wam_power_ros.practice.session import read
 from wam_power_ros.practice.settings import preset
 
 
-def learnt(folder: Path, rollouts: int, retests: int = 0) -> Path:
-    settings = preset("flip", "hindsight", budget=24, retests=retests)
-    with Session.begin(folder, settings, 5, [demonstrated_policy(seed=1)], context={}) as session:
-        practice = session.practice(ANY_ARM)
-        for _ in range(rollouts):
-            trial = practice.next_trial()
-            record = practice.learn_assessed(trial, toss(trial, practice.task.settings), bag="")
-            session.append(record)
-    return folder
-
-
 def test_each_session_has_a_line_and_one_that_cannot_be_read_its_reason(
-    tmp_path: Path, said: Callable[..., str], refusal: Callable[..., str]
+    said: Callable[..., str], refusal: Callable[..., str]
 ) -> None:
     assert "no session in sessions" in refusal("sessions")
-    folder = learnt(Path("sessions/one"), 4)
-    learnt(Path("sessions/two"), 0, retests=3)
+    settings = preset("flip", "hindsight", budget=24, retests=0)
+    folder = session_of(Path("sessions/one"), settings, 4)
+    session_of(Path("sessions/two"), preset("flip", "hindsight", budget=24, retests=3), 0)
     broken = Path("sessions/three")
     broken.mkdir()
     (broken / "session.yaml").write_text("seed: many\n")

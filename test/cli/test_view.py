@@ -4,33 +4,19 @@
 from __future__ import annotations
 
 import fcntl
-import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from wam_power_ros.cli import commands, main
-
-
-def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
-    assert main.main(["view", *arguments]) == 2
-    return capsys.readouterr().err
-
-
-def test_without_viser_it_says_how_to_install_it(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name in [name for name in sys.modules if name.startswith("wam_power_ros.view")]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, "viser", None)
-    assert refusal(capsys).endswith('pip install "wam_power_ros[view]"\n')
+from wam_power_ros.cli import commands
 
 
 def test_a_session_that_is_being_taught_is_waited_for(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, refusal: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("viser", reason="no viser")
-    assert "typo holds no session" in refusal(capsys, str(tmp_path / "typo"))
+    assert "typo holds no session" in refusal("view", "typo")
     folder, slept = tmp_path / "s", []
     (folder / "logs").mkdir(parents=True)
     lock = (folder / "logs" / ".lock").open("a")
@@ -41,7 +27,6 @@ def test_a_session_that_is_being_taught_is_waited_for(
         lock.close()
 
     monkeypatch.setattr(commands.time, "sleep", sleep)
-    text = refusal(capsys, str(folder))
+    text = refusal("view", "s")
     assert "s is being taught; the page opens with its session" in text
     assert "has ended before its session began" in text and slept
-    assert "recover" not in text

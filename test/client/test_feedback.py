@@ -94,11 +94,15 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, "TIMEOUT", 0.01)
 
 
-def test_gravity_compensation_begins_only_after_the_trial_has_ended() -> None:
-    under_way = Answer(Code.DONE, "pauses after the trial under way", under_way=True)
-    services = Services(pause=[under_way] * 3)
-    teach(services)
-    assert services.asked == [(PAUSE, True)] * 3 + [*BEFORE, (RECORD, True), *AFTER, *GIVEN]
+def test_a_person_leads_after_the_trial_has_ended_and_the_learner_learns_while_the_arm_holds() -> (
+    None
+):
+    said: list[str] = []
+    services = Services(pause=[Answer(Code.DONE, "pauses after the trial", under_way=True)] * 3)
+    teach(services, lambda: services.asked.append(("hand", None)), said.append)
+    assert said == ["pauses after the trial"] and services.bags == ["/bags/demo_1"]
+    led = [*BEFORE, (RECORD, True), ("hand", None), *AFTER, *GIVEN]
+    assert services.asked == [(PAUSE, True)] * 3 + led
 
 
 @pytest.mark.usefixtures("impatient")
@@ -116,25 +120,10 @@ def test_the_stand_in_demonstrates_from_the_start() -> None:
     assert services.asked == [*BEFORE, *simulated, *AFTER, *GIVEN]
 
 
-def test_a_person_leads_while_it_is_recorded_and_the_learner_learns_while_the_arm_holds() -> None:
-    said: list[str] = []
-    services = Services()
-    answer = teach(services, lambda: services.asked.append(("hand", None)), said.append)
-    assert said == services.bags == [answer.text] == ["/bags/demo_1"]
-    assert services.asked == [*BEFORE, (RECORD, True), ("hand", None), *AFTER, *GIVEN]
-
-
 def test_a_refused_demonstration_is_reported_and_the_learner_continues() -> None:
     services = Services(add_demonstration=[Answer(Code.REFUSED, "it never moves")])
     assert teach(services) == Answer(Code.REFUSED, "it never moves")
     assert services.asked[-1] == (PAUSE, False)
-
-
-@pytest.mark.usefixtures("impatient")
-def test_a_service_that_keeps_refusing_is_named() -> None:
-    busy = [Answer(Code.BUSY, "a rollout is under way")] * 10_000
-    with pytest.raises(ServiceError, match=f"{FREE} refused: a rollout is under way"):
-        teach(Services(gravity_compensation=busy))
 
 
 @pytest.mark.usefixtures("impatient")

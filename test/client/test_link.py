@@ -231,9 +231,3 @@ def test_a_signal_interrupts_a_wait_at_once(link: Link) -> None:
         link.until(lambda: False, timeout=30.0)
     assert time.monotonic() - begun < 10.0
     waking.join()
-
-
-def test_work_that_is_scheduled_is_done_by_the_thread_of_the_callbacks(link: Link) -> None:
-    done = link.schedule(threading.current_thread)
-    assert link.until(done.done)
-    assert done.result() is link._thread is not threading.current_thread()

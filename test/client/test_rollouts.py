@@ -7,7 +7,6 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from functools import partial
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -130,17 +129,16 @@ Connect = Callable[..., Rollouts]
 
 @pytest.fixture
 def connect(probe: Probe, cell: Cell) -> Iterator[Connect]:
-    """Function that makes a client with changed settings, or with others, for a body."""
+    """Function that makes a client with changed settings, for a body."""
     with ExitStack() as stack:
 
         def connect(
             body: str = "",
-            settings: object = SETTINGS,
             joint_names: Sequence[str] = (),
             **changes: object,
         ) -> Rollouts:
             node = rclpy.create_node("client", context=probe.context)
-            given = settings.model_copy(update=changes) if changes else settings
+            given = SETTINGS.model_copy(update=changes)
             return Rollouts(stack.enter_context(Link(node)), given, body, joint_names)
 
         yield connect
@@ -222,26 +220,14 @@ def test_a_fault_before_the_rollout_is_reset_and_it_begins_again(
 def test_a_controller_that_is_not_active_is_waited_for_without_asking_it_again_and_again(
     cell: Cell, connect: Connect
 ) -> None:
-    refused: list[str] = []  # modes since the refusal: a person takes half a second
-
-    def waits() -> bool:
-        return not cell.answers[MOVE] and not cell.answers[EXECUTE]
-
-    class Params(SimpleNamespace):
-        """Patient, but not while a person is to activate the controller: that has no limit."""
-
-        @property
-        def patience(self) -> float:
-            return 0.1 if waits() and "hold" not in refused else 20.0
-
-    params = Params(**{name: value for name, value in vars(SETTINGS).items() if name != "patience"})
-    client = connect(settings=params)
+    client = connect(patience=0.3)  # a person has no such limit
+    told: list[str] = []
     inactive = Answer(Code.NOT_ACTIVE, "refused: the controller is not active")
     cell.answers |= {MOVE: [Answer(Code.DONE), inactive], EXECUTE: [inactive]}
 
-    def publish() -> None:
-        refused.extend(["inactive" if len(refused) < 5 else "hold"] * waits())
-        cell.diagnose(refused[-1] if refused else "inactive", "warn", "not active")
+    def publish() -> None:  # half a second after each refusal the controller is active
+        told.append("inactive" if len(told) % 8 < 5 else "hold")
+        cell.diagnose(told[-1], "warn", "not active")
 
     cell.node.create_timer(0.1, publish)
     client.execute(POLICY, WHOLE, lambda state: "")
@@ -365,8 +351,10 @@ def test_a_body_that_is_thrown_off_again_is_put_back_again_by_the_simulation(
     ball = Ball(cell)
     placed = lambda: setattr(ball, "moves", int(cell.requests.count(SCENE) > 1))  # noqa: E731
     cell.node.create_timer(0.02, placed)
-    connect("ball", scene_reset=True).execute(POLICY, WHOLE, in_place)
-    assert cell.requests == [MOVE, SCENE, MOVE, SCENE, EXECUTE]
+    move = Move(np.linspace(0.0, 1.0, 6), np.zeros((6, 7)))
+    client = connect("ball", joint_names=["j1"], scene_reset=True)
+    executed = client.execute(POLICY, WHOLE, in_place, lambda state: move)  # the arm does not
+    assert cell.requests == [MOVE, SCENE, MOVE, SCENE, EXECUTE] and executed.reset is None
 
 
 def test_the_arm_puts_the_body_back_once_the_switch_is_held_and_who_did_is_known(
@@ -433,17 +421,6 @@ def test_a_person_is_waited_for_without_limit_where_the_body_has_not_come_to_res
     asked = [each for each in seen if each.what == what]
     assert asked == [Awaited("rest", what), Awaited("put back", what)]
     assert client.awaited() is None
-
-
-def test_the_arm_leaves_a_body_alone_that_comes_to_rest_where_a_simulation_has_put_it(
-    connect: Connect, cell: Cell
-) -> None:
-    cell.offer_scene()
-    Ball(cell, states=5)
-    move = Move(np.linspace(0.0, 1.0, 6), np.zeros((6, 7)))
-    client = connect("ball", joint_names=["j1"], scene_reset=True)
-    executed = client.execute(POLICY, WHOLE, in_place, lambda state: move)
-    assert cell.requests == [MOVE, SCENE, EXECUTE] and executed.reset is None
 
 
 @pytest.mark.parametrize("step", [2_000_000, 0, 2_000_000_000])
