@@ -115,7 +115,7 @@ BUDGET = {
     "nodes": 3473,  # +22: frames of poses; +217: an FR3 by its maker's library; +122: NatNet
     "console": 459,  # a person supports the arm, however a movement ended
     "view": 834,
-    "reporting": 779,
+    "reporting": 765,
     "in_process": 509,  # a session on disk without nodes
     "cli": 2321,  # mistakes of a set-up, new-arm, sessions
     "hardware_sim": 3336,  # +170: a camera films tags; +146: what stand-ins alone send

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page of a report escapes every text and needs no other file."""
 
-import pytest
-
 from wam_power_ros.reporting import html_page
 
 
@@ -27,8 +25,3 @@ def test_a_page_is_one_document_whose_sections_are_found_by_their_anchors() -> N
     title = "Taught on the arm, and executed by it"
     assert html_page.anchor(title) == "taught-on-the-arm-and-executed-by-it"
     assert f'id="{html_page.anchor(title)}"' in html_page.section(title)
-
-
-def test_a_row_of_another_length_than_the_head_is_refused() -> None:
-    with pytest.raises(ValueError, match="row of 2 cells in a table of 1 columns"):
-        html_page.table(["a"], [["1", "2"]])

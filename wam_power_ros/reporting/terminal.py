@@ -22,7 +22,6 @@ from wam_power_ros.tasks.task import Task
 
 ROLLOUTS_SHOWN = 14  # newest rollouts in the table
 OUTCOME_MIN = 24  # width of the column [characters]
-BARS = "▁▂▃▄▅▆▇█"
 STYLES = {"reproduction": "cyan", "explore": "", "mean": "magenta", "retest": "green"}
 BY = {"none": "by nobody", "arm": "by the arm", "person": "by a person"}
 FAILED = {  # count, total, detail and size are those of `Failure`
@@ -68,13 +67,6 @@ def returned(record: Record) -> str:
 def term_names(records: Sequence[Record]) -> list[str]:
     """Names of all terms of the returns, in order of appearance."""
     return list(dict.fromkeys(name for record in records for name in record.terms))
-
-
-def spark(values: Sequence[float], width: int = 60) -> str:
-    """The last `width` values as a row of bars from 0 to the largest."""
-    top = max(values, default=0.0)
-    shown = values[-width:]
-    return "".join(BARS[round((len(BARS) - 1) * v / top)] if top > 0 else BARS[0] for v in shown)
 
 
 def rollout_table(records: Sequence[Record], outcome: Outcome, width: int = 160) -> Table:
@@ -271,11 +263,9 @@ class Display:
         if not records:
             waiting = Text("waiting for the first rollout", style="italic")
             return Group(waiting, message, Text(self.footer), self._progress)
-        returns = [record.ret for record in records if record.ret is not None]
         notes = [entry.note for entry in self._log if entry.note]
         parts: list[RenderableType] = [
             rollout_table(records, self._outcome, width=self._console.width),
-            Text(spark(returns), style="green"),
             Text(notes[-1] if notes else "", style="italic"),
         ]
         return Group(*parts, message, Text(self.footer), self._progress)
