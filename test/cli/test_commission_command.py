@@ -38,7 +38,7 @@ QOS = [layout.qos(reliable=True, latched=False)]
 def bag_of(path: Path, recorded: Recording, kind: str = "multiarray") -> Path:
     """Bag of a recording, as our recorder writes it."""
     write_state, write = JointStateWriter(true_arm.JOINTS), TorqueWriter(true_arm.JOINTS, kind)
-    command = {"multiarray": ARRAY, "trajectory": TRAJECTORY}.get(kind, layout.JOINT_STATE)
+    command = {"multiarray": ARRAY, "trajectory": TRAJECTORY}[kind]
     writer = BagWriter(path)
     writer.add("/joint_states", layout.JOINT_STATE, QOS)
     writer.add(COMMANDS, command, QOS)

@@ -11,21 +11,18 @@ from pathlib import Path
 
 import pytest
 from conftest import ROOT
-from toss_task import demonstrated_policy
+from toss_task import session_of
 
 from wam_power_ros.cli import main
 from wam_power_ros.cli.launcher import Devices, UsageError
 from wam_power_ros.cli.session_options import SessionOptions, chosen
-from wam_power_ros.practice.session import Session
 from wam_power_ros.practice.settings import preset
 
 
 @pytest.fixture
 def begun(tmp_path: Path) -> Path:
     """A session that has just begun."""
-    folder, settings = tmp_path / "s", preset("flip", "hindsight")
-    Session.begin(folder, settings, 5, [demonstrated_policy()]).close()
-    return folder
+    return session_of(tmp_path / "s", preset("flip", "hindsight"), 0, seed=5)
 
 
 def test_wam_power_run_starts_what_ros2_run_starts() -> None:
@@ -54,9 +51,8 @@ def test_the_command_that_began_a_session_resumes_it(tmp_path: Path) -> None:
     bags = [tmp_path / "a", tmp_path / "b"]
     asked = SessionOptions("flip", "cma_es", "paper", trials=20, minutes=30, seed=5, bags=bags)
     settings = preset("flip", "paper", {"name": "cma_es"}, budget=20, minutes=30)
-    Session.begin(
-        tmp_path / "s", settings, 5, [demonstrated_policy()], demonstrations=[str(bags[1])]
-    ).close()  # the first bag was of no use
+    used = [str(bags[1])]  # the first bag was of no use
+    session_of(tmp_path / "s", settings, 0, seed=5, demonstrations=used)
     assert chosen(tmp_path / "s", asked, Devices()) == (5, "flip")
     with pytest.raises(UsageError, match="omit bags"):
         chosen(tmp_path / "s", replace(asked, bags=bags[:1]), Devices())

@@ -54,7 +54,7 @@ def test_a_mistyped_name_is_met_with_the_nearest_one(
 
 
 def test_stand_ins_without_a_set_up_are_refused(refusal: Callable[..., str]) -> None:
-    for command in (["learn"], ["teach"], ["replay", "bag"], ["config"]):
+    for command in (["teach"], ["replay", "bag"]):
         assert "everything is simulated already" in refusal(*command, "--simulate")
 
 

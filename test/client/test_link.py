@@ -60,13 +60,6 @@ def link(probe: Probe) -> Iterator[Link]:
         yield link
 
 
-def test_an_answer_says_whether_it_was_done_and_its_sentence(link: Link, serve: Serve) -> None:
-    answers = [Answer(Code.BUSY, "a rollout is under way"), Answer(Code.DONE, "/bags/demo_1")]
-    serve("/ask", answers.pop)
-    assert link.call("/ask") == Answer(Code.DONE, "/bags/demo_1")
-    assert link.call("/ask") == Answer(Code.UNKNOWN, "a rollout is under way")
-
-
 def test_a_request_may_carry_something(link: Link) -> None:
     def flip(request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         response.success, response.message = request.data, "on"
@@ -128,45 +121,39 @@ def test_only_a_service_that_has_just_appeared_is_given_time_to_discover_its_cli
 ) -> None:
     monkeypatch.setattr(links, "DISCOVERY", 1.0)
 
-    def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return response
-
     def time_of_a_call() -> float:
         begun = time.monotonic()
         assert link.call("/ask") is not None
         return time.monotonic() - begun
 
-    service = link.node.create_service(Trigger, "/ask", answer)
+    service = link.node.create_service(Trigger, "/ask", lambda _, response: response)
     assert time_of_a_call() > 1.0
     assert time_of_a_call() < 1.0
     link.node.destroy_service(service)
     assert link.until(lambda: not link.offers("/ask"))
-    link.node.create_service(Trigger, "/ask", answer)
+    link.node.create_service(Trigger, "/ask", lambda _, response: response)
     assert time_of_a_call() > 1.0
 
 
 def test_a_refusal_is_asked_again_until_it_is_an_agreement(link: Link, serve: Serve) -> None:
     refusals = [Answer(Code.NOTHING, "no joint state yet")] * 2
     serve("/ask", lambda: refusals.pop() if refusals else Answer(Code.DONE, "done now"))
+    assert link.call("/ask") == Answer(Code.UNKNOWN, "no joint state yet")
     assert link.insist("/ask") == Answer(Code.DONE, "done now")
 
 
-@pytest.mark.parametrize(
-    ("answer", "says"),
-    [(Answer(Code.REFUSED, "never"), "/ask refused: never"), (None, "/ask did not answer")],
-)
 def test_a_service_that_never_agrees_is_reported_with_its_answer(
-    answer: Answer | None,
-    says: str,
-    link: Link,
-    serve: Serve,
-    monkeypatch: pytest.MonkeyPatch,
+    link: Link, serve: Serve, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(links, "TIMEOUT", 0.5)
-    serve("/ask", lambda: answer)
-    with pytest.raises(ServiceError, match=says) as raised:
-        link.insist("/ask")
-    assert raised.value.answer == (answer and Answer(Code.UNKNOWN, answer.text))
+    for name, answer, says in (
+        ("/refuse", Answer(Code.REFUSED, "never"), "/refuse refused: never"),
+        ("/ignore", None, "/ignore did not answer"),
+    ):
+        serve(name, lambda answer=answer: answer)
+        with pytest.raises(ServiceError, match=says) as raised:
+            link.insist(name)
+        assert raised.value.answer == (answer and Answer(Code.UNKNOWN, answer.text))
 
 
 def test_a_wait_ends_with_the_link_and_with_its_context(domain_id: int) -> None:

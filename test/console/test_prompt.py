@@ -7,6 +7,7 @@ import io
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from itertools import product
 from types import SimpleNamespace
 from typing import NoReturn
 
@@ -16,7 +17,7 @@ from conftest import lift
 from rigid_arm import HOME, MODEL
 
 from wam_power_ros.console import replay, run_policy
-from wam_power_ros.console.prompt import ask, let_go_after
+from wam_power_ros.console.prompt import let_go_after
 
 T, Q = np.array([0.0, 1.0]), np.array([HOME, HOME])
 
@@ -27,27 +28,15 @@ def _enter(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO("\n\n"))
 
 
-@pytest.mark.parametrize(("typed", "answered"), [("\n", True), ("yes\n", True), ("", False)])
-def test_a_question_is_answered_by_enter_and_not_by_a_closed_input(
-    typed: str,
-    answered: bool,
-    monkeypatch: pytest.MonkeyPatch,
+def test_a_person_supports_the_arm_before_it_is_let_go_however_a_movement_ended(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(sys, "stdin", io.StringIO(typed))
-    assert ask("Press Enter: ") is answered
-    assert capsys.readouterr() == ("", "Press Enter: ")  # a pipe gets results only
-
-
-@pytest.mark.parametrize("person", [True, False])
-@pytest.mark.parametrize("ended", [KeyboardInterrupt, None])
-def test_a_person_supports_the_arm_before_it_is_let_go_however_a_movement_ended(
-    person: bool, ended: type[BaseException] | None, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with suppress(KeyboardInterrupt), let_go_after(person):
-        if ended is not None:
-            raise ended
-    assert ("Support the arm" in capsys.readouterr().err) is person
+    for person, ended in product((True, False), (KeyboardInterrupt, None)):
+        with suppress(KeyboardInterrupt), let_go_after(person):
+            if ended is not None:
+                raise ended
+        out, err = capsys.readouterr()  # a pipe gets results only
+        assert ("Support the arm" in err) is person and not out
 
 
 class Broken:

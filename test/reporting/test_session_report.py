@@ -8,15 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from toss_task import ANY_ARM, demonstrated_policy
+from toss_task import session_of as begun
 
 from wam_power_ros.cli.commands import _print_summary
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
 from wam_power_ros.practice import session
-from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session import Session
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.reporting import session_report, terminal
-from wam_power_ros.tasks.flip.task import Flip
 
 TURNS = [math.radians(degrees) for degrees in (60, 100, 150, 170, 175, 180)]
 
@@ -57,17 +56,15 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def session_of(tmp_path: Path, turns: list[float]) -> Path:
     settings = preset("flip", budget=len(turns), confirm=0, retests=0)
-    candidates = [demonstrated_policy("demonstration-1")]
     truth = {"caught": True, "flipped": True, "peak_elbow_speed": 0.4, "peak_forearm_speed": 1.37}
-    with Session.begin(tmp_path / "session", settings, 5, candidates) as session:
-        practice: Practice = session.practice(ANY_ARM)
+    folder, policies = tmp_path / "session", [demonstrated_policy("demonstration-1")]
+    with Session.begin(folder, settings, 5, policies) as session:
+        practice = session.practice(ANY_ARM)
         for angle in turns:
             trial = practice.next_trial()
-            assert trial is not None
             session.append(practice.learn(trial, a_rollout(trial.id, angle), truth=truth))
-            if practice.best is not None:
-                session.save_policy(practice.best.policy)
-    return tmp_path / "session"
+        session.save_policy(practice.best.policy)
+    return folder
 
 
 def test_a_report_lists_every_rollout_with_its_angle_and_needs_no_other_file(
@@ -127,14 +124,6 @@ def test_the_same_session_gives_the_same_report(folder: Path, html: str) -> None
     assert session_report.write(folder).read_text() == html
 
 
-@pytest.mark.usefixtures("undrawn")
-def test_a_shown_rollout_without_a_film_gives_the_reason(folder: Path) -> None:
-    shown = session_report.ShownRollout("caught.", a_rollout("trial-0006", TURNS[5]))
-    html = session_report.write(folder, shown, "no <OpenGL> here").read_text()
-    assert "The session&#39;s policy, trial-0006" in html
-    assert "no &lt;OpenGL&gt; here" in html
-
-
 @pytest.fixture
 def reach(tmp_path: Path) -> Path:
     """A session of reaching, three rollouts around the obstacle, the first of them stopped."""
@@ -147,7 +136,6 @@ def reach(tmp_path: Path) -> Path:
         practice = session.practice(ANY_ARM)
         for aside in (0.0, 0.12, 0.15):
             trial = practice.next_trial()
-            assert trial is not None
             path = way + np.outer(np.sin(np.pi * part), [aside, 0.0, 0.0])
             duration = trial.policy.basis.duration
             t = np.append(part * duration, duration + practice.task.settle_time + 0.01)
@@ -164,46 +152,19 @@ def test_a_report_of_a_reach_speaks_of_the_obstacle_and_of_no_pancake(reach: Pat
     rollout = Rollout(
         EndEffectorPath("trial-0003", [0.0, 1.0], [[0.4, -0.2, 0.5]] * 2, [[0, 0, 0, 1.0]] * 2)
     )
-    html = session_report.write(reach, session_report.ShownRollout("done", rollout)).read_text()
+    shown = session_report.ShownRollout("done", rollout)
+    html = session_report.write(reach, shown, "no <OpenGL> here").read_text()
+    assert "no &lt;OpenGL&gt; here" in html
     visible = re.sub(r"<style>.*?</style>", "", html, flags=re.DOTALL)
     for word in ("pancake", "flip", "Eq. 5", "caught"):
         assert word not in visible
     assert "Rollout 2 was the first that succeeded." in html
     said = "obstacle was touched: measurements and the simulator&#39;s ground truth agree in 3 of 3"
     assert said in html
-    assert (
-        html.count("data:image/svg+xml;base64,") == 4
-    )  # the final policy, learning curve, errors, stiffness
+    # The final policy, learning curve, errors, stiffness.
+    assert html.count("data:image/svg+xml;base64,") == 4
 
 
 def test_a_session_without_rollouts_has_a_report(tmp_path: Path) -> None:
-    candidates = [demonstrated_policy("demonstration-1")]
-    Session.begin(tmp_path, preset("flip", "paper"), 0, candidates).close()
+    begun(tmp_path, preset("flip", "paper"), 0)
     assert "session.yaml" in session_report.write(tmp_path).read_text()
-
-
-EXAMPLE = Path(__file__).resolve().parents[2] / "docs/extending.md"
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_a_task_derived_from_the_flip_keeps_its_figure_and_every_sentence(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    blocks = re.findall(r"```python\n(.*?)```", EXAMPLE.read_text(), re.DOTALL)
-    (code,) = (block for block in blocks if "class HighFlip" in block)
-    exec(code, derived := {})
-    found = session.read(folder)
-    tests = [r.model_copy(update={"kind": "retest"}) if r.number > 3 else r for r in found.records]
-    shown = session_report.ShownRollout("caught.", a_rollout("trial-0006", TURNS[5]))
-    monkeypatch.setattr(Session, "records", tests)
-
-    def of(task: Flip) -> list[str]:
-        found.task = task
-        html = session_report.render(found, found.candidates[0], shown)
-        told = r"learns from [^;]*;"
-        return re.sub(rf"base64,[^\"]*|task \w+<|{told}", "", html).splitlines()
-
-    flip = found.task
-    high = derived["HighFlip"](flip.settings, {})
-    assert of(high) == of(flip)
-    assert terminal.summary(tests, high) == terminal.summary(tests, flip)

@@ -21,12 +21,11 @@ from conftest import Probe, lift
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
-from toss_task import demonstrated_policy, practice_of, toss
+from toss_task import session_of
 
 from wam_power_interfaces.msg import Policy as PolicyMessage
 from wam_power_interfaces.srv import Pause
 from wam_power_ros.learning.policy import to_json
-from wam_power_ros.practice.session import Session
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.diagnostics import diagnostics_message
@@ -45,13 +44,7 @@ class Running:
     """A running session whose learner and arm are this test: locked folder, services, topics."""
 
     def __init__(self, folder: Path, domain: int) -> None:
-        settings = preset("flip", budget=ROLLOUTS, confirm=0)
-        policies = [demonstrated_policy()]
-        practice = practice_of(policies, settings, seed=0)
-        with Session.begin(folder, settings, 0, policies) as session:
-            for _ in range(ROLLOUTS):
-                trial = practice.next_trial()
-                session.append(practice.learn_assessed(trial, toss(trial, practice.task.settings)))
+        session_of(folder, preset("flip", budget=ROLLOUTS, confirm=0), ROLLOUTS)
         (folder / "logs").mkdir()
         (folder / "logs/ros_domain_id").write_text(f"{domain}\n")
         self.folder, self.asked, self.probe = folder, [], Probe(domain)

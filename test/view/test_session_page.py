@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from toss_task import demonstrated_policy, practice_of, toss
+from toss_task import demonstrated_policy, practice_of, session_of, toss
 
 from wam_power_ros.params.resources import share
 from wam_power_ros.practice.session import Session
@@ -35,8 +35,7 @@ def test_the_path_of_the_tool_is_drawn_while_the_arm_moves(
     server: GuardedServer, tmp_path: Path
 ) -> None:
     folder, urdf = tmp_path / "s", share("urdf/wam7.urdf").read_text()
-    with Session.begin(folder, preset("flip"), 0, [demonstrated_policy()]):
-        pass
+    session_of(folder, preset("flip"), 0)
     arm = Skeleton(urdf)
     state = LiveState(q=np.zeros(len(arm.joint_names)), receipt_time=np.inf)
     arm_of_node = {"urdf": urdf, "model_joint_names": arm.joint_names, "base_frame": ""}
@@ -115,7 +114,7 @@ def test_a_session_that_a_person_rates_has_buttons_for_ratings_that_are_passed_o
         update=LiveState,
         give=lambda kind, value: given.append((kind, value)) or answer,
     )
-    with Session.begin(tmp_path / "s", preset("rated"), 0, [demonstrated_policy()]):
+    with Session.open(session_of(tmp_path / "s", preset("rated"), 0)):
         page = SessionPage(server, tmp_path / "s")
         assert "Reward" not in page._buttons
         page.connect(node)
