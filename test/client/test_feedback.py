@@ -1,136 +1,72 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Feedback to a learner and a demonstration during its session; the answers are given."""
+"""A demonstration during a session: the arm is free only while the learner is paused."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from types import SimpleNamespace
+from pathlib import Path
 
 import pytest
 
 from wam_power_interfaces.srv import AddDemonstration
 from wam_power_ros.client import feedback as feedbacks
-from wam_power_ros.client import link as links
-from wam_power_ros.client import robot as robots
 from wam_power_ros.client.feedback import Feedback
 from wam_power_ros.client.link import Data
-from wam_power_ros.client.robot import Robot
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.outcomes import Answer, Code, ServiceError
 
-PAUSE, FREE = interface.LEARNER_PAUSE, interface.GRAVITY_COMPENSATION
-RECORD, LEARN = interface.RECORD, interface.ADD_DEMONSTRATION
-RESET, LEAD = interface.RESET_SCENE, interface.DEMONSTRATE
-BEFORE, AFTER = [(PAUSE, True), (FREE, True)], [(RECORD, False), (FREE, False)]
-GIVEN = [(LEARN, None), (PAUSE, False)]
+PAUSE, CONTINUE = (interface.LEARNER_PAUSE, True), (interface.LEARNER_PAUSE, False)
+LEARN, TAUGHT = (interface.ADD_DEMONSTRATION, "/bags/demo_1"), ("robot", "teach")
+LEARNS = Answer(Code.DONE, "learns")
 
 
-class Services:
-    """A link to services that succeed once the given answers are used up."""
+class Session:
+    """A link to a learner, which first gives the answers to a pause, and its arm."""
 
-    insist, answer = links.Link.insist, links.Link.answer
+    def __init__(self, *paused: Answer, learnt: Answer = LEARNS) -> None:
+        self.paused, self.learnt = [*paused], learnt
+        self.asked: list[tuple[str, object]] = []
 
-    def __init__(self, **answers: list[Answer]) -> None:
-        self.answers, self.bags = answers, []
-        self.asked: list[tuple[str, bool | None]] = []
-        recorder = SimpleNamespace(node_name="demonstration_recorder")
-        self.node = SimpleNamespace(
-            get_subscriptions_info_by_topic=lambda _: [recorder],
-        )
-
-    def call(self, name: str, data: Data = None, timeout: float = 0.0) -> Answer:
-        """Note the call, and answer."""
+    def answer(self, name: str, data: Data) -> Answer:
+        """Note the request, and answer."""
         if isinstance(data, AddDemonstration.Request):
-            self.bags.append(data.bag)
-            data = None
-        self.asked.append((name, getattr(data, "pause", data)))
-        waiting = self.answers.get(name.rpartition("/")[2], [])
-        return waiting.pop(0) if waiting else Answer(Code.DONE, "/bags/demo_1")
-
-    def until(self, condition: Callable[[], object], what: str) -> bool:
-        """Whether the condition holds already."""
-        return bool(condition())
+            self.asked.append((name, data.bag))
+            return self.learnt
+        self.asked.append((name, data.pause))
+        return self.paused.pop(0) if data.pause and self.paused else Answer(Code.DONE, "paused")
 
     def sleep(self, seconds: float) -> None:
         """Wait for a moment, so that answers are not used up before a timeout."""
         time.sleep(min(seconds, 1e-3))
 
-    def _full(self, name: str) -> str:
-        return name
+    def teach(self, lead: Callable[[], object] | None) -> Path:
+        """Note that the arm is set free and guided."""
+        self.asked.append(TAUGHT)
+        return Path("/bags/demo_1")
 
 
-class Action:
-    """Client of an action whose goals are done at once."""
-
-    def __init__(self, services: Services, kind: type, name: str) -> None:
-        self._services, self._name = services, name
-
-    def send(self) -> Action:
-        """Note the goal."""
-        self._services.call(self._name)
-        return self
-
-    def done(self, timeout: float = 0.0) -> None:
-        """Do nothing."""
+def teach(session: Session, notify: Callable[[str], object] = lambda text: None) -> Answer:
+    return Feedback(session).teach(session, None, notify)
 
 
-@pytest.fixture(autouse=True)
-def given(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(robots, "Action", Action)
-
-
-def teach(
-    services: Services,
-    lead: Callable[[], object] | None = lambda: None,
-    notify: Callable[[str], object] = lambda text: None,
-) -> Answer:
-    return Feedback(services).teach(Robot(services, body="pancake"), lead, notify)
-
-
-@pytest.fixture
-def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (feedbacks, links):
-        monkeypatch.setattr(module, "TIMEOUT", 0.01)
-
-
-def test_a_person_leads_after_the_trial_has_ended_and_the_learner_learns_while_the_arm_holds() -> (
-    None
-):
+def test_the_arm_is_free_after_the_trial_has_ended_and_the_learner_learns_and_continues() -> None:
     said: list[str] = []
-    services = Services(pause=[Answer(Code.DONE, "pauses after the trial", under_way=True)] * 3)
-    teach(services, lambda: services.asked.append(("hand", None)), said.append)
-    assert said == ["pauses after the trial"] and services.bags == ["/bags/demo_1"]
-    led = [*BEFORE, (RECORD, True), ("hand", None), *AFTER, *GIVEN]
-    assert services.asked == [(PAUSE, True)] * 3 + led
+    session = Session(*[Answer(Code.DONE, "pauses after the trial", under_way=True)] * 3)
+    assert teach(session, said.append) is LEARNS
+    assert said == ["pauses after the trial"]
+    assert session.asked == [*[PAUSE] * 4, TAUGHT, LEARN, CONTINUE]
 
 
-@pytest.mark.usefixtures("impatient")
-def test_gravity_compensation_never_begins_if_the_trial_does_not_end() -> None:
-    services = Services(pause=[Answer(Code.DONE, "waits", under_way=True)] * 10_000)
+def test_the_arm_is_never_free_if_the_trial_does_not_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(feedbacks, "TIMEOUT", 0.01)
+    session = Session(*[Answer(Code.DONE, "waits", under_way=True)] * 10_000)
     with pytest.raises(ServiceError, match="no trial ended in 0 s; the learner is paused"):
-        teach(services)
-    assert set(services.asked) == {(PAUSE, True)}
-
-
-def test_the_stand_in_demonstrates_from_the_start() -> None:
-    services = Services()
-    teach(services, lead=None)
-    simulated = [(RESET, None), (RECORD, True), (LEAD, None)]
-    assert services.asked == [*BEFORE, *simulated, *AFTER, *GIVEN]
+        teach(session)
+    assert set(session.asked) == {PAUSE}
 
 
 def test_a_refused_demonstration_is_reported_and_the_learner_continues() -> None:
-    services = Services(add_demonstration=[Answer(Code.REFUSED, "it never moves")])
-    assert teach(services) == Answer(Code.REFUSED, "it never moves")
-    assert services.asked[-1] == (PAUSE, False)
-
-
-@pytest.mark.usefixtures("impatient")
-@pytest.mark.parametrize("begun", [False, True])
-def test_an_arm_that_cannot_be_recorded_holds_again(begun: bool) -> None:
-    begin = [Answer(Code.DONE, "/bags/demo_1")] * begun
-    services = Services(record=[*begin, *[Answer(Code.BUSY, "the disk is full")] * 10_000])
-    with pytest.raises(ServiceError, match="the disk is full"):
-        teach(services)
-    assert services.asked[-1] == (FREE, False)
+    session = Session(learnt=Answer(Code.REFUSED, "it never moves"))
+    assert teach(session) == Answer(Code.REFUSED, "it never moves")
+    assert session.asked[-1] == CONTINUE

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -26,9 +27,14 @@ from wam_power_ros.ros.outcomes import Answer, Code, fill
 Teach = Callable[..., list[str]]
 
 
+FREE, HELD = [(interface.GRAVITY_COMPENSATION, switched) for switched in (True, False)]
+BEGUN, ENDED = [(interface.RECORD, begun) for begun in (True, False)]
+TAKE = [(interface.RESET_SCENE, True), BEGUN, (interface.DEMONSTRATE, True), ENDED]
+
+
 @pytest.fixture
-def switched() -> list[bool]:
-    """Requests for gravity compensation."""
+def asked() -> list[tuple[str, bool]]:
+    """What is asked of the nodes."""
     return []
 
 
@@ -37,7 +43,7 @@ def teach(
     probe: Probe,
     server: Node,
     robot: Robot,
-    switched: list[bool],
+    asked: list[tuple[str, bool]],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> Iterator[Teach]:
@@ -49,6 +55,7 @@ def teach(
 
     def record(request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         nonlocal count
+        asked.append((interface.RECORD, request.data))
         bag = tmp_path / "bags" / f"demo_{count}"
         if not request.data:
             demonstration(bag, random_q(5))
@@ -56,13 +63,18 @@ def teach(
         return fill(response, Answer(Code.DONE, str(bag)))
 
     def switch(request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        switched.append(request.data)
+        asked.append((interface.GRAVITY_COMPENSATION, request.data))
         return fill(response, Answer(Code.DONE))
 
     server.create_service(SetBool, interface.GRAVITY_COMPENSATION, switch)
     server.create_service(SetBool, interface.RECORD, record)
+
+    def act(name: str, id: str, goal: object) -> Answer:
+        asked.append((name, True))
+        return Answer(Code.DONE)
+
     for kind, name in ((ResetScene, interface.RESET_SCENE), (Demonstrate, interface.DEMONSTRATE)):
-        Action(server, kind, name, lambda id, goal: Answer(Code.DONE))
+        Action(server, kind, name, partial(act, name))
     recorder = rclpy.create_node("demonstration_recorder", context=probe.context)
     recorder.create_subscription(JointState, interface.JOINT_STATES, lambda _: None, 1)
     file = tmp_path / series.FILE
@@ -87,7 +99,7 @@ class Interrupted(io.StringIO):
 
 
 def test_takes_are_kept_repeated_and_discarded_and_the_series_is_ended(
-    teach: Teach, switched: list[bool], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    teach: Teach, asked: list[tuple[str, bool]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     keys = ("a", "", "what?", "d", "q")  # repeat, keep, asked again, not repeated, also the last
     assert teach(io.StringIO("\n".join(keys))) == ["old", "demo_1", "demo_3"]
@@ -95,20 +107,24 @@ def test_takes_are_kept_repeated_and_discarded_and_the_series_is_ended(
     assert sorted(bag.name for bag in trash.iterdir()) == ["demo_0", "demo_2"]
     said = capsys.readouterr()
     assert said.err.count("Enter: keep") == 5
-    assert switched == [True, False]
+    assert asked == [FREE, *TAKE * 4, HELD]
 
 
 def test_takes_before_ctrl_c_are_in_the_series_and_the_arm_holds(
-    teach: Teach, switched: list[bool], tmp_path: Path
+    teach: Teach, asked: list[tuple[str, bool]], tmp_path: Path
 ) -> None:
     with pytest.raises(KeyboardInterrupt):
         teach(Interrupted("\n\n"))
     kept = [bag.name for bag in series.read(tmp_path / series.FILE)]
     assert kept == ["old", "demo_0", "demo_1", "demo_2"]
-    assert switched == [True, False]
+    assert asked == [FREE, *TAKE * 3, HELD]
 
 
-def test_a_person_who_cannot_answer_is_not_waited_for(teach: Teach, switched: list[bool]) -> None:
-    with pytest.raises(ValueError, match="standard input is closed"):
-        teach(io.StringIO(), person=True)
-    assert switched == [True, False]
+def test_a_person_who_cannot_answer_is_not_waited_for_and_the_arm_holds(
+    teach: Teach, asked: list[tuple[str, bool]]
+) -> None:
+    for typed, taken in (("", []), ("\n", [BEGUN, ENDED])):
+        del asked[:]
+        with pytest.raises(ValueError, match="standard input is closed"):
+            teach(io.StringIO(typed), person=True)
+        assert asked == [FREE, *taken, HELD]
