@@ -71,14 +71,12 @@ def test_each_of_fourteen_mistakes_is_named(
             commands.config(devices, task)
 
 
-@pytest.mark.parametrize("task", ["flip", "reach", "ball_in_cup"])
-@pytest.mark.parametrize(
-    "arm", ["geodude", "libbarrett", "cobot", "ur", "franka", "openarm", "gen3", "xarm7"]
-)
-def test_no_set_up_of_ours_has_a_mistake(arm: str, task: str) -> None:
-    if task == "ball_in_cup" and arm not in ("geodude", "libbarrett"):
-        pytest.skip("no cup in its URDF")
-    assert not [*mistakes(overlay.setup([arm], task=task))]
+def test_no_set_up_of_ours_has_a_mistake() -> None:
+    with_a_cup = ["geodude", "libbarrett"]
+    every = [*with_a_cup, "cobot", "ur", "franka", "openarm", "gen3", "xarm7"]
+    tasks = [("flip", every), ("reach", every), ("ball_in_cup", with_a_cup)]
+    for task, arm in [(task, arm) for task, arms in tasks for arm in arms]:
+        assert [*mistakes(overlay.setup([arm], task=task))] == [], (arm, task)
 
 
 @pytest.mark.parametrize(("task", "asked"), [("reach", False), ("flip", True)])
