@@ -22,7 +22,7 @@ from control_msgs.action import FollowJointTrajectory
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from lifecycle_msgs.msg import State, Transition
-from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
+from lifecycle_msgs.srv import GetAvailableTransitions, GetState
 from nav_msgs.msg import Odometry
 from rcl_interfaces.msg import Log, Parameter, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
@@ -117,8 +117,7 @@ class Session:
 
     def change(self, transition: int) -> bool:
         """`ros2 lifecycle set`."""
-        request = ChangeState.Request(transition=Transition(id=transition))
-        return self.probe.call(ChangeState, f"{CONTROLLER}/change_state", request).success
+        return self.probe.change(transition)
 
     def state(self) -> int:
         """`ros2 lifecycle get`."""
@@ -136,9 +135,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
     folder = tmp_path_factory.mktemp("reflexes")
     with private_domain() as domain:
         probe, processes = Probe(domain), Processes(domain, folder)
-        diagnostics = probe.listen(
-            DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
-        )
+        diagnostics = probe.diagnostics()
         states = probe.listen(JointState, interface.JOINT_STATES, interface.STATE_RECORD)
         log = probe.listen(Log, interface.LOG, interface.LOG_QOS)
         start = lambda module, *words: processes.start(  # noqa: E731
