@@ -88,15 +88,13 @@ def test_a_chapter_shows_what_its_template_names_in_this_order_and_escaped(templ
     assert [name for name, png in chapter.figures.items() if png.startswith(b"\x89PNG")] == ["a"]
 
 
-def test_a_name_without_a_value_a_figure_twice_and_a_row_of_another_width_are_refused(
+def test_a_name_without_a_value_and_a_figure_twice_are_refused(
     template: Path,
 ) -> None:
     with pytest.raises(jinja2.UndefinedError, match="'missing' is undefined"):
         rendered(template, "{{ missing }}")
     with pytest.raises(ValueError, match="two figures with the same name: a"):
         rendered(template, '{{ figure("a", "", drawn) }}' * 2, drawn=drawing())
-    with pytest.raises(ValueError, match="row of 1 cells in a table of 2 columns"):
-        rendered(template, '{{ table("", ["a", "b"], [["1"]]) }}')
 
 
 def test_a_few_runs_are_no_ground_for_a_verdict() -> None:
