@@ -23,6 +23,7 @@ from reproduction.studies import (
     grounds,
     new_goals,
     rated,
+    stopping,
     two_axes,
 )
 from reproduction.studies.table import study_of
@@ -32,6 +33,7 @@ STUDIES = {
     "ball_in_cup": ball_in_cup.TABLE,
     "equal_knowledge": equal_knowledge.TABLE,
     "new_goals": new_goals.TABLE,
+    "stopping": stopping.TABLE,
     "two_axes": two_axes.TABLE,
     "by_positions": by_positions.TABLE,
     "rated": rated.TABLE,

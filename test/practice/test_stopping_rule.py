@@ -1,32 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """The stopping rule states what it shows; clear margins show it with fewer rollouts."""
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from scipy.stats import nct, norm
+from scipy.stats import norm, t
 from toss_task import record_of
 
-from wam_power_ros.practice import stopping_rule
 from wam_power_ros.practice.session_log import Record
-from wam_power_ros.practice.settings import PracticeSettings
+from wam_power_ros.practice.settings import PracticeSettings, preset
 from wam_power_ros.practice.stopping_rule import (
     CONFIDENCE,
-    LOOK_CONFIDENCE,
-    RECENT,
-    ROW_MIN,
     StoppingRule,
+    inside,
     rate_shown,
-    tolerance_factor,
 )
-
-
-@pytest.fixture
-def patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A rule that ends no row for being long."""
-    monkeypatch.setattr(stopping_rule, "SEARCH", 100)
 
 
 def rollout(
@@ -77,6 +66,13 @@ def test_explorations_neither_count_nor_end_a_row_and_call_for_the_mean_if_it_is
         assert stopping.count == 2 and not stopping.mean_is_due
 
 
+def test_a_rule_of_no_successes_is_never_complete() -> None:
+    stopping = rule(confirm=0, mean_every=0)
+    for record in (rollout(True), rollout(True, kind="explore"), rollout(False)):
+        assert stopping.add(record) == ""
+        assert not stopping.complete and stopping.z is None and not stopping.mean_is_due
+
+
 @pytest.mark.parametrize(
     ("record", "left"),
     [
@@ -94,54 +90,47 @@ def test_a_row_is_forgotten_with_a_success_that_was_rated_down(record: Record, l
     assert stopping.count == left and (stopping.z is None) is (left == 0)
 
 
-@pytest.mark.parametrize(("count", "rate"), [(2, 0.7), (10, 0.9), (40, 0.97)])
-def test_the_factor_is_that_of_the_one_sided_tolerance_interval(count: int, rate: float) -> None:
-    root = np.sqrt(count)
-    for freedom in (count - 1, count + 3):
-        exact = nct.ppf(LOOK_CONFIDENCE, freedom, root * norm.ppf(rate)) / root
-        assert tolerance_factor(count, freedom, rate) == pytest.approx(exact, rel=1e-6)
+def test_policies_below_the_rate_that_is_shown_are_rarely_confirmed_by_their_count() -> None:
+    for rate in (0.7, 0.95):
+        count = next(n for n in range(1, 100) if rate_shown(n) >= rate)
+        assert rate**count <= 1.0 - CONFIDENCE < rate ** (count - 1)
+    assert 0.9 <= rate_shown(preset("flip").practice.confirm) < 0.91
 
 
 def confirmed(
     margins: np.ndarray, confirm: int = 29, scatter: Sequence[float] = ()
 ) -> StoppingRule:
-    """The rule after successes of one mean with these margins (n, c)."""
+    """The rule after runs of one mean with these margins (n, c)."""
     stopping = rule(confirm, scatter=scatter)
     for row in margins:
-        stopping.add(rollout(True, margins=row.tolist()))
-        if stopping.complete or stopping.z is None:
+        stopping.add(rollout(bool(row.min() > 0.0), margins=row.tolist()))
+        if stopping.complete:
             break
     return stopping
 
 
-@pytest.mark.usefixtures("patient")
+@pytest.mark.parametrize(("count", "freedom"), [(2, 1), (5, 8), (30, 29)])
+def test_the_probability_of_a_success_is_that_of_the_next_margin(count: int, freedom: int) -> None:
+    """The posterior predictive distribution of a normal margin is a t distribution."""
+    for ratio in (0.0, 1.5, 4.0):
+        rates = np.exp(inside(np.array([ratio]), count, freedom))
+        exact = t.cdf(ratio / np.sqrt(1.0 + 1.0 / count), freedom)
+        assert rates.mean() == pytest.approx(exact, abs=5e-3)
+
+
+def test_every_margin_takes_its_share_of_the_successes() -> None:
+    one, two = (inside(np.full(m, 2.0), 10, 9).mean() for m in (1, 2))
+    assert two == pytest.approx(2.0 * one, rel=0.1)
+
+
 def test_clear_margins_confirm_with_few_rollouts_and_narrow_ones_end_the_row() -> None:
-    spread = np.array([[0.99, 5.0], [1.01, 5.1], [1.0, 4.9]] * 2)
-    clear = confirmed(spread)
-    assert clear.count == ROW_MIN
-    assert "all well inside the limits: at least 90% will (95%" in clear.complete
+    clear = confirmed(np.array([[0.99, 5.0], [1.01, 5.1], [1.0, 4.9]] * 4))
+    assert clear.count < 8
+    assert f"{clear.count} of {clear.count} succeeded, well inside" in clear.complete
     narrow = rule(29)
-    barely = [[0.002, 5.0], [0.05, 5.0], [0.002, 5.1], [0.05, 5.0], [0.002, 5.1]]
+    barely = [[0.002, 5.0], [0.05, 5.0], [0.002, 5.1], [0.05, 5.0]]
     said = [narrow.add(rollout(True, margins=row)) for row in barely]
-    assert said[-1] == "5 successes in a row, but with too small margins: learning goes on"
-    assert (narrow.z, narrow.count, narrow.complete) == (None, 0, "")
-
-
-@pytest.mark.usefixtures("patient")
-def test_a_row_ends_when_the_rest_of_it_would_more_likely_fail_than_not() -> None:
-    """Margins of r sd: 24 further successes have the probability Phi(r)^24, 2 more Phi(r)^2."""
-    for mean, goes_on in ((1.8, False), (2.0, True)):
-        rows = [[mean + each] for each in (-1.0, 1.0, 0.0, 1.0, -1.0)]
-        sd = float(np.std(rows, ddof=1))
-        assert (norm.cdf(mean) ** 24 > 0.5) == goes_on
-        narrow = rule(29)
-        for row in rows:
-            narrow.add(rollout(True, margins=[row[0] - mean + mean * sd]))
-        assert (narrow.count == 5) == goes_on
-        last = rule(7)
-        for row in rows:
-            last.add(rollout(True, margins=[row[0] - mean + mean * sd]))
-        assert last.count == 5
+    assert any("too small margins" in each for each in said) and not narrow.complete
 
 
 def test_margins_that_scatter_as_expected_confirm_sooner_and_never_by_a_lucky_row() -> None:
@@ -154,70 +143,87 @@ def test_margins_that_scatter_as_expected_confirm_sooner_and_never_by_a_lucky_ro
     assert confirmed(alike).complete and not confirmed(alike, scatter=[1.0]).complete
 
 
-def test_each_row_that_a_failure_has_ended_asks_one_success_more_of_the_next() -> None:
-    stopping = rule(29)
-    stopping.add(rollout(False))  # ends no row
-    for failed in range(3):
-        for k in range(ROW_MIN + failed - 1):
-            stopping.add(rollout(True, margins=[5.0 + 0.1 * (k % 3)]))
-            assert not stopping.complete and stopping.count == k + 1
-        stopping.add(rollout(False))
-    for k in range(ROW_MIN + 3):
+def test_a_first_success_with_less_margin_than_is_expected_to_last_ends_its_row_at_once() -> None:
+    for margin, goes_on in ((0.5, False), (4.0, True)):
+        stopping = rule(29, scatter=[1.0])
+        said = stopping.add(rollout(True, margins=[margin]))
+        assert (stopping.count == 1) == goes_on != ("too small margins" in said)
+        unknown = rule(29)
+        unknown.add(rollout(True, margins=[margin]))
+        assert unknown.count == 1
+
+
+def test_small_margins_do_not_end_a_row_that_is_nearly_complete() -> None:
+    for enough, goes_on in ((29, False), (4, True)):
+        stopping = rule(enough, scatter=[1.0])
+        for margin in (1.4, 1.5, 1.6):
+            stopping.add(rollout(True, margins=[margin]))
+        assert (stopping.count == 3) == goes_on
+
+
+def needed(failures: Sequence[Sequence[float] | None], z: float) -> int:
+    """Successes until a mean at 0 is confirmed, after failures of a mean at z that succeeded."""
+    stopping, count = rule(29), 0
+    for margins in failures:
+        stopping.add(rollout(True, z=z, margins=[5.0, 3.0]))
+        stopping.add(rollout(False, z=z, margins=margins))
+    while not stopping.complete:
+        stopping.add(rollout(True, margins=[5.0 + 0.1 * (count % 3), 3.0 + 0.1 * (count % 2)]))
+        count += 1
+    return count
+
+
+def test_a_failure_that_no_margin_explains_asks_more_of_every_later_mean() -> None:
+    explained = [needed(failures, z=1.0) for failures in ([], [[-0.1, 3.0]], [None])]
+    assert explained[0] == explained[1] == explained[2] < 8
+    assert explained[0] + 3 < needed([[4.0, 3.0]], z=1.0) < needed([[4.0, 3.0]] * 2, z=1.0) - 3
+    of_a_bad_mean = rule(29)
+    of_a_bad_mean.add(rollout(False, z=1.0, margins=[4.0, 3.0]))
+    for k in range(explained[0]):
+        of_a_bad_mean.add(rollout(True, margins=[5.0 + 0.1 * (k % 3), 3.0 + 0.1 * (k % 2)]))
+    assert of_a_bad_mean.complete
+
+
+def test_what_failed_of_a_mean_counts_when_it_is_run_again() -> None:
+    assert needed([[-0.5, 3.0]], z=1.0) + 5 < needed([[-0.5, 3.0]], z=0.0)
+
+
+def test_margins_that_are_not_known_of_every_success_do_not_count() -> None:
+    stopping = rule(confirm=6)
+    for k in range(6):
         assert not stopping.complete
-        stopping.add(rollout(True, margins=[5.0 + 0.1 * (k % 3)]))
-    assert "well inside" in stopping.complete
+        stopping.add(rollout(True, margins=None if k == 1 else [5.0 + 0.1 * k]))
+    assert stopping.complete.startswith("6 of 6 succeeded: ")
 
 
-def test_a_failure_that_no_margin_explains_asks_for_two_more_successes_until_it_is_long_past() -> (
-    None
-):
-    def needed(failures: Sequence[Sequence[float] | None]) -> int:
-        stopping = rule(29)
-        for margins in failures:
-            stopping.add(rollout(False, margins=margins))
-        for k in range(28):
-            stopping.add(rollout(True, margins=[5.0 + 0.1 * (k % 3), 3.0 + 0.1 * (k % 2)]))
-            if stopping.complete:
-                return stopping.count
-        return 29
-
-    assert needed([]) == needed([[-0.1, 3.0]]) == needed([None]) == ROW_MIN
-    assert needed([[4.0, 3.0]]) == ROW_MIN + 2
-    assert needed([[4.0, 3.0]] * 2) == ROW_MIN + 4
-    assert ROW_MIN + 4 < needed([[4.0, 3.0]] * 20) <= RECENT
+@pytest.mark.parametrize("scatter", [(), (1.0, 1.0)])
+def test_the_unit_of_the_margins_does_not_matter(scatter: Sequence[float]) -> None:
+    rng, said, unit = np.random.default_rng(4), set(), 128.0
+    for mean in np.linspace(0.0, 5.0, 30):
+        rows = np.abs(mean + rng.standard_normal((12, 2)))
+        rules = [rule(29, scatter=scatter), rule(29, scatter=[unit * each for each in scatter])]
+        for row in rows:
+            plain, other = (
+                each.add(rollout(True, margins=(factor * row).tolist()))
+                for each, factor in zip(rules, (1.0, unit), strict=True)
+            )
+            assert plain == other and rules[0].complete == rules[1].complete
+            said.add(plain.partition(", ")[2])
+    assert len(said) > 1, "some rows have ended"
 
 
-def test_a_row_that_would_be_much_longer_than_that_of_a_better_mean_ends() -> None:
-    said = "1 success in a row, but margins that need many more: learning goes on"
-    assert rule(29, scatter=[1.0]).add(rollout(True, margins=[4.0])) == "1 success in a row"
-    stopping, ended = rule(29, scatter=[1.0]), 0
-    for z in range(20):
-        if stopping.add(rollout(True, z=z, margins=[2.0])) != said:
-            break
-        assert stopping.z is None
-        ended += 1
-    needed = next((n for n in range(2, 29) if tolerance_factor(n, n + 3, rate_shown(29)) < 2.0), 29)
-    # Each that has ended lets the next be longer: the arm may not be able to do better.
-    assert ended == math.ceil((needed - 1 - ROW_MIN) / stopping_rule.SEARCH) - 1 > 0
+@pytest.mark.parametrize(("alike", "expected"), [(1, 0.7), (3, None)])
+def test_policies_below_the_rate_are_rarely_confirmed(alike: int, expected: float | None) -> None:
+    """Normal margins of a policy of 0.9: one that decides, or three alike, looked at each time.
 
-
-@pytest.mark.parametrize(("alike", "expected"), [(1, None), (1, 0.7), (3, 1.0)])
-def test_policies_below_the_rate_are_rarely_confirmed_by_their_margins(
-    alike: int, expected: float | None
-) -> None:
-    """Normal margins of a policy of 0.9: one that decides, or three alike; looked at each time.
-
-    Their standard deviation is not expected, is the expected one, or 1.4 times as large.
+    Their standard deviation is 1.4 times the expected one, or not expected.
     """
     rng = np.random.default_rng(alike)
     scatter = () if expected is None else (expected,) * 3
-    wrong, runs = 0, 500
-    share = 0.9 ** (1.0 / alike)
-    for _ in range(runs):
+    wrong, sessions = 0, 50
+    for _ in range(sessions):
         rows = np.full((40, 3), 9.0) + rng.standard_normal((40, 3))
-        rows[:, :alike] += norm.ppf(share) - 9.0
-        failed = np.flatnonzero(rows.min(axis=1) < 0.0)
-        row = rows[: failed[0] if len(failed) else 40]
-        wrong += bool(confirmed(row, scatter=scatter).complete)
-    error = np.sqrt(CONFIDENCE * (1.0 - CONFIDENCE) / runs)
-    assert wrong / runs < 1.0 - CONFIDENCE + 2.0 * error
+        rows[:, :alike] += norm.ppf(0.9 ** (1.0 / alike)) - 9.0
+        wrong += "well inside" in confirmed(rows, scatter=scatter).complete
+    share = 0.1  # of 300 seeds: 0.07 and 0.01
+    assert wrong / sessions < share + 2.0 * np.sqrt(share * (1.0 - share) / sessions)

@@ -1,43 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stopping rule: how many successes of one mean, and how clear ones, end a session.
+"""Stopping rule: when the runs of one mean show that it succeeds often enough.
 
 A number of successes in a row shows, with a confidence of 95 %, that a further rollout succeeds
-with at least some probability: 10 of 10 one of 0.74, 29 of 29 one of 0.9. A row is run once for a
-mean and ends with its first failure, so the number is exact however often one looks. Margins show
-the same with fewer rollouts: if they are normally distributed, a one-sided tolerance interval
-bounds the share of rollouts that are inside a limit. Their standard deviation is that of the row,
-weighed against the one which the task expects, if it does. The interval is looked at after every
-success, and only while there is no failure, which selects rows that look better than they are.
-Hence a single look must show more (`LOOK_CONFIDENCE`).
+with at least some probability: 10 of 10 one of 0.74, 29 of 29 one of 0.9. Margins show the same
+with fewer. The model: a rollout succeeds if all its margins are positive and nothing fails that no
+margin shows. Margins of one mean are independent and normally distributed; the standard deviation
+that the task expects counts as `EXPECTED` observations. The share that fails for another reason is
+that of all means of the session after a success, with the prior `OTHER`. A mean is confirmed once
+the rate is exceeded with the probability `BELIEF`, given all its runs. So one may look after each.
 """
 
 from __future__ import annotations
 
 import math
-from collections import deque
+from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from functools import cache
 
 import numpy as np
-from scipy.special import nctdtrit, ndtri
+from scipy.special import betaincinv, gammaincinv, log_ndtr, ndtri
 
 from wam_power_ros.practice.session_log import Record
 from wam_power_ros.practice.settings import PracticeSettings
 from wam_power_ros.tasks.task import LoggedRollout
 
-CONFIDENCE = 0.95
-LOOK_CONFIDENCE = 0.995  # of a single look at one margin
-# Successes before margins count. They do not show what fails now and then for another reason, like
-# a body that lay elsewhere. Hence one more for each row that a failure has ended, and two for each
-# of the latest runs of a mean that failed although all its margins were positive.
-ROW_MIN = 5
-UNEXPLAINED = 2
-RECENT = 12  # runs of a mean
+CONFIDENCE = 0.95  # of what a number of successes in a row shows
+BELIEF = 0.97  # probability of the rate that confirms a mean by its margins
 EXPECTED = 4  # observations that the expected standard deviation of a margin counts as
-# A row ends when its margins would need more further successes than clear ones of another mean, and
-# this many rollouts to find it; this many more for each row that has ended so, because the arm may
-# not be able to do better.
-SEARCH = 3
+OTHER = (1.0, 45.0)  # rollouts that failed for another reason and that did not, before the first
+DRAWS = 2048  # of a posterior distribution
 
 
 def rate_shown(count: int) -> float:
@@ -45,15 +36,39 @@ def rate_shown(count: int) -> float:
     return float((1.0 - CONFIDENCE) ** (1.0 / count))
 
 
-@cache
-def tolerance_factor(count: int, freedom: int, rate: float) -> float:
-    """Mean margin, in standard deviations, that shows a share of positive margins.
+def inside(ratio: np.ndarray, count: int, freedom: int) -> np.ndarray:
+    """Logarithms of the probability that all margins of a rollout are positive, (DRAWS,) draws.
 
-    They are `count` independent, normally distributed margins, whose standard deviation has
-    `freedom` >= 1 degrees of freedom; `rate` is to be shown with `LOOK_CONFIDENCE`.
+    They are drawn from its posterior distribution, equal ones for equal arguments. `ratio` (m,) are
+    the mean margins of `count` runs over their standard deviations, which have `freedom` >= 1
+    degrees of freedom.
     """
-    root = math.sqrt(count)
-    return float(nctdtrit(freedom, root * ndtri(rate), LOOK_CONFIDENCE)) / root
+    rates = np.zeros(DRAWS)
+    for k, value in enumerate(ratio):
+        shift = ndtri(_uniform(2 * k + 1)) / math.sqrt(count)
+        rates += log_ndtr(value * _deviations(freedom, 2 * k + 2) + shift)
+    return rates
+
+
+@cache
+def _not_otherwise(failed: float, others: float) -> np.ndarray:
+    """Draws of the logarithm of the share that does not fail for another reason. Shape (DRAWS,)."""
+    draws: np.ndarray = np.log1p(-betaincinv(failed, others, _uniform(0)))
+    return draws
+
+
+@cache
+def _deviations(freedom: int, seed: int) -> np.ndarray:
+    """Draws of a sample's standard deviation over the true one. Shape (DRAWS,)."""
+    draws: np.ndarray = np.sqrt(2.0 * gammaincinv(0.5 * freedom, _uniform(seed)) / freedom)
+    return draws
+
+
+@cache
+def _uniform(seed: int) -> np.ndarray:
+    """Evenly spread numbers in (0, 1), in an order of the seed's. Shape (DRAWS,)."""
+    order = np.random.Generator(np.random.PCG64(seed)).permutation(DRAWS)
+    return (order + 0.5) / DRAWS
 
 
 class StoppingRule:
@@ -64,6 +79,7 @@ class StoppingRule:
 
     Attributes:
         z: Coordinates of the mean being confirmed, None when there is none. Shape (size,).
+        count: Number of successes in a row of that mean.
         complete: Why it is confirmed, empty while it is not.
         mean_is_due: Whether the mean is run next because another rollout succeeded.
     """
@@ -74,21 +90,14 @@ class StoppingRule:
         margins: Callable[[LoggedRollout], Sequence[float]],
         scatter: Sequence[float] = (),
     ) -> None:
-        self._settings = settings
-        self._scatter = scatter
-        self._margins_of = margins
-        self._margins: list[Sequence[float]] = []  # one row for each success
-        self._failed = 0  # rows that a failure has ended
-        self._long = 0  # rows that have ended because they would have been long
-        self._unexplained: deque[bool] = deque(maxlen=RECENT)  # failures that no margin explains
+        self._settings, self._margins, self._scatter = settings, margins, scatter
+        self._mean: list[float] = []  # coordinates of the latest mean
+        self._runs: list[Sequence[float]] = []  # margins of its runs
+        self._other = np.array(OTHER)
         self.z: np.ndarray | None = None
+        self.count = 0
         self.complete = ""
         self.mean_is_due = False
-
-    @property
-    def count(self) -> int:
-        """Number of successes in a row of the mean being confirmed."""
-        return len(self._margins)
 
     def add(self, record: Record) -> str:
         """Judge a rollout of the practice; returns a remark for the log, may be empty."""
@@ -103,67 +112,59 @@ class StoppingRule:
 
     def forget(self, record: Record) -> None:
         """End the row if a rollout that is no success any more was part of it."""
-        if self.z is not None and record.kind == "mean" and record.z == self.z.tolist():
-            self._end()
+        if record.kind == "mean" and record.z == self._mean:
+            self._begin([])
+
+    def _begin(self, mean: list[float]) -> None:
+        self._mean, self._runs, self.z, self.count = mean, [], None, 0
 
     def _add_mean(self, record: Record) -> str:
-        self.mean_is_due, before = False, self.count
-        if not record.success:
-            self._end()
-            self._failed += before > 0
-            self._unexplained.append(min(self._margins_of(record), default=0.0) > 0.0)
-            return f"ended after {before} successes in a row" if before else ""
-        if self.z is None or record.z != self.z.tolist():
-            self._end()
-        self._unexplained.append(False)
-        self.z = np.array(record.z)
-        self._margins.append(tuple(self._margins_of(record)))
-        return self._judge()
-
-    def _end(self) -> None:
-        self.z, self._margins = None, []
+        if record.z != self._mean:
+            self._begin(record.z)
+        margins, self.mean_is_due = tuple(self._margins(record)), False
+        self._runs.append(margins)
+        before, other = self.count, not record.success and min(margins, default=0.0) > 0.0
+        if before:  # a mean that has not succeeded may fail in ways that a good one does not
+            self._other += (other, record.success)
+        if record.success:
+            self.z, self.count = np.array(record.z), before + 1
+            return self._judge()
+        self.z, self.count = None, 0
+        return f"ended after {before} successes in a row" if before else ""
 
     def _judge(self) -> str:
         """Confirm the mean, end its row or go on; returns a remark for the log."""
-        count, enough = self.count, self._settings.confirm
-        said = f"{count} {'success' if count == 1 else 'successes'} in a row"
-        if count >= enough:
-            self.complete = f"{count} of {count} succeeded: {_shown(count)}"
+        enough, runs, size = self._settings.confirm, len(self._runs), len(self._runs[-1])
+        rate = rate_shown(enough)
+        said = f"{self.count} {'success' if self.count == 1 else 'successes'} in a row"
+        if self.count >= enough:
+            shown = f"at least {rate:.0%} will ({CONFIDENCE:.0%} confidence)"
+            self.complete = f"{self.count} of {self.count} succeeded: {shown}"
             return said
-        size = len(self._margins[0])
         expected = len(self._scatter) == size
-        if not size or any(len(each) != size for each in self._margins):
+        freedom = runs - 1 + EXPECTED * expected
+        if not size or freedom < 1 or any(len(each) != size for each in self._runs):
             return said
-        if count < ROW_MIN and not expected:
+        prior = np.square(self._scatter) if expected else 0.0
+        squares = runs * np.var(self._runs, axis=0) + EXPECTED * prior
+        with np.errstate(divide="ignore"):
+            ratio = np.mean(self._runs, axis=0) / np.sqrt(squares / freedom)
+        failed, others = self._other
+
+        def shown_by(more: int) -> bool:
+            """Whether the rate is shown after so many more successes with margins like these."""
+            rates = inside(ratio, runs + more, freedom + more)
+            rates += _not_otherwise(failed, others + more)
+            return bool(np.mean(rates >= math.log(rate)) >= BELIEF)
+
+        if shown_by(0):
+            shown = f"at least {rate:.0%} will ({BELIEF:.0%} probable)"
+            self.complete = f"{self.count} of {runs} succeeded, well inside the limits: {shown}"
             return said
-        rows = np.array(self._margins)
-        freedom, squares = count - 1, count * rows.var(axis=0)
-        if expected:
-            freedom, squares = freedom + EXPECTED, squares + EXPECTED * np.square(self._scatter)
-        mean, sd, rate = rows.mean(axis=0), np.sqrt(squares / freedom), rate_shown(enough)
-        needed = ROW_MIN + self._failed + UNEXPLAINED * sum(self._unexplained)
-        few = max(needed - count, 0)
-        if not few and (mean > tolerance_factor(count, freedom, rate) * sd).all():
-            inside = "all well inside the limits"
-            self.complete = f"{count} of {count} succeeded, {inside}: {_shown(enough)}"
-            return said
-        # It would more likely fail than not before it shows something.
-        if (mean < float(ndtri(0.5 ** (1.0 / (few or enough - count)))) * sd).any():
-            self._end()
+        further = range(1, enough - self.count)
+        needed = 1 + bisect_left(further, True, key=shown_by)
+        # By its margins it would more likely fail before; what else fails, fails any mean.
+        if needed * np.median(inside(ratio, runs, freedom)) < math.log(0.5):
+            self.z, self.count = None, 0
             return f"{said}, but with too small margins: learning goes on"
-        free = freedom - count
-        ends = (
-            n
-            for n in range(count + 1, enough)
-            if (mean > tolerance_factor(n, n + free, rate) * sd).all()
-        )
-        if next(ends, enough) - count > needed + SEARCH * (1 + self._long):
-            self._long += 1
-            self._end()
-            return f"{said}, but margins that need many more: learning goes on"
         return said
-
-
-def _shown(count: int) -> str:
-    """What a number of successes in a row shows, in words."""
-    return f"at least {rate_shown(count):.0%} will ({CONFIDENCE:.0%} confidence)"
