@@ -387,7 +387,7 @@ def test_a_fault_while_the_body_is_waited_for_takes_the_arm_to_its_start_again(
         ball.moves = int(not faulty or len(told) > 80)  # at last, so that the test ends
 
     cell.node.create_timer(0.1, diagnose)
-    client = connect("ball", joint_names=["j1"], reset_faults=False, patience=0.1)
+    client = connect("ball", joint_names=["j1"], reset_faults=False, patience=0.5)
     seen = awaited_by(client, cell)
     executed = client.execute(POLICY, WHOLE, in_place)
     assert cell.requests == [MOVE, MOVE, MOVE, EXECUTE]
