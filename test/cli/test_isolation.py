@@ -39,7 +39,7 @@ class Executed(NamedTuple):
         torques: Commands that have come in that domain.
         drivers: Joint names of all states there; that of the robot is the test.
         exported: That domain.
-        folder: What the command has written, by an odd name.
+        folder: Path of what the command writes; its name has quotes, a blank and an accent.
         said: What it has printed.
         status: Its exit status.
     """

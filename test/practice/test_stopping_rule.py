@@ -119,8 +119,9 @@ def test_the_probability_of_a_success_is_that_of_the_next_margin(count: int, fre
 
 
 def test_every_margin_takes_its_share_of_the_successes() -> None:
-    one, two = (inside(np.full(m, 2.0), 10, 9).mean() for m in (1, 2))
-    assert two == pytest.approx(2.0 * one, rel=0.1)
+    """What is not known of one margin says nothing of another: expected shares multiply."""
+    one, two = (np.exp(inside(np.full(m, 1.0), 2, 1)).mean() for m in (1, 2))
+    assert two == pytest.approx(one**2, abs=0.01)
 
 
 def test_clear_margins_confirm_with_few_rollouts_and_narrow_ones_end_the_row() -> None:
@@ -141,6 +142,23 @@ def test_margins_that_scatter_as_expected_confirm_sooner_and_never_by_a_lucky_ro
     assert counts[1] < counts[0] == counts[2]  # a scatter of other margins does not count
     alike = np.array([[1.0], [1.01], [0.99]] * 2)
     assert confirmed(alike).complete and not confirmed(alike, scatter=[1.0]).complete
+
+
+def test_equal_margins_show_no_scatter_and_count_as_successes_alone() -> None:
+    equal = confirmed(np.full((29, 1), 0.5))
+    assert equal.count == 29 and "well inside" not in equal.complete
+    assert confirmed(np.full((29, 1), 0.5), scatter=[0.05]).count < 8
+
+
+def test_what_is_confirmed_names_all_runs_of_the_mean() -> None:
+    stopping = rule(29, scatter=[1.0])
+    assert "too small" in stopping.add(rollout(True, margins=[0.5]))
+    runs = 1
+    while not stopping.complete:
+        stopping.add(rollout(True, margins=[6.0]))
+        runs += 1
+    assert stopping.count < runs
+    assert stopping.complete.startswith(f"{runs} of {runs} succeeded, well inside")
 
 
 def test_a_first_success_with_less_margin_than_is_expected_to_last_ends_its_row_at_once() -> None:

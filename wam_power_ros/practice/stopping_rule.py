@@ -93,6 +93,7 @@ class StoppingRule:
         self._settings, self._margins, self._scatter = settings, margins, scatter
         self._mean: list[float] = []  # coordinates of the latest mean
         self._runs: list[Sequence[float]] = []  # margins of its runs
+        self._succeeded = 0  # of its runs
         self._other = np.array(OTHER)
         self.z: np.ndarray | None = None
         self.count = 0
@@ -116,13 +117,14 @@ class StoppingRule:
             self._begin([])
 
     def _begin(self, mean: list[float]) -> None:
-        self._mean, self._runs, self.z, self.count = mean, [], None, 0
+        self._mean, self._runs, self._succeeded, self.z, self.count = mean, [], 0, None, 0
 
     def _add_mean(self, record: Record) -> str:
         if record.z != self._mean:
             self._begin(record.z)
         margins, self.mean_is_due = tuple(self._margins(record)), False
         self._runs.append(margins)
+        self._succeeded += record.success
         before, other = self.count, not record.success and min(margins, default=0.0) > 0.0
         if before:  # a mean that has not succeeded may fail in ways that a good one does not
             self._other += (other, record.success)
@@ -147,19 +149,20 @@ class StoppingRule:
             return said
         prior = np.square(self._scatter) if expected else 0.0
         squares = runs * np.var(self._runs, axis=0) + EXPECTED * prior
-        with np.errstate(divide="ignore"):
-            ratio = np.mean(self._runs, axis=0) / np.sqrt(squares / freedom)
-        failed, others = self._other
+        if not squares.all():  # equal margins, as of a reading in coarse steps, show no scatter
+            return said
+        ratio = np.mean(self._runs, axis=0) / np.sqrt(squares / freedom)
+        otherwise = _not_otherwise(*self._other)
 
         def shown_by(more: int) -> bool:
             """Whether the rate is shown after so many more successes with margins like these."""
-            rates = inside(ratio, runs + more, freedom + more)
-            rates += _not_otherwise(failed, others + more)
+            rates = inside(ratio, runs + more, freedom + more) + otherwise
             return bool(np.mean(rates >= math.log(rate)) >= BELIEF)
 
         if shown_by(0):
             shown = f"at least {rate:.0%} will ({BELIEF:.0%} probable)"
-            self.complete = f"{self.count} of {runs} succeeded, well inside the limits: {shown}"
+            of = f"{self._succeeded} of {runs} succeeded"
+            self.complete = f"{of}, well inside the limits: {shown}"
             return said
         further = range(1, enough - self.count)
         needed = 1 + bisect_left(further, True, key=shown_by)
