@@ -7,7 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
+from wam_power_ros.cli import main
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.in_process import learn
@@ -85,6 +87,16 @@ def test_a_demonstration_whose_reproduction_would_fault_is_not_learnt_from(
     monkeypatch.setattr(Environment, "infeasible", lambda *_: fault)
     with pytest.raises(ValueError, match="would end in a fault: joint 4 too fast"):
         next(learn.run(tmp_path, overlay.setup(task="flip"), preset("flip", budget=4), 0, 1))
+
+
+def test_a_set_up_has_the_settings_that_are_not_typed(tmp_path: Path) -> None:
+    file, folder = tmp_path / "lab.yaml", tmp_path / "s"
+    given = {"preset": "diagonal", "changes": '{"budget": 9, "retests": 1}'}
+    file.write_text(yaml.safe_dump({"/**/learner": {"ros__parameters": given}}))
+    typed = ["--simulate", "--config", str(file), "--task", "reach", "--trials", "2"]
+    assert main.main(["learn", "--in-process", "--session", str(folder), *typed]) == 0
+    expected = preset("reach", "diagonal", budget=2, retests=1)
+    assert session.read(folder).header.settings == expected
 
 
 def test_what_needs_nodes_is_refused_in_process(refusal: Callable[..., str]) -> None:

@@ -31,9 +31,9 @@ from wam_power_ros.cli.session_options import (
     SESSIONS,
     SessionOptions,
     chosen,
+    chosen_settings,
     existing_session,
     learner_parameters,
-    settings_of,
     with_origin,
 )
 from wam_power_ros.durable_files import check_name, printable
@@ -134,13 +134,14 @@ def _learn_in_process(
 ) -> int:
     """Teach and learn in simulation without nodes, and write the report."""
     from wam_power_ros.in_process import learn as in_process
+    from wam_power_ros.practice.settings import of_parameters
     from wam_power_ros.reporting import terminal
 
     with folder_lock(folder), terminal.Display() as display:
         for file, text in Plan(folder, parameters, stand_ins=True).written.items():
             file.write_text(text, encoding="utf-8")
-        settings, count = settings_of(task, asked), asked.demonstrations
-        for session in in_process.run(folder, parameters, settings, seed, count):
+        settings = of_parameters(parameters["learner"] | chosen_settings(asked, task))
+        for session in in_process.run(folder, parameters, settings, seed, asked.demonstrations):
             display.show(session.log, session.header.settings, session.task)
     _print_summary(session)
     return report(folder)

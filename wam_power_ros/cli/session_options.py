@@ -14,7 +14,6 @@ from wam_power_ros.durable_files import check_name
 
 if TYPE_CHECKING:
     from wam_power_ros.practice.session import SessionHeader
-    from wam_power_ros.practice.settings import SessionSettings
 
 SESSIONS = Path("sessions")
 POLICY = "policy.json"  # in the folder of a session
@@ -75,7 +74,7 @@ def chosen(folder: Path, asked: SessionOptions, devices: Devices) -> tuple[int, 
         header.settings.check(len(header.candidates))
     except ValueError as error:  # begun by another version
         raise UsageError(f"{folder} cannot go on: {error}. Begin another session") from None
-    for difference in _differences(asked, header):
+    for difference in _differences(asked, header, devices):
         raise UsageError(f"{folder} was begun with {difference}")
     return header.seed, header.settings.task
 
@@ -114,30 +113,24 @@ def learner_parameters(folder: Path, asked: SessionOptions, seed: int, task: str
     """Parameters of the learner of a session; one that is resumed keeps its own settings."""
     return {
         "session": str(folder),
-        "task": task,
         "seed": seed,
-        "learner": asked.learner,
-        "preset": asked.preset,
-        "trials": asked.trials or 0,
-        "minutes": asked.minutes or 0,
+        **chosen_settings(asked, task),
         "demonstrations": [str(bag.resolve()) for bag in asked.bags] or [""],
         "policy": "" if asked.origin is None else str(asked.origin / POLICY),
         "goal": json.dumps(dict(asked.goal)) if asked.goal else "",
     }
 
 
-def settings_of(task: str, asked: SessionOptions) -> SessionSettings:
-    """Settings of a new session; a ValueError names what is unknown or out of range."""
-    from wam_power_ros.practice.settings import preset
-
-    learner = {"name": asked.learner} if asked.learner else None
-    limits = {"budget": asked.trials, "minutes": asked.minutes}
-    return preset(task, asked.preset, learner, **{k: v for k, v in limits.items() if v is not None})
+def chosen_settings(asked: SessionOptions, task: str) -> dict[str, Any]:
+    """Parameters of the learner that settings follow from; a set-up has those not asked for."""
+    given = {"learner": asked.learner, "preset": asked.preset}
+    given |= {"trials": asked.trials, "minutes": asked.minutes}
+    return {"task": task, **{name: value for name, value in given.items() if value}}
 
 
-def _differences(asked: SessionOptions, header: SessionHeader) -> Iterator[str]:
+def _differences(asked: SessionOptions, header: SessionHeader, devices: Devices) -> Iterator[str]:
     """What a session was begun with and is asked otherwise, with what to do."""
-    from wam_power_ros.practice.settings import preset
+    from wam_power_ros.practice.settings import of_parameters
 
     own, limits = header.settings, header.settings.practice
     begun = {"seed": header.seed, "task": own.task, "learner": own.learner}
@@ -145,9 +138,11 @@ def _differences(asked: SessionOptions, header: SessionHeader) -> Iterator[str]:
     for name, value in begun.items():
         if getattr(asked, name) not in (None, "", value):
             yield f"{name} {value}; omit {name}"
-    budgets = {"budget": limits.budget, "minutes": limits.minutes}
-    if asked.preset and preset(own.task, asked.preset, {"name": own.learner}, **budgets) != own:
-        yield f"other settings than preset {asked.preset}; omit preset"
+    if asked.preset:
+        same = replace(asked, learner=own.learner, trials=limits.budget, minutes=limits.minutes)
+        given = devices.parameters(own.task)["learner"] | chosen_settings(same, own.task)
+        if of_parameters(given) != own:
+            yield f"other settings than preset {asked.preset}; omit preset"
     used = set(header.demonstrations)  # without those that were of no use
     if asked.bags and not used <= {str(bag.resolve()) for bag in asked.bags}:
         yield f"the demonstrations {' '.join(header.demonstrations)}; omit bags"
@@ -156,12 +151,13 @@ def _differences(asked: SessionOptions, header: SessionHeader) -> Iterator[str]:
 def _check_new(folder: Path, task: str, asked: SessionOptions, devices: Devices) -> None:
     from wam_power_ros.bags import reader, series
     from wam_power_ros.bags.bag import Bag
+    from wam_power_ros.practice.settings import of_parameters
 
-    settings = settings_of(task, asked)
+    setup = devices.parameters(task)
+    settings = of_parameters(setup["learner"] | chosen_settings(asked, task))
     taught = max(asked.demonstrations, len(series.read(folder / series.FILE)))
     settings.check(1 if asked.origin else len(asked.bags) or taught)
-    setup, tasks = devices.parameters(task), task_stems()
-    arm, stem = setup.arm(), setup["demonstration_recorder"]["stem"]
+    tasks, arm, stem = task_stems(), setup.arm(), setup["demonstration_recorder"]["stem"]
     for path in asked.bags:
         bag = Bag(path)
         reader.read_states(bag, setup.joint_names, arm=arm and arm.identity())

@@ -41,7 +41,7 @@ from wam_power_ros.practice.new_goal import context_for, policy_for
 from wam_power_ros.practice.practice import GO_ON, RATING_MAX, Practice
 from wam_power_ros.practice.session import Session, read, read_policy
 from wam_power_ros.practice.session_log import KIND_NAMES, Event, Pause, Record, Trial
-from wam_power_ros.practice.settings import SessionSettings, preset
+from wam_power_ros.practice.settings import of_parameters
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.diagnostics import LEARNER_STATE, Diagnostics
 from wam_power_ros.ros.node_runner import end, init, interrupt_on_signals
@@ -314,19 +314,6 @@ class Learner(Node):
         begun = read(folder).header.settings.task if Session.exists(folder) else ""
         return installed.task_type(begun or own)
 
-    def _settings(self) -> SessionSettings:
-        params = self.params
-        changes = plain_json.parse(params.changes or "{}", "changes")
-        if not isinstance(changes, dict):
-            raise ValueError(f"changes {params.changes!r} must be a JSON object")
-        if params.trials:
-            changes["budget"] = params.trials
-        if params.minutes:
-            changes["minutes"] = params.minutes
-        if params.learner:
-            changes["learner"] = {"name": params.learner, **changes.get("learner", {})}
-        return preset(params.task, params.preset, **changes)
-
     def _open(self) -> tuple[Session, Practice]:
         params = self.params
         folder = FilePath(params.session)
@@ -334,7 +321,7 @@ class Learner(Node):
             session = Session.open(folder)
             self._check_arm(session)
         else:
-            settings = self._settings()
+            settings = of_parameters(params.model_dump())
             named = list(filter(None, params.demonstrations))
             settings.check(1 if params.policy else len(named))  # before the bags are read
             bags, demonstrations, candidates = self._demonstrations.candidates(settings, named)

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, ValidationError, model_validator
 
-from wam_power_ros import installed
+from wam_power_ros import installed, plain_json
 from wam_power_ros.learning.demonstration import Demonstration, from_positions
 from wam_power_ros.learning.learner import ErrorModel, Learner, needs_errors
 from wam_power_ros.learning.model_based import ModelBased
@@ -196,6 +196,27 @@ def preset(
     parts = {"task": task, "task_settings": values, "practice": course}
     parts |= {"learner": learning.pop("name"), "learner_settings": learning}
     return validated(SessionSettings, parts, f"invalid settings of task {task!r}: ")
+
+
+def of_parameters(given: Mapping[str, Any]) -> SessionSettings:
+    """Settings of a new session by the parameters of the learner's node, whose others are ignored.
+
+    `task`, `preset`, `learner`, `trials` and `minutes` are values, empty or 0 for the preset's;
+    `changes` is a JSON object of changes to the preset.
+
+    Raises:
+        ValueError: See `preset`; or `changes` is none.
+    """
+    changes = plain_json.parse(given["changes"] or "{}", "changes")
+    if not isinstance(changes, dict):
+        raise ValueError(f"changes {given['changes']!r} must be a JSON object")
+    if given["trials"]:
+        changes["budget"] = given["trials"]
+    if given["minutes"]:
+        changes["minutes"] = given["minutes"]
+    if given["learner"]:
+        changes["learner"] = {"name": given["learner"], **changes.get("learner", {})}
+    return preset(given["task"], given["preset"], **changes)
 
 
 def _made_up_movement() -> Demonstration:
