@@ -144,10 +144,9 @@ class DemonstrationRecorder(Node):
 
     def _on_message(self, topic: str, cdr: bytes) -> None:
         if topic == self._state_topic and self._joint in cdr:
-            with suppress(ValueError):  # bytes of anybody
-                self._state_ns = header_stamp(cdr)
-                if self._recording is not None:
-                    self._stamps.append(self._state_ns)
+            self._state_ns = header_stamp(cdr)  # a message with the name holds at least 12 bytes
+            if self._recording is not None:
+                self._stamps.append(self._state_ns)
         if topic in self._latched:
             self._latched_messages[topic] = cdr
         if self._recording is not None:
