@@ -18,7 +18,7 @@ from wam_power_ros.learning.demonstration import Demonstration
 from wam_power_ros.params import overlay
 from wam_power_ros.practice import session
 from wam_power_ros.practice.session import Session
-from wam_power_ros.practice.settings import preset
+from wam_power_ros.practice.settings import SessionSettings, preset
 from wam_power_ros.tasks.flip.task import Flip
 
 
@@ -89,14 +89,21 @@ def test_a_demonstration_whose_reproduction_would_fault_is_not_learnt_from(
         next(learn.run(tmp_path, overlay.setup(task="flip"), preset("flip", budget=4), 0, 1))
 
 
-def test_a_set_up_has_the_settings_that_are_not_typed(tmp_path: Path) -> None:
-    file, folder = tmp_path / "lab.yaml", tmp_path / "s"
+def test_a_set_up_has_the_settings_that_are_not_typed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file, begun = tmp_path / "lab.yaml", []
     given = {"preset": "diagonal", "changes": '{"budget": 9, "retests": 1}'}
     file.write_text(yaml.safe_dump({"/**/learner": {"ros__parameters": given}}))
+
+    def run(folder: Path, setup: object, settings: SessionSettings, *_: int) -> None:
+        begun.append(settings)
+        raise ValueError("enough")
+
+    monkeypatch.setattr(learn, "run", run)
     typed = ["--simulate", "--config", str(file), "--task", "reach", "--trials", "2"]
-    assert main.main(["learn", "--in-process", "--session", str(folder), *typed]) == 0
-    expected = preset("reach", "diagonal", budget=2, retests=1)
-    assert session.read(folder).header.settings == expected
+    assert main.main(["learn", "--in-process", "--session", str(tmp_path / "s"), *typed]) == 2
+    assert begun == [preset("reach", "diagonal", budget=2, retests=1)]
 
 
 def test_what_needs_nodes_is_refused_in_process(refusal: Callable[..., str]) -> None:
