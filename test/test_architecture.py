@@ -105,14 +105,14 @@ BUDGET = {
     "control": 5516,  # other programs; positions; +123: poses of the tool
     "commissioning": 1418,  # +165: a set-up proposed from a URDF; +116: its report, from cli/
     "tracking": 897,  # tags in images, from nodes/
-    "tasks": 3542,  # +93: what cannot be the pancake in the pan
+    "tasks": 3537,  # +93: what cannot be the pancake in the pan
     "practice": 2342,  # +32: tools and springs that failed; +46: candidates are fitted here
     "conformance": 1105,  # +13: frames of poses; +25: effort without gravity
     "bags": 2363,  # +246: sets of LeRobot, written and read
     "params": 1298,  # what may be set at rest; -p body:=NAME is derived from; NatNet, FR3
     "ros": 2339,  # +24: PoseStamped; variables of ROS and DDS are named with their remedy
     "client": 1289,
-    "nodes": 3461,  # +22: frames of poses; +217: an FR3 by its maker's library; +122: NatNet
+    "nodes": 3460,  # +22: frames of poses; +217: an FR3 by its maker's library; +122: NatNet
     "console": 459,  # a person supports the arm, however a movement ended
     "view": 834,
     "reporting": 765,

@@ -74,10 +74,6 @@ def ended(kind: FaultKind, ret: float | None) -> Change:
     return lambda number, toss: (Assessment(ret), logged) if number % 2 == 0 else (toss, {})
 
 
-def not_tossed(number: int, toss: Assessment) -> Outcome:
-    return replace(toss, observation={**toss.observation, "tossed": False}), {}
-
-
 def worst_succeeds(number: int, toss: Assessment) -> Outcome:
     success = number % 3 == 0
     return replace(toss, success=success, ret=toss.ret * (0.5 if success else 1.0)), {}
@@ -95,7 +91,6 @@ def worst_succeeds(number: int, toss: Assessment) -> Outcome:
         (ended(FaultKind.JOINT_SPEED, 0.0), Cause.LIMITS, "joint_speed"),
         (ended(FaultKind.TRACKING, None), Cause.FAULTS, "tracking"),
         (ended(FaultKind.EXTERNAL_TORQUE, None), Cause.TORQUE, "external_torque"),
-        (not_tossed, Cause.UNMEASURED, "landing_x"),
         (drifting, Cause.DRIFT, "landing_x"),
         (worst_succeeds, Cause.DISAGREE, ""),
         (plain, Cause.UNKNOWN, ""),
@@ -112,6 +107,16 @@ def test_an_error_that_is_mirrored_does_not_follow_the_model() -> None:
     found = why(plain, mirrored=True)
     assert (found.cause, found.detail) == (Cause.IGNORED, "landing_x")
     assert found.size < 0.0
+
+
+def test_an_error_that_mostly_has_no_value_is_named() -> None:
+    class Blind(type(TASK)):
+        def measure(self, observation: dict[str, Any]) -> dict[str, float]:
+            return {**super().measure(observation), "landing_x": math.nan}
+
+    found = why_failed(session(plain).records, Blind(SETTINGS.task_settings, {}), SETTINGS, POLICY)
+    assert (found.cause, found.detail) == (Cause.UNMEASURED, "landing_x")
+    assert found.count == found.total
 
 
 def test_rollouts_that_power_chose_are_a_cause_with_a_learner_that_plans() -> None:

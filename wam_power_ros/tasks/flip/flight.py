@@ -48,18 +48,18 @@ class Flight:
     position: np.ndarray  # of its centre at t_f, the last known one if not seen [m], shape (3,)
     pan_position: np.ndarray  # of the pan at t_f [m], shape (3,)
     normal_start: np.ndarray  # v0, that of the pan at the start, shape (3,)
-    normal: np.ndarray  # v_tf, at t_f, shape (3,)
-    # Rotation from rest to t_f in the plane normal to the spin axis [rad]; 0 if not tossed. Of a
-    # toss in one plane, arccos(v0 . v_tf) unfolded by the number of half turns.
+    # What follows is at t_f; if not tossed, at its highest point above the pan.
+    normal: np.ndarray  # v_tf, shape (3,)
+    # Rotation since it rested, in the plane normal to the spin axis [rad]. Of a toss in one plane,
+    # arccos(v0 . v_tf) unfolded by the number of half turns.
     angle: float
     apex: float  # highest point above the pan's height at the start [m]
-    # Pancake minus pan at t_f [m], shape (3,), of which the horizontal part matters; 0 if not
-    # tossed or not seen
+    # Pancake minus pan [m], shape (3,), of which the horizontal part matters; 0 if not seen
     landing_error: np.ndarray
     resting: bool  # whether it lies flat in the pan at the end of the path
     flipped: bool  # whether its normal is opposite to the pan's then
     climb: float = 0.0  # see `Frames.climb` [m]; 0 if not tossed
-    catch_pitch: float = 0.0  # of the pan at t_f, positive with its front edge up [rad]; as above
+    catch_pitch: float = 0.0  # of the pan, positive with its front edge up [rad]
 
 
 def observe_flight(
@@ -134,12 +134,13 @@ def _flight_without_arc(pan: EndEffectorPath, frames: Frames) -> Flight:
     resting, flipped = frames.end_state(end)
     above = frames.position[:, 2] - np.interp(frames.t, pan.t, pan.position[:, 2])
     tossed = bool(np.any(frames.flying & (above > DELTA_H)))
-    normal, angle = frames.normal_start, 0.0
-    if tossed and frames.resting_frames:
-        normal = frames.normal[int(np.argmax(np.where(frames.flying, above, -np.inf)))]
+    normal, angle, error, pitch = frames.normal_start, 0.0, np.zeros(3), 0.0
+    if len(frames.t) and frames.resting_frames:
+        highest = int(np.argmax(np.where(frames.flying, above, -np.inf) if tossed else above))
+        normal, t = frames.normal[highest], frames.t[highest : highest + 1]
         angle = angle_between(frames.normal_start, normal)
-    elif len(frames.t) and frames.resting_frames:
-        normal = frames.normal[-1]
+        error = frames.position[highest] - interpolate(t, pan.t, pan.position)[0]
+        pitch = pitch_of(pan_normal(pan, t))[0]
     seen = not tossed and bool(len(frames.t)) and bool(end - frames.t[-1] <= REST_WINDOW)
     return Flight(
         tossed=tossed,
@@ -151,7 +152,8 @@ def _flight_without_arc(pan: EndEffectorPath, frames: Frames) -> Flight:
         normal=normal,
         angle=angle,
         apex=float(frames.position[:, 2].max() - pan.position[0, 2]) if len(frames.t) else 0.0,
-        landing_error=np.zeros(3),
+        landing_error=error if seen else np.zeros(3),
         resting=resting,
         flipped=flipped,
+        catch_pitch=pitch,
     )

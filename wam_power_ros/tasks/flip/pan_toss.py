@@ -50,9 +50,11 @@ class Pancake(NamedTuple):
 PANCAKE = Pancake()  # of 9 cm and 26 g
 
 
-def predict_toss(pan: EndEffectorPath, pancake: Pancake = PANCAKE) -> Mapping[str, float] | None:
-    """Errors of the toss of a pan that moves along a path in the x-z plane; None for no toss.
+def predict_toss(pan: EndEffectorPath, pancake: Pancake = PANCAKE) -> Mapping[str, float]:
+    """Errors of the toss of a pan that moves along a path in the x-z plane.
 
+    They are those where it falls through `DELTA_H` above the pan; of one that stays lower, at its
+    highest point above the pan: so they are known however weak a toss is, without a jump there.
     At first the pancake lies in the middle of the pan, or at the lower rim of one so tilted that it
     slides. It may leave the plane with the pan, but not by itself. The path is evenly sampled.
     """
@@ -64,7 +66,7 @@ def predict_toss(pan: EndEffectorPath, pancake: Pancake = PANCAKE) -> Mapping[st
         along = math.copysign(PAN_RADIUS - radius, -tilt)
     x, z, u, vx, vz, vu = px + along * c, pz + along * s, gyration * tilt, 0.0, 0.0, 0.0
     pushed: dict[_Name, list[float]] = {}  # impulses along normal and surface, for a mass of 1
-    tossed, start, highest = False, pz, 0.0
+    tossed, start, highest, above = False, pz, 0.0, -math.inf
     for px, pz, pitch, py, pvx, pvz, rate, c, s in path[1:]:
         slowed = 1.0 - dt * drag * math.hypot(vx, vz)
         vx, vz = vx * slowed, vz * slowed - dt * GRAVITY
@@ -97,12 +99,13 @@ def predict_toss(pan: EndEffectorPath, pancake: Pancake = PANCAKE) -> Mapping[st
         x, z, u = x + dt * vx, z + dt * vz, u + dt * vu
         highest = max(highest, z - start)
         y = py if pushed else y
-        if z - pz > DELTA_H:
-            tossed = True
-        elif tossed:
-            landing = {"landing_x": x - px, "landing_y": y - py, "apex": highest}
-            return {"rotation": u / gyration - tilt - math.pi, **landing, "catch_pitch": pitch}
-    return None
+        if tossed and z - pz < DELTA_H:
+            break
+        tossed = z - pz > DELTA_H
+        if tossed or z - pz > above:
+            above, rotation = z - pz, u / gyration - tilt - math.pi
+            landing = {"landing_x": x - px, "landing_y": y - py, "catch_pitch": pitch}
+    return {"rotation": rotation, **landing, "apex": highest}
 
 
 def _plane(pan: EndEffectorPath) -> list[list[float]]:

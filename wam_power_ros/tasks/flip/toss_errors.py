@@ -33,16 +33,13 @@ EFFECTS = (
     Effect("side_shift", 0.25, {"landing_y": -1.0}),
     Effect("catch_pitch", 0.25, {"catch_pitch": -1.0}),
 )
-NOT_TOSSED = {"rotation": -math.pi}  # it has not turned, and has no landing
 SLOWED = PANCAKE._replace(spin_decay=PANCAKE.spin_decay + 0.3)  # by one standard deviation
 
 
 def measured_errors(flight: Mapping[str, Any]) -> dict[str, float] | None:
     """Errors of an observed toss, see `ERRORS`; None if the pancake was not observed."""
-    if flight.get("tossed", True) and not flight.get("seen", False):
+    if not flight.get("seen", False):
         return None
-    if not flight["tossed"]:
-        return NOT_TOSSED
     x, y = flight["landing_error"][:2]
     found = {"rotation": flight["angle"] - math.pi, "landing_x": x, "landing_y": y}
     found |= {"catch_pitch": flight["catch_pitch"], "miss": math.hypot(x, y)}
