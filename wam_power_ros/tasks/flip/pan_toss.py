@@ -99,12 +99,12 @@ def predict_toss(pan: EndEffectorPath, pancake: Pancake = PANCAKE) -> Mapping[st
         x, z, u = x + dt * vx, z + dt * vz, u + dt * vu
         highest = max(highest, z - start)
         y = py if pushed else y
-        if tossed and z - pz < DELTA_H:
-            break
-        tossed = z - pz > DELTA_H
         if tossed or z - pz > above:
             above, rotation = z - pz, u / gyration - tilt - math.pi
             landing = {"landing_x": x - px, "landing_y": y - py, "catch_pitch": pitch}
+        if tossed and above <= DELTA_H:
+            break
+        tossed = above > DELTA_H
     return {"rotation": rotation, **landing, "apex": highest}
 
 
