@@ -33,7 +33,7 @@ UNKNOWN_SIDE = (
 ORIENTATION_JUMPS = "the orientation of the pancake jumps, so how far it turned is unknown"
 _NORMAL_ERROR_MAX = 0.35  # largest angle of a frame's normal from the fitted spin [rad]
 _ODD_FRAMES_MAX = 0.3  # largest share of frames that say otherwise than most
-_RELEASE_ANGLE_MAX = 0.95  # largest angle of the spin's normal from the pan's at release [rad]
+_RELEASE_ANGLE_MAX = 1.25  # largest angle of the spin's normal from the pan's at release [rad]
 _POSITION_STD_MAX = 0.1  # with a larger one at t_f the pancake counts as lost from view [m]
 
 
