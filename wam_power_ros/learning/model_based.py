@@ -162,14 +162,10 @@ class ModelBased(GaussianLearner):
         near = np.linalg.norm((self._z - z) @ self._inverse, axis=1) < PROBE_STEP
         return bool(near.any() and _within(self._errors[near]).mean() < 0.5)
 
-    def _rough(self, z: np.ndarray) -> np.ndarray:
-        """Error by the rough slopes, 0 at the start. Shape (m,)."""
-        return self._model.slopes @ (z @ self._inverse)[: self._d]
-
     def _foreseen(self, z: np.ndarray) -> Prediction | None:
         """What the model predicts, or its rough slopes; None if z cannot be executed."""
         if self._model.predict is None:
-            return Prediction(self._rough(z), np.empty(0))
+            return Prediction(self._model.slopes @ (z @ self._inverse)[: self._d], np.empty(0))
         if z.tobytes() not in self._known:
             self._known[z.tobytes()] = self._model.predict(z)
         return self._known[z.tobytes()]
@@ -181,10 +177,7 @@ class ModelBased(GaussianLearner):
         n, m = len(known), self._m
         at = np.array([z for z, _, _ in known]).reshape(n, self.size)
         rest = np.array([e - p.error for _, e, p in known]).reshape(n, m)
-        # Beside a part that was foreseen and is not there, a value is a vague one.
-        lost = [np.isnan(e[np.isfinite(p.error)]).any() for _, e, p in known]
-        vague = np.array(lost, dtype=bool) & (self._model.predict is not None)
-        noise = np.diag(np.where(vague, MODEL_ERROR, ROLLOUT_NOISE) ** 2)
+        noise = ROLLOUT_NOISE**2 * np.eye(n)
 
         def covariance(z: np.ndarray, uncertain: np.ndarray) -> np.ndarray:
             """Covariance of the errors at z with those of the rollouts. Shape (m, n)."""
@@ -199,14 +192,10 @@ class ModelBased(GaussianLearner):
             a = (among[:, k] + noise)[np.ix_(told, told)]
             weights[k, told] = np.linalg.solve(a, rest[told, k])
 
-        start = self._foreseen(np.zeros(self.size))
-
         def expected(z: np.ndarray) -> _Point:
             if (p := self._foreseen(z)) is None:
                 return _Point(z, np.full(m, math.nan), False, math.inf)
             error = p.error + (covariance(z, p.uncertain) * weights).sum(axis=1)
-            if start is not None and np.isnan(error).any():  # towards where it may come off
-                error += start.error + self._rough(z) - p.error
             excess = p.excess + EXCESS_UNIT * self._faults  # an arm exceeds what its model keeps
             over = np.maximum(excess / EXCESS_UNIT + 0.5, 0.0)
             loss = float(_squares(error[np.newaxis])[0] + (over**2).sum())
