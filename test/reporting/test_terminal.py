@@ -101,8 +101,10 @@ def test_a_file_gets_every_line_once(practice: Practice) -> None:
     text = io.StringIO()
     console = Console(file=text, width=80)
     with terminal.Display(console) as display:
-        display.show(practice.log[:2], practice.settings, practice.task)
-        display.show(practice.log, practice.settings, practice.task)
+        log = []  # of a live session, which grows
+        for entry in practice.log:
+            log.append(entry)
+            display.show(log, practice.settings, practice.task)
     how, *lines = text.getvalue().splitlines()
     errors = "rotation, landing x, landing y, catch pitch"
     assert how == f"Task flip, learner power: learns from the return, corrected by {errors}"

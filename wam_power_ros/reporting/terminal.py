@@ -235,7 +235,7 @@ class Display:
         if not self._method:
             self._method = settings.described(task)
             self._print(self._method[0].upper() + self._method[1:])
-        self._outcome, self._log = task.outcome, log
+        self._outcome, self._log = task.outcome, tuple(log)  # a live session's grows
         records = [entry for entry in log if isinstance(entry, Record)]
         tests = sum(record.kind == "retest" for record in records)
         count, total = len(records) - tests, settings.practice.budget
