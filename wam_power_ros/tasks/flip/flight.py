@@ -51,7 +51,8 @@ class Flight:
     # What follows is at t_f; if not tossed, at its highest point above the pan.
     normal: np.ndarray  # v_tf, shape (3,)
     # Rotation since it rested, in the plane normal to the spin axis [rad]. Of a toss in one plane,
-    # arccos(v0 . v_tf) unfolded by the number of half turns.
+    # arccos(v0 . v_tf) unfolded by the number of half turns. Of one not tossed, only the share of
+    # Delta_h that it rose: what tilts with the pan has not turned.
     angle: float
     apex: float  # highest point above the pan's height at the start [m]
     # Pancake minus pan [m], shape (3,), of which the horizontal part matters; 0 if not seen
@@ -138,7 +139,8 @@ def _flight_without_arc(pan: EndEffectorPath, frames: Frames) -> Flight:
     if len(frames.t) and frames.resting_frames:
         highest = int(np.argmax(np.where(frames.flying, above, -np.inf) if tossed else above))
         normal, t = frames.normal[highest], frames.t[highest : highest + 1]
-        angle = angle_between(frames.normal_start, normal)
+        share = float(np.clip(above[highest] / DELTA_H, 0.0, 1.0))
+        angle = share * angle_between(frames.normal_start, normal)
         error = frames.position[highest] - interpolate(t, pan.t, pan.position)[0]
         pitch = pitch_of(pan_normal(pan, t))[0]
     seen = not tossed and bool(len(frames.t)) and bool(end - frames.t[-1] <= REST_WINDOW)

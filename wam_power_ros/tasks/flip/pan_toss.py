@@ -54,7 +54,8 @@ def predict_toss(pan: EndEffectorPath, pancake: Pancake = PANCAKE) -> Mapping[st
     """Errors of the toss of a pan that moves along a path in the x-z plane.
 
     They are those where it falls through `DELTA_H` above the pan; of one that stays lower, at its
-    highest point above the pan: so they are known however weak a toss is, without a jump there.
+    highest point above the pan, where only that share of its rotation counts: what tilts with the
+    pan has not turned. So they are known however weak a toss is, without a jump at `DELTA_H`.
     At first the pancake lies in the middle of the pan, or at the lower rim of one so tilted that it
     slides. It may leave the plane with the pan, but not by itself. The path is evenly sampled.
     """
@@ -100,7 +101,9 @@ def predict_toss(pan: EndEffectorPath, pancake: Pancake = PANCAKE) -> Mapping[st
         highest = max(highest, z - start)
         y = py if pushed else y
         if tossed or z - pz > above:
-            above, rotation = z - pz, u / gyration - tilt - math.pi
+            above = z - pz
+            share = 1.0 if tossed else min(max(above / DELTA_H, 0.0), 1.0)
+            rotation = share * (u / gyration - tilt) - math.pi
             landing = {"landing_x": x - px, "landing_y": y - py, "catch_pitch": pitch}
         if tossed and above <= DELTA_H:
             break
