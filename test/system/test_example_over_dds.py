@@ -24,6 +24,7 @@ def test_the_example_teaches_learns_and_replays_over_dds(tmp_path: Path) -> None
     assert len([*(tmp_path / "arm/bags").iterdir()]) == 5  # a demonstration, four rollouts
 
 
+@pytest.mark.long  # its driver is to be late with no state
 def test_the_real_controller_teaches_holds_moves_and_executes_with_the_driver_of_the_examples(
     probe: Probe, processes: Processes
 ) -> None:
