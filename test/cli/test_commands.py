@@ -196,3 +196,8 @@ def test_a_session_from_another_one_is_refused_where_that_does_not_fit(
             goal_value(wrong)
     (origin / "policy.json").unlink()
     assert "has learnt no policy yet" in refusal(*given)
+
+
+def test_what_is_not_asked_for_is_left_to_the_set_up(tmp_path: Path) -> None:
+    given = learner_parameters(tmp_path, SessionOptions(trials=9), 0, "reach")
+    assert given["trials"] == 9 and not {"learner", "preset", "minutes"} & given.keys()

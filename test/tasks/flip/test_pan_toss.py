@@ -100,6 +100,15 @@ def test_the_errors_of_a_toss_change_little_where_it_just_reaches_delta_h() -> N
     assert weak["rotation"] < low["rotation"] < high["rotation"] < strong["rotation"]
     for name, value in low.items():
         assert high[name] == pytest.approx(value, abs=0.2)
+    dragged = predict_toss(thrown(1.1 * needed, rate=4.0), pancake=AIRLESS._replace(drag=3.0))
+    assert dragged["apex"] < strong["apex"] - 0.01
+
+
+def test_of_a_low_toss_counts_the_share_of_its_rotation_that_it_rose_of_delta_h() -> None:
+    speed, rate = 0.7 * math.sqrt(2.0 * GRAVITY * DELTA_H / (1.0 - GRAVITY / BRAKE)), 0.5
+    turned = 0.5 * rate * RISE + rate * speed / GRAVITY
+    low = predict_toss(thrown(speed, rate=rate), pancake=AIRLESS)
+    assert low["rotation"] + math.pi == pytest.approx(0.7**2 * turned, rel=0.1)
 
 
 def test_the_landing_error_is_where_the_pancake_comes_down_in_the_pan() -> None:
