@@ -119,7 +119,7 @@ def test_a_low_toss_is_seen_at_its_top_and_the_apex_is_over_where_the_pan_began(
         assert miss[2] < 0.5 * DELTA_H and turned > 0.4
         assert flight.angle == pytest.approx(miss[2] / DELTA_H * turned, abs=0.05)
         assert flight.landing_error[:2] == pytest.approx(miss[:2], abs=0.004)
-        moved = replace(truth.pan, position=truth.pan.position + [0.03, 0.0, 0.0])
+        moved = replace(truth.pan, position=truth.pan.position + np.eye(3)[0] * 0.03)
         aside = flight.landing_error - observe_flight(moved, path)[0].landing_error
         assert aside == pytest.approx([0.03, 0.0, 0.0], abs=1e-6)
 
