@@ -52,7 +52,7 @@ def test_what_is_foreseen_is_the_path_of_the_tool_and_the_excess_of_speed(arm: A
     assert speeds.max() == pytest.approx(simulated.tool_peak, rel=0.01)
     tool_share = simulated.tool_peak / limits.tool_speed
     assert foreseen.excess[-1] == pytest.approx(tool_share / SPEED_SHARE - 1.0)
-    assert len(foreseen.excess) == arm.n + 2 and foreseen.excess.max() < 0.0
+    assert len(foreseen.excess) == 2 * arm.n + 2 and foreseen.excess.max() < 0.0
 
 
 @pytest.mark.parametrize(("share", "foreseeable"), [(0.6, True), (0.3, False)])

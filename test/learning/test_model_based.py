@@ -11,7 +11,7 @@ import pytest
 from hill_task import rng
 
 from wam_power_ros.learning.learner import Prediction
-from wam_power_ros.learning.model_based import ModelBased
+from wam_power_ros.learning.model_based import PROBE_STEP, ModelBased
 from wam_power_ros.learning.power import Power
 
 SIZE = 8
@@ -175,6 +175,105 @@ def test_where_a_rejected_plan_has_come_back_to_the_best_rollout_power_draws() -
     on_the_way = [np.allclose(z, 0.8**k * asked[0]) for k, z in enumerate(asked)]
     assert all(on_the_way[:5]) and not any(on_the_way[25:])
     assert min(np.linalg.norm(z) for z in asked) > 0.3, "never the rollout again"
+
+
+def told(z: np.ndarray, error: np.ndarray, uncertain: float = 0.0) -> Prediction:
+    """A prediction far within the limits of the arm."""
+    return Prediction(error, np.array([-1.0]), np.full((len(error), 1), uncertain))
+
+
+class Landscape(LinearModel):
+    """An error model of any form, on its way to no error along the first coordinate."""
+
+    def __init__(self, predict: Callable[[np.ndarray], Prediction]) -> None:
+        super().__init__()
+        self.predict = predict
+
+
+def test_a_plan_keeps_away_from_where_what_a_prediction_assumes_decides() -> None:
+    """On the edge of a throw that comes off, a slightly larger drag means that it does not."""
+
+    def predicted(z: np.ndarray) -> Prediction:
+        return told(z, error(z), uncertain=6.0 if z[0] > 5.0 else 0.1)
+
+    free = practise(learner_of(LinearModel()), 2)[-1]
+    assert np.abs(free).max() < 0.5
+    careful = learner_of(Landscape(predicted))
+    practise(careful, 1)
+    assert careful.mean[0] <= 5.0, "without the edge it is 6.3"
+    assert np.abs(error(careful.mean)).max() < 2.0, "the other directions do what the first did"
+    shown = np.array([5.5, 0.0, 0.0, *np.zeros(SIZE - 3)])
+    tell(careful, shown, error(shown))
+    assert careful.mean[0] > 5.0, "a rollout there has shown what is true"
+
+
+def test_from_a_valley_without_a_way_on_draws_find_a_deeper_one() -> None:
+    """Steps end in the nearest valley, as of a movement that hardly throws."""
+
+    def valleys(z: np.ndarray) -> np.ndarray:
+        here, there = np.abs(z).max(), abs(abs(z[-1]) - 2.3)
+        return np.array([min(4.0 + here, 4.0 * there), 0.0])
+
+    learner = learner_of(Landscape(lambda z: told(z, valleys(z))))
+    assert practise(learner, 1, valleys)[0].tolist() == [4.0, 0.0]
+    assert valleys(learner.mean)[0] < 1.0
+
+
+def test_where_the_directions_of_the_model_do_not_suffice_the_other_coordinates_are_searched() -> (
+    None
+):
+    def bent(z: np.ndarray) -> np.ndarray:
+        return np.array([4.0 - z[-1], 0.2 * z[0]])
+
+    learner = learner_of(Landscape(lambda z: told(z, bent(z))))
+    practise(learner, 1, bent)
+    assert np.abs(bent(learner.mean)).max() < 1.0
+
+
+def test_a_plan_that_is_foreseen_to_be_worse_than_a_rollout_is_not_run() -> None:
+    def bowl(z: np.ndarray) -> np.ndarray:
+        return np.array([4.0 + np.linalg.norm(z), 0.0])
+
+    learner = learner_of(Landscape(lambda z: told(z, bowl(z))))
+    practise(learner, 1, bowl)
+    assert learner.falls_back
+
+
+def test_a_plan_keeps_a_limit_that_the_best_point_hardly_exceeds() -> None:
+    def predicted(z: np.ndarray) -> Prediction:
+        beyond = np.abs(error(z)).max() < 1.0
+        return Prediction(error(z), np.array([0.001 if beyond else -1.0]))
+
+    model = Landscape(predicted)
+    learner = learner_of(model)
+    practise(learner, 1)
+    assert model.predict(learner.mean).excess[0] < 0.0
+
+
+def test_steps_lead_away_from_what_an_assumed_number_changes_much() -> None:
+    model = Landscape(lambda z: told(z, error(z), uncertain=z[0]))
+    learner = ModelBased(SIZE, ModelBased.Settings(simulations=12), rng(0), model)
+    practise(learner, 1)
+    assert abs(learner.mean[0]) < 1.5 and np.abs(error(learner.mean)).max() < 2.0
+
+
+def test_without_a_prediction_nothing_is_drawn() -> None:
+    model = LinearModel(slopes=0.0 * SLOPES)
+    model.predict = None
+    learner = learner_of(model)
+    practise(learner, 1)
+    assert learner.falls_back
+
+
+def test_between_two_rollouts_of_the_same_coordinates_no_difference_is_believed() -> None:
+    """A simulation of contacts changes by leaps; the body that it simulates does not there."""
+
+    def rough(z: np.ndarray) -> np.ndarray:
+        return np.array([5.0 * (np.abs(z).max() < 0.1), 0.0])
+
+    learner = learner_of(Landscape(lambda z: told(z, rough(z))))
+    practise(learner, 1, lambda z: np.array([5.0, 0.0]))
+    assert not learner.falls_back and np.linalg.norm(learner.mean) / 5.0 >= PROBE_STEP
 
 
 def test_a_learner_without_error_model_is_refused() -> None:

@@ -35,7 +35,9 @@ from wam_power_ros.learning.rollout import EndEffectorPath, Foreseen
 
 POSITION_MARGIN = 0.05  # [rad] smallest distance from a position limit
 SPEED_SHARE = 0.9  # usable share of the speed limits: the arm differs from the model
-FORESEEN_SHARE = 2.0  # in `foresee`: how far beyond a limit a policy is, not only that it is
+# In `foresee`, which tells how far beyond a limit a policy is, not only that it is:
+FORESEEN_SHARE = 2.0  # usable share of the speed limits
+FORESEEN_BEYOND = 0.5  # [rad] usable beyond the position limits
 OVERRUN_SHARE = 0.98  # factor on it for each rollout in which the arm was faster than the model
 
 
@@ -75,20 +77,26 @@ def speed_margin(overruns: int) -> float:
 
 
 def simulate_policy(
-    arm: Arm, settings: ControllerSettings, policy: Policy, margin: float = SPEED_SHARE
+    arm: Arm,
+    settings: ControllerSettings,
+    policy: Policy,
+    margin: float = SPEED_SHARE,
+    beyond: float = 0.0,
 ) -> Feasibility:
     """Execute a policy on the rigid-body model, from its start until the arm has settled.
 
     Args:
         arm: Model of the arm; its buffers are used.
-        margin: Share of the speed limits that the policy may use, see `speed_margin`. It must stay
-            `POSITION_MARGIN` within the position limits.
+        margin: Share of the speed limits that the policy may use, see `speed_margin`.
+        beyond: How far the joints may be beyond their position limits [rad]; they must stay
+            `POSITION_MARGIN` within that.
     """
     limits = settings.limits or limits_of(arm)
     limited = ("qd_max", "elbow_speed", "tool_speed")
-    slower = {name: margin * getattr(limits, name) for name in limited}
+    allowed = {name: margin * getattr(limits, name) for name in limited}
+    allowed |= {"q_min": limits.q_min - beyond, "q_max": limits.q_max + beyond}
     near = tuple(Approach(margin * o, margin**2 * d) for o, d in limits.approach)
-    tight = replace(limits, **slower, approach=near)
+    tight = replace(limits, **allowed, approach=near)
     # The whole movement must be feasible.
     settings = settings.model_copy(update={"limits": tight, "region": None})
     try:
@@ -98,7 +106,7 @@ def simulate_policy(
         return Feasibility(refusal, np.zeros(arm.n), 0.0, 0.0, np.empty((0, arm.n)))
     execution = Execution(prepared, arm, settings)
     output = TorqueOutput(arm, tight, False, Counter())
-    check, springs = MotionCheck(tight, arm.guarded, settings.period), LimitSprings(tight)
+    check, springs = MotionCheck(tight, arm.guarded, settings.period), LimitSprings(limits)
     period, period_ns = settings.period, round(settings.period * 1e9)
     start = policy.q_start
     model = ModelArm(arm, settings, start, output.send(arm.gravity(start), start, None))
@@ -128,24 +136,26 @@ def simulate_policy(
         spring = springs.torque(q, period)
         model.advance(output.send(tau if spring is None else tau + spring, q, period))
     path = np.array(positions)
-    fault = fault or _margin_fault(path.min(axis=0), path.max(axis=0), limits)
+    fault = fault or _margin_fault(path.min(axis=0), path.max(axis=0), tight)
     qd_peak = np.abs(speeds).max(axis=0)
     return Feasibility(fault, qd_peak, elbow_peak, tool_peak, path[:-1])
 
 
 def foresee(arm: Arm, settings: ControllerSettings, policy: Policy) -> Foreseen | None:
-    """Path of the tool in a simulated execution of a policy, and its excesses of speed.
+    """Path of the tool in a simulated execution of a policy, and its excesses.
 
     An arm that takes positions follows with the delay and lag of its servo. None if it ends in a
-    fault though the speed limits are `FORESEEN_SHARE` of the real ones.
+    fault though the limits are so much wider.
     """
-    simulated = simulate_policy(arm, settings, policy, FORESEEN_SHARE)
+    simulated = simulate_policy(arm, settings, policy, FORESEEN_SHARE, FORESEEN_BEYOND)
     if simulated.fault is not None:
         return None
     limits = settings.limits or limits_of(arm)
     points = simulated.elbow_peak / limits.elbow_speed, simulated.tool_peak / limits.tool_speed
-    shares = np.array([*(simulated.qd_peak / limits.qd_max), *points])
-    q = simulated.q
+    q, middle = simulated.q, 0.5 * (limits.q_min + limits.q_max)
+    ranges = np.abs(q - middle).max(axis=0) / (limits.q_max - middle - POSITION_MARGIN)
+    speeds = np.array([*(simulated.qd_peak / limits.qd_max), *points])
+    excess = np.array([*ranges, *(speeds / SPEED_SHARE)]) - 1.0
     if settings.set_point_period:
         q = followed(q, settings.period, settings.servo_delay, settings.servo_lag)
     poses = [arm.tool_pose(posture) for posture in q]
@@ -153,7 +163,7 @@ def foresee(arm: Arm, settings: ControllerSettings, policy: Policy) -> Foreseen 
     position = np.stack([place for place, _ in poses])
     quat_xyzw = np.stack([rotations.quat_xyzw(matrix) for _, matrix in poses])
     path = EndEffectorPath(policy.id, t, position, quat_xyzw)
-    return Foreseen(path, shares / SPEED_SHARE - 1.0)
+    return Foreseen(path, excess)
 
 
 def _margin_fault(lowest: np.ndarray, highest: np.ndarray, limits: Limits) -> Fault | None:

@@ -9,7 +9,7 @@ was foreseen. See `ModelBased`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -23,20 +23,33 @@ MODEL_ERROR = 4.0  # [tolerances] standard deviation of an error from what is fo
 ROLLOUT_NOISE = 0.5  # [tolerances] standard deviation of an error over rollouts of one policy
 EXCESS_UNIT = 0.02  # [share of a limit] beyond it that weighs as much as an error of a tolerance
 OTHER_STEP = 5.0  # [sd of the exploration] step along a direction that is none of the model's
-PROBE_STEP = 0.15  # [steps] by which coordinates differ that tell slopes
+PROBE_STEP = 0.15  # [steps] by which coordinates differ that tell slopes, and are not the same
+RADIUS_MIN = 0.5 * PROBE_STEP  # [steps] of a step that is given up
+DRAW = 0.7  # [sd of the exploration] of a draw where no step is better
 
 
 class _Point(NamedTuple):
     """Coordinates that may be a plan.
 
-    `values` has the expected error, NaN where unknown, and the predicted excess; `loss` is the sum
-    of the squares of the errors and of what exceeds a limit.
+    `residuals` has the expected error, NaN where unknown, then how far it may be off because a
+    prediction assumes numbers; `loss` is the sum of the squares of these and of what exceeds a
+    limit.
     """
 
     z: np.ndarray  # (size,)
-    values: np.ndarray  # (m + c,) [tolerances] and [share]
-    feasible: bool  # whether no limit is exceeded, as far as it is predicted
+    residuals: np.ndarray  # (m + m j,) [tolerances]
+    excess: np.ndarray  # predicted share by which each limit is exceeded, (c,)
     loss: float  # [tolerances^2]
+
+    @property
+    def feasible(self) -> bool:
+        """Whether no limit is exceeded, as far as it is predicted."""
+        return math.isfinite(self.loss) and bool((self.excess < 0.0).all())
+
+    @property
+    def values(self) -> np.ndarray:
+        """All that changes with the coordinates. Shape (m + m j + c,)."""
+        return np.append(self.residuals, self.excess)
 
 
 class ModelBased(GaussianLearner):
@@ -46,11 +59,11 @@ class ModelBased(GaussianLearner):
     Rollouts correct that by a constant, by what changes slowly, and by the numbers that a
     prediction only assumes. A part of an error that is unknown teaches nothing, the others do.
 
-    A plan is found by Gauss-Newton steps on the expected error, within the limits, whose slopes are
-    a regression of the points near by: along the model's few directions first, then along random
-    ones among all coordinates. It is executed without exploration. Between the best rollout and one
-    of which less was known, as a throw that did not come off or that a fault ended, is an edge: a
-    plan is nearer to the former.
+    A plan has a small expected error, within the limits. What the assumed numbers may change counts
+    as an error: near an edge, as of a throw that hardly comes off, that is much. Predictions cost
+    nothing but time, so it is searched for by steps, among all coordinates if need be, and by draws
+    (see `_search`). It is executed without exploration. Between the best rollout and one of which
+    less was known, as one that a fault ended, is an edge, too: a plan is nearer to the former.
 
     PoWER learns from the same rollouts, as told. It decides when a part of the error was never
     measured and is not foreseen; when no better plan is found than one that was run and is not
@@ -64,7 +77,7 @@ class ModelBased(GaussianLearner):
     class Settings(LearnerSettings):
         """Settings of model-based learning."""
 
-        simulations: int = Field(default=40, ge=1)  # largest number of predictions for a plan
+        simulations: int = Field(default=120, ge=1)  # largest number of predictions for a plan
         # Distance over which what is not foreseen changes [sd of the exploration]
         length: float = Field(default=10.0, gt=0.0, allow_inf_nan=False)
         patience: int = Field(default=8, ge=1)  # rollouts without progress until PoWER decides
@@ -154,13 +167,19 @@ class ModelBased(GaussianLearner):
             before, last = losses[:-patience], losses[-patience:]
             stuck = len(before) and last.min() > 0.8 * before.min()
             stuck = stuck and not _within(self._errors[-patience:]).any()
-            self._plan = None if stuck or len(losses) >= self.settings.planned else self._search()
+            stuck = stuck or len(losses) >= self.settings.planned
+            self._plan = None if stuck else self._new(self._search())
         return self._plan
 
     def _was_run(self, z: np.ndarray) -> bool:
         """Whether z is no new plan, and its rollouts are not within the tolerances."""
-        near = np.linalg.norm((self._z - z) @ self._inverse, axis=1) < PROBE_STEP
+        near = self._apart(z) < PROBE_STEP
         return bool(near.any() and _within(self._errors[near]).mean() < 0.5)
+
+    def _apart(self, z: np.ndarray) -> np.ndarray:
+        """Distance of each rollout from z along the axes of the search [steps]. Shape (n,)."""
+        distances: np.ndarray = np.linalg.norm((self._z - z) @ self._inverse, axis=1)
+        return distances
 
     def _foreseen(self, z: np.ndarray) -> Prediction | None:
         """What the model predicts, or its rough slopes; None if z cannot be executed."""
@@ -187,79 +206,100 @@ class ModelBased(GaussianLearner):
             return slow + np.array(assumed).reshape(n, m).T
 
         among = np.array([covariance(z, p.uncertain) for z, _, p in known]).reshape(n, m, n)
-        weights = np.zeros((m, n))
+        inverse = np.zeros((m, n, n))
         for k, told in enumerate(np.isfinite(rest).T):
-            a = (among[:, k] + noise)[np.ix_(told, told)]
-            weights[k, told] = np.linalg.solve(a, rest[told, k])
+            both = np.ix_(told, told)
+            inverse[k][both] = np.linalg.inv((among[:, k] + noise)[both])
+        rest = np.nan_to_num(rest)
 
         def expected(z: np.ndarray) -> _Point:
-            if (p := self._foreseen(z)) is None:
-                return _Point(z, np.full(m, math.nan), False, math.inf)
-            error = p.error + (covariance(z, p.uncertain) * weights).sum(axis=1)
+            # Near a rollout it is that of the rollout: what a model sees between them is not real.
+            apart = self._apart(z)
+            near = self._z[apart.argmin()] if apart.min(initial=math.inf) < PROBE_STEP else z
+            if (p := self._foreseen(near)) is None:
+                return _Point(z, np.full(m, math.nan), np.empty(0), math.inf)
+            weights = np.einsum("kn,kni->ki", covariance(near, p.uncertain), inverse)
+            error = p.error + (weights * rest.T).sum(axis=1)
+            assumed = np.reshape([q.uncertain for _, _, q in known], (n, *p.uncertain.shape))
+            spread = p.uncertain - np.einsum("ki,ikj->kj", weights, assumed)
             excess = p.excess + EXCESS_UNIT * self._faults  # an arm exceeds what its model keeps
             over = np.maximum(excess / EXCESS_UNIT + 0.5, 0.0)
-            loss = float(_squares(error[np.newaxis])[0] + (over**2).sum())
-            return _Point(z, np.append(error, excess), bool((excess < 0.0).all()), loss)
+            loss = _squares(error[np.newaxis])[0] + (spread**2).sum() + (over**2).sum()
+            return _Point(z, np.append(error, spread), excess, float(loss))
 
         return expected
 
-    def _search(self) -> np.ndarray | None:
-        """Gauss-Newton steps from the best known coordinates to a small expected error."""
-        expected, failed = self._expected(), 0
+    def _search(self) -> dict[bytes, _Point]:
+        """Points on the way to a small expected error, from the best known, by coordinates.
+
+        Gauss-Newton steps, shorter after each that is no better: along the model's directions, then
+        among all coordinates. Then draws, as a landscape with edges has more than one valley.
+        """
+        expected, radius, among_all = self._expected(), 1.0, False
         starts = [np.zeros(self.size), *self._z, *map(np.frombuffer, self._known)]
         points = {z.tobytes(): expected(z) for z in starts}
+        # Not the session's generator, which only `ask` may draw from: a plan is a function of the
+        # rollouts.
+        rng = np.random.Generator(np.random.PCG64(len(points)))
         for _ in range(self.settings.simulations):
             known = list(points.values())
-            best = _best(known)
-            if best.loss < ROLLOUT_NOISE**2:
+            best = min(known, key=lambda point: point.loss)
+            if radius < RADIUS_MIN and not among_all:
+                radius, among_all = 1.0, True
+            valley = radius < RADIUS_MIN
+            enough = best.loss < (self._m if valley else ROLLOUT_NOISE**2)
+            if (enough and best.feasible) or (valley and self._model.predict is None):
                 break
-            inside = _best([point for point in known if point.feasible] or known)
-            step = probe = self._probe(best, known, failed > 1)
-            if probe is None and failed and inside is not best:
-                step = 0.5 * (inside.z - best.z) @ self._inverse  # limits bend: slopes lead astray
-            elif probe is None:
-                step = 0.5**failed * self._step(best, known)
-            z = best.z + step @ self._axes
-            if z.tobytes() in points:
-                break
+            probe = None if valley else self._probe(best, known, among_all)
+            if valley:
+                z = best.z + DRAW * rng.standard_normal(self.size)
+            else:
+                step = self._step(best, known, radius) if probe is None else probe
+                z = best.z + step @ self._axes
             points[z.tobytes()] = found = expected(z)
-            failed = failed + 1 if probe is None and found.loss >= best.loss else 0
-        feasible = [point for point in points.values() if point.feasible]
+            if found.loss < best.loss:
+                radius = 1.0 if valley else min(2.0 * radius, 1.0)
+            elif probe is None:
+                radius *= 0.5
+        return points
+
+    def _new(self, points: Mapping[bytes, _Point]) -> np.ndarray | None:
+        """The best of the points that is a new plan and no worse than the best rollout, or None."""
+        ascending = sorted(points.values(), key=lambda point: point.loss)
+        new = next((p for p in ascending if p.feasible and not self._was_run(p.z)), None)
         unknown = np.isnan(self._errors).sum(axis=1)
-        if not feasible or (unknown.all() and np.isnan(_best(feasible).values).any()):
+        if new is None or (unknown.all() and np.isnan(new.residuals).any()):
             return None
-        z = _best(feasible).z
-        if len(unknown):
-            closest = int(np.argmin(_squares(self._errors)))
-            origin, lost = self._z[closest], self._z[unknown > unknown[closest]]
-            while (np.linalg.norm(lost - z, axis=1) < np.linalg.norm(origin - z)).any():
-                z = 0.5 * (origin + z)
+        if not len(self._z):
+            return new.z
+        closest = int(np.argmin(_squares(self._errors)))
+        origin, lost = self._z[closest], self._z[unknown > unknown[closest]]
+        if new.loss > points[origin.tobytes()].loss:
+            return None
+        z = new.z
+        while (np.linalg.norm(lost - z, axis=1) < np.linalg.norm(origin - z)).any():
+            z = 0.5 * (origin + z)
         return None if self._was_run(z) else z
 
-    def _probe(self, best: _Point, points: list[_Point], beyond: bool) -> np.ndarray | None:
-        """Step in which the changes near the best point are unknown; `beyond` all known ones."""
+    def _probe(self, best: _Point, points: list[_Point], among_all: bool) -> np.ndarray | None:
+        """Step in which the changes near the best point are unknown, `among_all` or the model's."""
         if self._model.predict is None or not np.isfinite(best.values).all():
             return None
         moved = np.stack([point.z - best.z for point in points]) @ self._inverse
         near = moved[np.linalg.norm(moved, axis=1) <= 2.0]
-        for unit in np.eye(self.size)[: self._d]:
+        for unit in np.eye(self.size)[: None if among_all else self._d]:
             if ((near @ unit) ** 2).sum() < 0.5 * PROBE_STEP**2:
                 return PROBE_STEP * unit
-        if not beyond or np.linalg.matrix_rank(near, tol=0.1 * PROBE_STEP) >= self.size:
-            return None
-        # Not from the session's generator, which only `ask` may draw from: a plan is a function of
-        # the rollouts.
-        drawn = np.random.Generator(np.random.PCG64(len(self._known))).standard_normal(self.size)
-        drawn[: self._d] = 0.0
-        return 2.0 * PROBE_STEP * drawn / np.linalg.norm(drawn)
+        return None
 
-    def _step(self, best: _Point, points: list[_Point]) -> np.ndarray:
+    def _step(self, best: _Point, points: list[_Point], radius: float) -> np.ndarray:
         """Damped Gauss-Newton step along the axes of the search. Shape (size,)."""
-        m, d = self._m, self._d
+        m, d, r = self._m, self._d, len(best.residuals)
         alike = [point for point in points if len(point.values) == len(best.values)]
         moved = np.stack([point.z - best.z for point in alike]) @ self._inverse  # (k, size)
         changed = np.stack([point.values - best.values for point in alike])  # (k, m + c)
-        near = np.exp(-0.5 * (moved**2).sum(axis=1, keepdims=True))
+        width = max(radius, 2.0 * PROBE_STEP)
+        near = np.exp(-0.5 * (moved**2).sum(axis=1, keepdims=True) / width**2)
         slopes = np.zeros((len(best.values), self.size))
         slopes[:m, :d] = self._model.slopes
         for row in np.flatnonzero(np.isfinite(best.values)):
@@ -268,18 +308,14 @@ class ModelBased(GaussianLearner):
             x, y = moved[known], changed[known, row]
             a = (near[known] * x).T @ x + 0.01 * np.eye(self.size)
             slopes[row] += np.linalg.solve(a, (near[known] * x).T @ (y - x @ slopes[row]))
-        rows = np.flatnonzero(np.isfinite(best.values[:m]))
+        rows = np.flatnonzero(np.isfinite(best.residuals))
         step: np.ndarray = np.zeros(self.size)
-        limits, excess = slopes[m:] / EXCESS_UNIT, best.values[m:] / EXCESS_UNIT + 0.5
+        limits, excess = slopes[r:] / EXCESS_UNIT, best.excess / EXCESS_UNIT + 0.5
         for _ in range(8):  # rounds in which it finds the limits that it would exceed
             over = excess + limits @ step > 0.0
             j, e = np.vstack([slopes[rows], limits[over]]), [*best.values[rows], *excess[over]]
             step = -j.T @ np.linalg.solve(j @ j.T + np.eye(len(e)), e)
-        return step / max(1.0, float(np.abs(step).max()))
-
-
-def _best(points: Sequence[_Point]) -> _Point:
-    return min(points, key=lambda point: point.loss)
+        return step * (radius / max(radius, float(np.linalg.norm(step))))
 
 
 def _squares(errors: np.ndarray) -> np.ndarray:
