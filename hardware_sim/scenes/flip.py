@@ -17,8 +17,7 @@ from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth, rotation_of
 from hardware_sim.scenes import Scene
 from hardware_sim.settings import PITCH_RATE, WorldSettings
 from wam_power_ros import rotations
-from wam_power_ros.tasks.flip.flight import DELTA_H
-from wam_power_ros.tasks.flip.frames import PAN_RADIUS, PANCAKE_RADIUS
+from wam_power_ros.tasks.flip.frames import DELTA_H, PAN_RADIUS, PANCAKE_RADIUS
 from wam_power_ros.tasks.flip.settings import TRUE_TURN
 
 BODY = "pancake"

@@ -8,7 +8,7 @@ import numpy as np
 
 from wam_power_ros import rotations
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
-from wam_power_ros.tasks.flip.flight import DELTA_H
+from wam_power_ros.tasks.flip.frames import DELTA_H
 
 STEP = 0.0005  # time step [s]
 END = 2.0  # end of the simulation [s]

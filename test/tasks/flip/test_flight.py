@@ -20,8 +20,9 @@ from wam_power_ros.tasks.flip.ballistic_fit import (
     release_time,
 )
 from wam_power_ros.tasks.flip.clock_offset import clock_offset, shifted
-from wam_power_ros.tasks.flip.flight import DELTA_H, Flight, observe_flight
+from wam_power_ros.tasks.flip.flight import Flight, observe_flight
 from wam_power_ros.tasks.flip.frames import (
+    DELTA_H,
     PAN_RADIUS,
     PANCAKE_RADIUS,
     Frames,

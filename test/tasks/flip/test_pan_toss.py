@@ -16,8 +16,7 @@ from wam_power_ros.learning.rollout import EndEffectorPath, Foreseen
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.errors import told
 from wam_power_ros.tasks.flip.ballistic_fit import GRAVITY
-from wam_power_ros.tasks.flip.flight import DELTA_H
-from wam_power_ros.tasks.flip.frames import PAN_RADIUS, PANCAKE_RADIUS
+from wam_power_ros.tasks.flip.frames import DELTA_H, PAN_RADIUS, PANCAKE_RADIUS
 from wam_power_ros.tasks.flip.pan_toss import Pancake, predict_toss
 from wam_power_ros.tasks.flip.task import Flip
 from wam_power_ros.tasks.flip.toss_errors import ERRORS, SLOWED

@@ -61,7 +61,7 @@ def fit_arc(frames: Frames) -> Arc | None:
 
     None with fewer than two frames in flight, or without a frame at rest before.
     """
-    run = _highest_run(frames)
+    run = frames.flight()
     if len(run) < 2:
         return None
     used = run[_consensus(frames.t[run], frames.position[run])]
@@ -126,16 +126,6 @@ def release_time(frames: Frames, arc: Arc, pan: EndEffectorPath) -> float:
     height = np.sum(offset * pan_normal(pan, times), axis=1)
     low = np.flatnonzero(height < _RELEASE_HEIGHT)
     return float(times[low[-1]]) if len(low) else earliest
-
-
-def _highest_run(frames: Frames) -> np.ndarray:
-    """Indices of the consecutive frames in flight that contain the highest one."""
-    if not frames.flying.any() or not frames.resting_frames:
-        return np.zeros(0, dtype=int)
-    flying = np.flatnonzero(frames.flying)
-    top = flying[np.argmax(frames.position[flying, 2])]
-    runs = np.split(flying, np.flatnonzero(np.diff(flying) > 1) + 1)
-    return next(run for run in runs if top in run)
 
 
 def _consensus(t: np.ndarray, position: np.ndarray) -> np.ndarray:

@@ -17,6 +17,7 @@ import numpy as np
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
 from wam_power_ros.tasks.flip.ballistic_fit import Arc, Crossing, find_crossing, fit_arc
 from wam_power_ros.tasks.flip.frames import (
+    DELTA_H,
     REST_WINDOW,
     Frames,
     frames_from_pan,
@@ -26,7 +27,6 @@ from wam_power_ros.tasks.flip.frames import (
 )
 from wam_power_ros.tasks.flip.spin_fit import Spin, angle_between, fit_spin
 
-DELTA_H = 0.12  # larger than the pancake's radius, so that its edge is still above the pan [m]
 UNKNOWN_SIDE = (
     "the pancake was not seen at rest in the pan before it left it, so which side was up is unknown"
 )
@@ -133,7 +133,7 @@ def _flight_without_arc(pan: EndEffectorPath, frames: Frames) -> Flight:
     end = float(pan.t[-1])
     last_pan = pan.position[-1]
     resting, flipped = frames.end_state(end)
-    above = frames.position[:, 2] - np.interp(frames.t, pan.t, pan.position[:, 2])
+    above = frames.above
     tossed = bool(np.any(frames.flying & (above > DELTA_H)))
     normal, angle, error, pitch = frames.normal_start, 0.0, np.zeros(3), 0.0
     if len(frames.t) and frames.resting_frames:

@@ -13,6 +13,7 @@ from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
 
 PANCAKE_RADIUS = 0.09  # [m]
 PAN_RADIUS = 0.139  # radius of the pan's floor [m]
+DELTA_H = 0.12  # larger than the pancake's radius, so that its edge is still above the pan [m]
 # Standard deviation of the tracked centre along an axis [m]: 0.25 mm for four markers of 0.5 mm,
 # and 0.25 mm for errors of the flight model.
 POSITION_NOISE = 0.0005
@@ -38,6 +39,7 @@ class Frames:
     normal: np.ndarray  # of it, base frame, shape (M, 3); zeros if it was never seen at rest
     normal_start: np.ndarray  # of the pan at the start, base frame, shape (3,)
     resting_frames: int  # number of those at rest that tell the body-frame normal
+    above: np.ndarray  # height of the centre above the pan's [m], shape (M,)
     height: np.ndarray  # of the centre above the pan's floor, along its normal [m], shape (M,)
     offset: np.ndarray  # of the centre from the pan's, along the floor [m], shape (M,)
     cosine: np.ndarray  # of the angle between the normals of pancake and pan [1], shape (M,)
@@ -66,6 +68,19 @@ class Frames:
             and abs(cosine) > _REST_COSINE_MIN
         )
         return resting, cosine < 0.0
+
+    def flight(self) -> np.ndarray:
+        """Indices of the frames in flight from the run with the highest one until it has fallen.
+
+        More than one run if it touched the rim in the air.
+        """
+        if not self.flying.any() or not self.resting_frames:
+            return np.zeros(0, dtype=int)
+        flying = np.flatnonzero(self.flying)
+        top = flying[np.argmax(self.position[flying, 2])]
+        low = np.append(top + np.flatnonzero(self.above[top:] < DELTA_H), len(self.t))[0]
+        runs = np.split(flying, np.flatnonzero(np.diff(flying) > 1) + 1)
+        return np.concatenate([run for run in runs if run[-1] >= top and run[0] <= max(top, low)])
 
     def contradicted(self, end: float) -> bool:
         """Whether orientations in the pan cannot be those of a disc that lies there.
@@ -121,6 +136,7 @@ def frames_from_pan(
         normal=normal,
         normal_start=pan_normal(pan, pan.t[:1])[0],
         resting_frames=len(resting),
+        above=relative[:, 2],
         height=height,
         offset=offset,
         cosine=cosine,

@@ -22,8 +22,7 @@ import numpy as np
 from wam_power_ros import rotations
 from wam_power_ros.learning.rollout import EndEffectorPath
 from wam_power_ros.tasks.flip.ballistic_fit import GRAVITY
-from wam_power_ros.tasks.flip.flight import DELTA_H
-from wam_power_ros.tasks.flip.frames import PAN_RADIUS, PANCAKE_RADIUS
+from wam_power_ros.tasks.flip.frames import DELTA_H, PAN_RADIUS, PANCAKE_RADIUS
 
 RIM_HEIGHT = 0.035  # [m]
 RIM_FLARE = 0.6  # outward, from the pan's normal [rad]

@@ -17,8 +17,7 @@ from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Foreseen, Rollout
 from wam_power_ros.regions import Region
 from wam_power_ros.tasks.flip import assessment as flip_assessment
-from wam_power_ros.tasks.flip.flight import DELTA_H
-from wam_power_ros.tasks.flip.frames import REST_HEIGHT_MAX
+from wam_power_ros.tasks.flip.frames import DELTA_H, REST_HEIGHT_MAX
 from wam_power_ros.tasks.flip.pan_toss import PANCAKE, predict_toss
 from wam_power_ros.tasks.flip.parametrization import flip_parametrization
 from wam_power_ros.tasks.flip.placement import ONE_MARKER, misplaced
