@@ -151,7 +151,8 @@ def _turned(log: RolloutLog, end: int) -> float:
         return 0.0
     axis /= length
     across = np.cross(axis, normal_start)
-    return float(np.unwrap(np.arctan2(normals @ across, normals @ normal_start))[-1])
+    # Not its sign: a rim may turn the spin at the end, and with it the axis.
+    return abs(float(np.unwrap(np.arctan2(normals @ across, normals @ normal_start))[-1]))
 
 
 def _landing(height: np.ndarray) -> int | None:

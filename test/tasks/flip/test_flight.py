@@ -98,6 +98,23 @@ def test_a_spin_of_twenty_radians_a_second_is_not_mistaken_for_a_slower_one() ->
         assert flight.angle == pytest.approx(true_angle(truth), abs=0.5)
 
 
+def test_a_flight_that_a_touch_of_the_rim_has_changed_is_seen_by_the_frames_after_it() -> None:
+    """A pan that follows the pancake upwards may touch it near its highest point."""
+    truth = toss(np.random.default_rng(3), vz=2.6, half_turns=0.8)
+    frames = frames_from_pan(truth.pan, capture(truth, np.random.default_rng(3)))
+    whole = frames.flight()
+    touch = int(whole[np.argmax(frames.position[whole, 2])]) + 1
+    off = np.maximum(frames.t[touch] - frames.t, 0.0)[:, None] * np.array([0.9, 0.0, -0.9])
+    flying = frames.flying & (np.arange(len(frames.t)) != touch)
+    touched = replace(frames, position=frames.position + off, flying=flying)
+    assert touched.flight().tolist() == whole[whole > touch].tolist()
+    fall, seen = fit_arc(touched), fit_arc(frames)
+    late = frames.t[whole[-1]]
+    np.testing.assert_allclose(fall.position(late), seen.position(late), atol=0.002)
+    two = replace(frames, flying=frames.flying & (np.arange(len(frames.t)) != whole[-3]))
+    assert two.flight().tolist() == whole[:-3].tolist(), "two frames tell no flight"
+
+
 @pytest.mark.parametrize(("vz", "tossed"), [(1.6, False), (2.4, True)])
 def test_a_low_toss_is_seen_at_its_top_and_the_apex_is_over_where_the_pan_began(
     vz: float, tossed: bool

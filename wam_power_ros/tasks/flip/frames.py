@@ -27,6 +27,7 @@ _AGREED = 2 / 3  # share of the frames at rest that must show the same side up
 _SAME_SIDE_COSINE = 0.5  # smallest one of the angle between two that do [1]
 _THROUGH_MAX = 0.012  # depth of an edge below the floor that errors of frames explain [m]
 _ODD_MAX = 0.1  # largest share of the frames in the pan that has one which is deeper
+_ENOUGH = 3  # consecutive frames that tell a flight
 _SAME_ANGLE_MAX = 0.1  # largest angle between body-frame normals of frames at rest [rad]
 
 
@@ -70,9 +71,9 @@ class Frames:
         return resting, cosine < 0.0
 
     def flight(self) -> np.ndarray:
-        """Indices of the frames in flight from the run with the highest one until it has fallen.
+        """Indices of the consecutive frames in flight from which it falls through `DELTA_H`.
 
-        More than one run if it touched the rim in the air.
+        They hold its highest one, unless it touched the rim in the air after that.
         """
         if not self.flying.any() or not self.resting_frames:
             return np.zeros(0, dtype=int)
@@ -80,7 +81,8 @@ class Frames:
         top = flying[np.argmax(self.position[flying, 2])]
         low = np.append(top + np.flatnonzero(self.above[top:] < DELTA_H), len(self.t))[0]
         runs = np.split(flying, np.flatnonzero(np.diff(flying) > 1) + 1)
-        return np.concatenate([run for run in runs if run[-1] >= top and run[0] <= max(top, low)])
+        runs = [run for run in runs if run[-1] >= top and run[0] <= max(top, low)]
+        return next((run for run in reversed(runs) if len(run) >= _ENOUGH), runs[0])
 
     def contradicted(self, end: float) -> bool:
         """Whether orientations in the pan cannot be those of a disc that lies there.

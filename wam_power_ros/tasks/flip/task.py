@@ -23,7 +23,7 @@ from wam_power_ros.tasks.flip.parametrization import flip_parametrization
 from wam_power_ros.tasks.flip.placement import ONE_MARKER, misplaced
 from wam_power_ros.tasks.flip.returns import pancake_return
 from wam_power_ros.tasks.flip.settings import FLIP_FIT, PRESETS, TRUE_TURN, FlipSettings
-from wam_power_ros.tasks.flip.toss_errors import EFFECTS, ERRORS, SLOWED, measured_errors
+from wam_power_ros.tasks.flip.toss_errors import EFFECTS, ERRORS, SLIPPERY, SLOWED, measured_errors
 from wam_power_ros.tasks.heading import forward_of_turn, heading, turned, turned_path
 from wam_power_ros.tasks.task import (
     Assessment,
@@ -120,9 +120,9 @@ class Flip(Task):
         return measured_errors(observation)
 
     def predict(self, foreseen: Foreseen) -> Sequence[Mapping[str, float]]:
-        """Toss from the simulated path of the pan, and that of a pancake which drag slows more."""
+        """Toss along the simulated path, with more drag of the spin, and with less friction."""
         pan = turned_path(foreseen.tool, self.heading)
-        return [predict_toss(pan, pancake) for pancake in (PANCAKE, SLOWED)]
+        return [predict_toss(pan, pancake) for pancake in (PANCAKE, SLOWED, SLIPPERY)]
 
     def outcome(self, record: LoggedRollout) -> str:
         """Rotation and end state of the pancake, as tracked; see `Task`."""

@@ -33,7 +33,9 @@ EFFECTS = (
     Effect("side_shift", 0.25, {"landing_y": -1.0}),
     Effect("catch_pitch", 0.25, {"catch_pitch": -1.0}),
 )
-SLOWED = PANCAKE._replace(spin_decay=PANCAKE.spin_decay + 0.3)  # by one standard deviation
+# By one standard deviation of what is known of them:
+SLOWED = PANCAKE._replace(spin_decay=PANCAKE.spin_decay + 0.3)
+SLIPPERY = PANCAKE._replace(friction=PANCAKE.friction - 0.04)
 
 
 def measured_errors(flight: Mapping[str, Any]) -> dict[str, float] | None:
