@@ -33,6 +33,7 @@ UNKNOWN_SIDE = (
 ORIENTATION_JUMPS = "the orientation of the pancake jumps, so how far it turned is unknown"
 _NORMAL_ERROR_MAX = 0.35  # largest angle of a frame's normal from the fitted spin [rad]
 _ODD_FRAMES_MAX = 0.3  # largest share of frames that say otherwise than most
+_RELEASE_ANGLE_MAX = 1.25  # largest angle of the spin's normal from the pan's at release [rad]
 _POSITION_STD_MAX = 0.1  # with a larger one at t_f the pancake counts as lost from view [m]
 
 
@@ -96,6 +97,9 @@ def _doubt(
         off = [angle_between(*pair) for pair in zip(fitted, frames.normal[arc.used], strict=True)]
         frozen = np.all(np.diff(frames.normal[arc.used], axis=0) == 0.0, axis=1).any()  # no noise
         if frozen or np.mean(np.array(off) > _NORMAL_ERROR_MAX) > _ODD_FRAMES_MAX:
+            return ORIENTATION_JUMPS
+        left = pan_normal(pan, np.array([spin.release]))[0]
+        if angle_between(left, spin.normal(np.array([spin.release]))[0]) > _RELEASE_ANGLE_MAX:
             return ORIENTATION_JUMPS
     return ORIENTATION_JUMPS if frames.contradicted(float(pan.t[-1])) else ""
 
