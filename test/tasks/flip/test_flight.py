@@ -20,7 +20,7 @@ from wam_power_ros.tasks.flip.ballistic_fit import (
     release_time,
 )
 from wam_power_ros.tasks.flip.clock_offset import clock_offset, shifted
-from wam_power_ros.tasks.flip.flight import Flight, observe_flight
+from wam_power_ros.tasks.flip.flight import ORIENTATION_JUMPS, Flight, observe_flight
 from wam_power_ros.tasks.flip.frames import (
     DELTA_H,
     PAN_RADIUS,
@@ -96,6 +96,18 @@ def test_a_spin_of_twenty_radians_a_second_is_not_mistaken_for_a_slower_one() ->
         truth = toss(rng, vz=3.0, half_turns=20.0 * 2.0 * 3.0 / GRAVITY / math.pi, air=0.0)
         flight = observe_flight(truth.pan, capture(truth, rng))[0]
         assert flight.angle == pytest.approx(true_angle(truth), abs=0.5)
+
+
+def test_of_a_flight_that_begins_with_a_leap_from_the_pan_the_rotation_is_not_known() -> None:
+    """As of one that touched the rim: how far it had turned before is not in its frames."""
+    truth = toss(np.random.default_rng(3), vz=2.6, half_turns=0.8)
+    path = capture(truth, np.random.default_rng(3))
+    flew = (path.t > truth.release) & (path.t < truth.t_f)
+    turn = np.tile(rotations.quat_of_vector([0.0, 1.6, 0.0]), (len(path.t), 1))
+    leapt = np.where(flew[:, None], rotations.multiply(turn, path.quat_xyzw), path.quat_xyzw)
+    assert observe_flight(truth.pan, path)[1] == ""
+    _, doubt = observe_flight(truth.pan, replace(path, quat_xyzw=leapt))
+    assert doubt == ORIENTATION_JUMPS
 
 
 def test_a_flight_that_a_touch_of_the_rim_has_changed_is_seen_by_the_frames_after_it() -> None:
