@@ -11,6 +11,7 @@ from rigid_arm import NAMES, URDF, make_policy
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.feasibility import (
+    POSITION_MARGIN,
     SPEED_SHARE,
     Feasibility,
     foresee,
@@ -53,6 +54,21 @@ def test_what_is_foreseen_is_the_path_of_the_tool_and_the_excess_of_speed(arm: A
     tool_share = simulated.tool_peak / limits.tool_speed
     assert foreseen.excess[-1] == pytest.approx(tool_share / SPEED_SHARE - 1.0)
     assert len(foreseen.excess) == 2 * arm.n + 2 and foreseen.excess.max() < 0.0
+
+
+def test_beyond_a_position_limit_it_is_foreseen_how_far(arm: Arm) -> None:
+    policy = lift(arm, 0.2)
+    free, limits = simulate_policy(arm, SETTINGS, policy).q, limits_of(arm)
+    joint = int(np.argmax(free.max(axis=0) - free[0]))
+    q_max = limits.q_max.copy()
+    q_max[joint] = free[:, joint].max() - 0.04
+    tight = SETTINGS.model_copy(update={"limits": replace(limits, q_max=q_max)})
+    assert simulate_policy(arm, tight, policy).fault.kind is FaultKind.JOINT_POSITION
+    excess = foresee(arm, tight, policy).excess
+    half = 0.5 * (q_max - limits.q_min)[joint]
+    free_of_springs = (0.04 + POSITION_MARGIN) / (half - POSITION_MARGIN)
+    assert 0.0 < excess[joint] < free_of_springs, "those at the limit push it back"
+    assert np.delete(excess, joint).max() < 0.0
 
 
 @pytest.mark.parametrize(("share", "foreseeable"), [(0.6, True), (0.3, False)])

@@ -183,7 +183,7 @@ def told(z: np.ndarray, error: np.ndarray, uncertain: float = 0.0) -> Prediction
 
 
 class Landscape(LinearModel):
-    """An error model of any form, on its way to no error along the first coordinate."""
+    """An error model that predicts by a function of the coordinates."""
 
     def __init__(self, predict: Callable[[np.ndarray], Prediction]) -> None:
         super().__init__()

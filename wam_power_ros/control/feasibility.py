@@ -88,8 +88,8 @@ def simulate_policy(
     Args:
         arm: Model of the arm; its buffers are used.
         margin: Share of the speed limits that the policy may use, see `speed_margin`.
-        beyond: How far the joints may be beyond their position limits [rad]; they must stay
-            `POSITION_MARGIN` within that.
+        beyond: Distance by which every position limit is widened [rad]; the joints must stay
+            `POSITION_MARGIN` within the widened ones.
     """
     limits = settings.limits or limits_of(arm)
     limited = ("qd_max", "elbow_speed", "tool_speed")

@@ -168,7 +168,7 @@ class ModelBased(GaussianLearner):
             stuck = len(before) and last.min() > 0.8 * before.min()
             stuck = stuck and not _within(self._errors[-patience:]).any()
             stuck = stuck or len(losses) >= self.settings.planned
-            self._plan = None if stuck else self._new(self._search())
+            self._plan = None if stuck else self._new_plan(self._search())
         return self._plan
 
     def _was_run(self, z: np.ndarray) -> bool:
@@ -263,7 +263,7 @@ class ModelBased(GaussianLearner):
                 radius *= 0.5
         return points
 
-    def _new(self, points: Mapping[bytes, _Point]) -> np.ndarray | None:
+    def _new_plan(self, points: Mapping[bytes, _Point]) -> np.ndarray | None:
         """The best of the points that is a new plan and no worse than the best rollout, or None."""
         ascending = sorted(points.values(), key=lambda point: point.loss)
         new = next((p for p in ascending if p.feasible and not self._was_run(p.z)), None)

@@ -72,8 +72,8 @@ class Foreseen(NamedTuple):
     """Execution of a policy on a model of the arm.
 
     Attributes:
-        excess: Share by which each highest speed exceeds what is allowed; below 0 if it does not.
-            Shape (c,).
+        excess: Share by which each joint's range and each highest speed exceeds what is allowed;
+            below 0 if it does not. Shape (c,).
     """
 
     tool: EndEffectorPath
