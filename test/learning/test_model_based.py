@@ -96,6 +96,14 @@ def test_a_plan_keeps_the_limits_of_the_arm() -> None:
     assert np.linalg.norm(bound.mean) < 7.0
 
 
+@pytest.mark.parametrize("limit", [5.0, 7.5])
+def test_steps_go_along_a_limit_and_not_over_it(limit: float) -> None:
+    settings = ModelBased.Settings(simulations=12)
+    learner = ModelBased(SIZE, settings, rng(0), LinearModel(limit=limit))
+    practise(learner, 1)
+    assert 0.95 * limit < np.linalg.norm(learner.mean) < limit
+
+
 def test_a_rollout_that_a_fault_ended_moves_the_plan_away_from_the_limits() -> None:
     learner = learner_of(LinearModel(limit=7.0))
     practise(learner, 3)

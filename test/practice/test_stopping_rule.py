@@ -172,9 +172,10 @@ def test_a_first_success_with_less_margin_than_is_expected_to_last_ends_its_row_
 
 
 def test_small_margins_do_not_end_a_row_that_is_nearly_complete() -> None:
-    for enough, goes_on in ((29, False), (4, True)):
+    good, bad = (1.4, 1.5, 1.6), (2.5, 0.1, 0.1)
+    for enough, margins, goes_on in ((29, good, False), (4, good, True), (4, bad, True)):
         stopping = rule(enough, scatter=[1.0])
-        for margin in (1.4, 1.5, 1.6):
+        for margin in margins:
             stopping.add(rollout(True, margins=[margin]))
         assert (stopping.count == 3) == goes_on
 
