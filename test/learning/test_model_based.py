@@ -176,6 +176,16 @@ def test_power_decides_when_no_better_plan_is_found_than_one_that_was_run() -> N
     assert not near.falls_back, "what is within the tolerances is run again"
 
 
+def test_a_plan_is_asked_for_as_it_is_and_again_where_nothing_was_measured() -> None:
+    learner = learner_of(LinearModel())
+    assert np.array_equal(learner.ask(), learner.ask()), "it can be moved nearer to no rollout"
+    for _ in range(3):
+        practise(learner, 1)
+        plan = learner.mean
+        assert np.array_equal(learner.ask(), plan)
+        assert not np.array_equal(learner.ask(), plan)
+
+
 def test_where_a_rejected_plan_has_come_back_to_the_best_rollout_power_draws() -> None:
     learner = learner_of(LinearModel(), seed=3)
     practise(learner, 1)

@@ -91,14 +91,9 @@ class StoppingRule:
         scatter: Sequence[float] = (),
     ) -> None:
         self._settings, self._margins, self._scatter = settings, margins, scatter
-        self._mean: list[float] = []  # coordinates of the latest mean
-        self._runs: list[Sequence[float]] = []  # margins of its runs
-        self._succeeded = 0  # of its runs
         self._other = np.array(OTHER)
-        self.z: np.ndarray | None = None
-        self.count = 0
-        self.complete = ""
-        self.mean_is_due = False
+        self.complete, self.mean_is_due = "", False
+        self._begin([])
 
     def add(self, record: Record) -> str:
         """Judge a rollout of the practice; returns a remark for the log, may be empty."""
@@ -117,7 +112,10 @@ class StoppingRule:
             self._begin([])
 
     def _begin(self, mean: list[float]) -> None:
-        self._mean, self._runs, self._succeeded, self.z, self.count = mean, [], 0, None, 0
+        self._mean, self._succeeded = mean, 0
+        self._runs: list[Sequence[float]] = []  # margins of the runs of this mean
+        self.z: np.ndarray | None = None
+        self.count = 0
 
     def _add_mean(self, record: Record) -> str:
         if record.z != self._mean:
