@@ -158,6 +158,16 @@ def test_the_elite_is_that_of_all_rollouts_at_any_number_of_them(
         assert rollouts.z.ravel().tolist() == list(range(1, count + 1))
 
 
+def test_past_rollouts_cannot_be_changed_by_who_reads_them() -> None:
+    rollouts, told = Rollouts(2), np.ones(2)
+    rollouts.add(told, 0.5)
+    told[0] = 9.0
+    for kept in (rollouts.z, rollouts.returns):
+        with pytest.raises(ValueError, match="read-only"):
+            kept[0] = 7.0
+    assert rollouts.z.tolist() == [[1.0, 1.0]]
+
+
 def test_the_state_of_a_generator_restores_it_and_other_generators_are_refused() -> None:
     source = rng(0)
     source.standard_normal(3)
