@@ -25,27 +25,16 @@ TEMPLATES.globals |= {"counted": counted, "median": np.median}
 
 @dataclass(frozen=True)
 class Claim:
-    """A row of the overview: a claim of the paper or of this project, and the measurement.
+    """A row of the overview: a claim of the paper or of this project, and the measurement."""
 
-    Attributes:
-        what: Claim in short, such as "Reaching, full stiffness, return after 100".
-        ours: Measured value, such as "0.754".
-        spread: Spread of the measured value, such as "sd 0.08" or "0.61 to 0.83"; may be empty.
-        count: Sample size, such as "40 seeds".
-        met: Whether the claim holds; None if there is no criterion and the value is only reported.
-        runs: Number of independent runs per condition; None if the verdict does not depend on it.
-        paper: Value in the paper, such as "0.73"; empty if it has none.
-        left_open: Decision that the paper leaves open; may be empty.
-    """
-
-    what: str
-    ours: str
-    spread: str
-    count: str
-    met: bool | None = None
-    runs: int | None = None
-    paper: str = ""
-    left_open: str = ""
+    what: str  # in short, such as "Reaching, full stiffness, return after 100"
+    ours: str  # measured value, such as "0.754"
+    spread: str  # of the measured value, such as "sd 0.08" or "0.61 to 0.83"; may be empty
+    count: str  # sample size, such as "40 seeds"
+    met: bool | None = None  # whether it holds; None without a criterion: the value is reported
+    runs: int | None = None  # independent ones per condition; None if the verdict depends on none
+    paper: str = ""  # value in the paper, such as "0.73"; empty if it has none
+    left_open: str = ""  # decision that the paper leaves open; may be empty
 
     @property
     def holds(self) -> bool | None:
@@ -70,15 +59,9 @@ class Chapter:
     The template calls `claim` with the fields of a `Claim`, `table` and `figure`.
 
     Attributes:
-        title: Heading.
-        html: Content.
+        html: Content, by a template that uses the names of `values`.
         claims: Rows of the overview, in order.
         figures: Name -> content of a .png file.
-
-    Args:
-        title: Heading.
-        template: Template of the content.
-        values: Names in the template.
 
     Raises:
         ValueError: Two figures have the same name, or a row and the head of its table differ.
@@ -105,18 +88,11 @@ class Chapter:
 
 @dataclass(frozen=True)
 class Study:
-    """A study and its chapter of the report.
+    """A study and its chapter of the report."""
 
-    Attributes:
-        title: Heading of the chapter.
-        jobs: Runs at a scale.
-        values: Names of the template, computed from the results of the jobs.
-        template: File of the template.
-    """
-
-    title: str
-    jobs: Callable[[Scale], list[Job]]
-    values: Callable[[Results], Mapping[str, Any]]
+    title: str  # heading of the chapter
+    jobs: Callable[[Scale], list[Job]]  # runs at a scale
+    values: Callable[[Results], Mapping[str, Any]]  # names of the template, from their results
     template: Path
 
     def chapter(self, results: Results) -> Chapter:

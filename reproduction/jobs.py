@@ -70,18 +70,11 @@ _Computed = tuple["Job", str, str, dict[str, Any]]
 
 @dataclass(frozen=True)
 class Job:
-    """One run of a study, with JSON data of finite numbers as arguments and result.
+    """One run of a study, with JSON data of finite numbers as arguments and result."""
 
-    Attributes:
-        study: Folder of its result, such as "pancake-hindsight".
-        key: Name of its file there, such as "seed-301".
-        function: Function of an importable module, deterministic in its arguments.
-        arguments: Keyword arguments.
-    """
-
-    study: str
-    key: str
-    function: Callable[..., dict[str, Any]]
+    study: str  # folder of its result, such as "pancake-hindsight"
+    key: str  # name of its file there, such as "seed-301"
+    function: Callable[..., dict[str, Any]]  # of a module, deterministic in its arguments
     arguments: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -99,10 +92,7 @@ class JobError(Exception):
 
 
 def run(
-    jobs: Sequence[Job],
-    folder: Path,
-    workers: int = 1,
-    console: Console | None = None,
+    jobs: Sequence[Job], folder: Path, workers: int = 1, console: Console | None = None
 ) -> Results:
     """Return the results of all jobs; compute and write those that the folder lacks.
 

@@ -33,12 +33,7 @@ TEMPLATE = Path(__file__).with_suffix(".html.j2")
 STUDIES = {"reaching": reaching.STUDY, "pancake": flip.STUDY}  # in the order of the paper
 
 
-def run(
-    folder: Path,
-    scale: Scale,
-    workers: int,
-    only: Collection[str] = tuple(STUDIES),
-) -> Path:
+def run(folder: Path, scale: Scale, workers: int, only: Collection[str] = tuple(STUDIES)) -> Path:
     """Compute the missing results, write the report, print the times; return its path.
 
     "quick" runs the same code with few seeds and small budgets, as a check.

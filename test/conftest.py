@@ -32,13 +32,7 @@ from rclpy.qos import QoSProfile
 from rclpy.task import Future
 from trajectory_msgs.msg import JointTrajectory
 
-from wam_power_interfaces.action import (
-    Demonstrate,
-    ExecutePolicy,
-    MoveToStart,
-    Replay,
-    ResetScene,
-)
+from wam_power_interfaces.action import Demonstrate, ExecutePolicy, MoveToStart, Replay, ResetScene
 from wam_power_interfaces.msg import Policy as PolicyMessage
 from wam_power_ros import rotations
 from wam_power_ros.client.link import DISCOVERY, Link
@@ -244,9 +238,7 @@ class Probe:
             goal["policy"] = PolicyMessage(id=id, text=text)
         sent = Sent()
         self._actions[do].send_goal_async(
-            kind.Goal(**goal),
-            lambda message: sent.stages.append(message.feedback.stage),
-            goal_id(),
+            kind.Goal(**goal), lambda message: sent.stages.append(message.feedback.stage), goal_id()
         ).add_done_callback(sent.accepted)
         return sent
 
@@ -473,13 +465,7 @@ def said(
     return run
 
 
-LAUNCHED = (
-    "torque_controller",
-    "demonstration_recorder",
-    "pancake_tracker",
-    "learner",
-    "wam_sim",
-)
+LAUNCHED = ("torque_controller", "demonstration_recorder", "pancake_tracker", "learner", "wam_sim")
 
 
 @pytest.fixture

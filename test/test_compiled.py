@@ -104,9 +104,7 @@ def test_the_check_of_velocities_keeps_the_same_numbers_and_finds_the_same_fault
 @needs_kernel
 @settings(max_examples=20)
 @given(seeds)
-def test_the_check_of_torques_finds_the_same_faults_and_nearly_the_same_residual(
-    seed: int,
-) -> None:
+def test_the_check_of_torques_finds_the_same_faults_and_nearly_the_same_residual(seed: int) -> None:
     random = np.random.default_rng(seed)
     checks = TorqueCheck(ARM), TorqueCheck(OTHER)
     bound = Bound(

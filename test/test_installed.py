@@ -196,12 +196,7 @@ def nothing(self: Task, rollout: Rollout) -> dict[str, float]:
 
 LIMITED = Error("miss", "m", 0.01, limit=0.03)
 PUSHED = Effect("vigour", 0.2, {"miss": 0.5})
-STATED = {
-    "name": "mine",
-    "errors": (LIMITED,),
-    "effects": (PUSHED,),
-    "observe": nothing,
-}
+STATED = {"name": "mine", "errors": (LIMITED,), "effects": (PUSHED,), "observe": nothing}
 
 
 @pytest.mark.parametrize(

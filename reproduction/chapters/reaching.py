@@ -26,19 +26,12 @@ LEVEL = 0.73
 
 @dataclass(frozen=True, eq=False)
 class Runs:
-    """All runs of one variant.
+    """All runs of one variant."""
 
-    Attributes:
-        means: Return of the noise-free mean after each rollout. Shape (runs, rollouts).
-        best: Highest return of a rollout of each run.
-        stuck: Whether the last mean of each run meets the obstacle.
-        paths: Path of the last mean of each run [m]. Shapes (T, 3).
-    """
-
-    means: np.ndarray
-    best: Sequence[float]
-    stuck: Sequence[bool]
-    paths: Sequence[np.ndarray]
+    means: np.ndarray  # return of the noise-free mean after each rollout, shape (runs, rollouts)
+    best: Sequence[float]  # highest return of a rollout of each run
+    stuck: Sequence[bool]  # whether the last mean of each run meets the obstacle
+    paths: Sequence[np.ndarray]  # of the last mean of each run [m], shapes (T, 3)
 
     @classmethod
     def of(cls, study: Mapping[str, Mapping[str, Any]], variant: str) -> Runs:

@@ -24,15 +24,12 @@ PERIOD = 0.002  # [s] of states
 
 
 class Servo(NamedTuple):
-    """A position servo: its delay, the lag of its low-pass, and the period of set points [s].
-
-    `told`: whether delay and lag were measured, as by `wam-power commission`.
-    """
+    """A position servo: its delay, the lag of its low-pass, and the period of set points [s]."""
 
     delay: float
     lag: float
     set_points: float = 0.0  # one for each state
-    told: bool = False
+    told: bool = False  # whether delay and lag were measured, as by `wam-power commission`
 
 
 PLACES = {  # task and set-ups; a flip is faster than the joints of a UR5e

@@ -91,11 +91,7 @@ def _with_pan(urdf: str, share: float) -> str:
 
 
 def teach(
-    environment: Environment,
-    seed: int,
-    count: int,
-    pitch_rate: float = PITCH_RATE,
-    habit: str = "",
+    environment: Environment, seed: int, count: int, pitch_rate: float = PITCH_RATE, habit: str = ""
 ) -> list[Policy]:
     """Fit a policy to each demonstration of a small series, see `demonstrate`."""
     return _fitted(demonstrate(environment, seed, count, pitch_rate, habit))
@@ -188,11 +184,7 @@ def session(
 
 def _kept(record: Record) -> dict[str, Any]:
     """Part of a record that a result keeps."""
-    return {
-        "kind": record.kind,
-        "ret": record.ret,
-        **_outcome(record.truth or {}, record.fault),
-    }
+    return {"kind": record.kind, "ret": record.ret, **_outcome(record.truth or {}, record.fault)}
 
 
 def _outcome(truth: Truth, fault: str) -> dict[str, Any]:

@@ -37,19 +37,12 @@ PATH_SAMPLES = 50  # samples of a path kept for a figure
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One run of a learner.
+    """One run of a learner."""
 
-    Attributes:
-        returns: Returns of its rollouts, in order. Shape (rollouts,).
-        means: Return of the mean, without exploration, after each of them. Shape (rollouts,).
-        stuck: Whether the last mean still meets the obstacle.
-        mean: Coordinates of the last mean, clipped. Shape (size,).
-    """
-
-    returns: np.ndarray
-    means: np.ndarray
-    stuck: bool
-    mean: np.ndarray
+    returns: np.ndarray  # of its rollouts, in order, shape (rollouts,)
+    means: np.ndarray  # return of the mean, without exploration, after each, shape (rollouts,)
+    stuck: bool  # whether the last mean still meets the obstacle
+    mean: np.ndarray  # coordinates of the last mean, clipped, shape (size,)
 
     @property
     def final(self) -> float:

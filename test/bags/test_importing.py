@@ -7,16 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bag_samples import (
-    NAMES,
-    QOS,
-    START,
-    demonstration,
-    joint_state,
-    of_states,
-    random_q,
-    string,
-)
+from bag_samples import NAMES, QOS, START, demonstration, joint_state, of_states, random_q, string
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from wam_power_ros.arm_identity import ArmIdentity, to_json

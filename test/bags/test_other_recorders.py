@@ -9,13 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bag_samples import (
-    NAMES,
-    START,
-    joint_state,
-    of_states,
-    random_q,
-)
+from bag_samples import NAMES, START, joint_state, of_states, random_q
 from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer

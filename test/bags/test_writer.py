@@ -6,14 +6,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from bag_samples import (
-    NAMES,
-    QOS,
-    START,
-    demonstration,
-    joint_state,
-    random_q,
-)
+from bag_samples import NAMES, QOS, START, demonstration, joint_state, random_q
 from mcap.reader import make_reader
 
 from wam_power_ros.bags import layout

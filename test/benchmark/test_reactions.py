@@ -41,9 +41,7 @@ def test_a_jump_of_an_arm_that_nobody_holds_moves_nothing(joint: int, size: floa
 
 @pytest.mark.requirement("S-122")
 @pytest.mark.parametrize(
-    ("arm", "phase"),
-    [("payload of 0.5 kg", "hold"), (9100, "upwards")],
-    ids=str,
+    ("arm", "phase"), [("payload of 0.5 kg", "hold"), (9100, "upwards")], ids=str
 )
 def test_an_arm_that_is_not_its_model_stays_where_a_fault_stopped_it(
     arm: str | int, phase: str

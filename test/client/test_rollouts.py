@@ -132,11 +132,7 @@ def connect(probe: Probe, cell: Cell) -> Iterator[Connect]:
     """Function that makes a client with changed settings, for a body."""
     with ExitStack() as stack:
 
-        def connect(
-            body: str = "",
-            joint_names: Sequence[str] = (),
-            **changes: object,
-        ) -> Rollouts:
+        def connect(body: str = "", joint_names: Sequence[str] = (), **changes: object) -> Rollouts:
             node = rclpy.create_node("client", context=probe.context)
             given = SETTINGS.model_copy(update=changes)
             return Rollouts(stack.enter_context(Link(node)), given, body, joint_names)

@@ -19,9 +19,7 @@ ARM = true_arm.plain()
 LIMITS = limits_of(ARM)
 
 
-def played(
-    plan: module.Excitation,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, float, float]:
+def played(plan: module.Excitation) -> tuple[np.ndarray, np.ndarray, np.ndarray, float, float]:
     """Times, postures, their speeds, and the highest speeds of guarded points and tool [m/s]."""
     t = np.arange(0.0, plan.t[-1], 0.02)
     spline = scipy.interpolate.CubicSpline(plan.t, plan.q)

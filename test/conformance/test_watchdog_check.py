@@ -63,9 +63,7 @@ def run_check(
 
 
 @pytest.mark.parametrize("adds", [False, True])
-def test_a_driver_with_a_watchdog_passes_and_gets_no_offset_above_friction(
-    adds: bool,
-) -> None:
+def test_a_driver_with_a_watchdog_passes_and_gets_no_offset_above_friction(adds: bool) -> None:
     row, sent = run_check(adds)
     assert row.verdict is Verdict.OK
     carrier = np.zeros(7) if adds else model().gravity(Q)

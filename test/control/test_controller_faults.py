@@ -44,12 +44,7 @@ def test_an_older_state_is_counted_and_changes_nothing() -> None:
 
 @pytest.mark.requirement("S-11")
 @pytest.mark.parametrize(
-    ("q", "qd"),
-    [
-        (HOME * math.nan, np.zeros(7)),
-        (HOME, np.full(7, math.inf)),
-        (None, None),
-    ],
+    ("q", "qd"), [(HOME * math.nan, np.zeros(7)), (HOME, np.full(7, math.inf)), (None, None)]
 )
 def test_a_state_that_is_not_valid_is_ignored_and_five_are_a_fault(q: object, qd: object) -> None:
     controller, plant = begin()

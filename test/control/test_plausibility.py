@@ -75,11 +75,7 @@ def nominal() -> float:
 @pytest.mark.requirement("S-91")
 @pytest.mark.parametrize(
     ("name", "moment"),
-    [
-        *((name, 0.33) for name in FALSIFICATIONS),
-        ("frozen", 0.12),
-        ("joint 2 frozen", 0.55),
-    ],
+    [*((name, 0.33) for name in FALSIFICATIONS), ("frozen", 0.12), ("joint 2 frozen", 0.55)],
 )
 def test_a_false_state_in_a_rollout_ends_in_a_stop_that_true_ones_do_not_disturb(
     name: str, moment: float, nominal: float

@@ -47,9 +47,7 @@ def pushed(period: float) -> int:
 
 
 @pytest.mark.parametrize("judged", [too_fast, frozen, pushed])
-def test_a_fault_is_found_after_the_same_time_at_both_rates(
-    judged: Callable[[float], int],
-) -> None:
+def test_a_fault_is_found_after_the_same_time_at_both_rates(judged: Callable[[float], int]) -> None:
     slow, quick = (judged(period) * period for period in PERIODS)
     assert abs(slow - quick) <= 0.001 + 1e-9
 

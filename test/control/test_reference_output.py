@@ -135,10 +135,7 @@ def swing(duration: float = 1.0, size: float = 0.4) -> tuple[np.ndarray, np.ndar
 
 @pytest.mark.parametrize(
     ("period", "set_point", "delay", "lag", "poses"),
-    [
-        (0.002, 0.008, 0.04, 0.02, False),
-        (0.004, 0.0, 0.08, 0.04, True),
-    ],
+    [(0.002, 0.008, 0.04, 0.02, False), (0.004, 0.0, 0.08, 0.04, True)],
 )
 def test_a_rollout_by_references_is_the_simulated_one_at_any_rate_and_delay(
     period: float, set_point: float, delay: float, lag: float, poses: bool

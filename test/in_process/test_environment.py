@@ -111,10 +111,7 @@ def policies(toss: Policy) -> dict[str, Policy]:
 @pytest.mark.requirement("S-114")
 @pytest.mark.parametrize(
     ("task", "tool_mass"),
-    [
-        *(("toss", mass) for mass in (0.0, 1.0)),
-        *(("reach", mass) for mass in (0.03, 1.0)),
-    ],
+    [*(("toss", mass) for mass in (0.0, 1.0)), *(("reach", mass) for mass in (0.03, 1.0))],
 )
 def test_simulation_and_stand_in_agree_for_tools_of_any_mass(
     policies: dict[str, Policy], task: str, tool_mass: float, tmp_path: Path

@@ -168,10 +168,7 @@ def test_messages_that_wait_in_the_queue_at_a_request_are_not_recorded(
 
 @pytest.mark.parametrize(
     ("parameters", "why"),
-    [
-        ({"free_to_start": 1e9}, "1000000000 MB needed"),
-        ({"directory": "/proc/bags"}, "/proc/bags"),
-    ],
+    [({"free_to_start": 1e9}, "1000000000 MB needed"), ({"directory": "/proc/bags"}, "/proc/bags")],
 )
 def test_no_recording_begins_without_a_place_for_it(
     parameters: dict[str, object], why: str, make: Make

@@ -52,11 +52,7 @@ class Answered:
         self.end = end or self.end
 
     def ask(
-        self,
-        id: str,
-        do: str = "move_to_start",
-        sent_ns: int | None = None,
-        known_stop: str = "",
+        self, id: str, do: str = "move_to_start", sent_ns: int | None = None, known_stop: str = ""
     ) -> Code | None:
         """Code of the answer to a request, None if it has begun."""
         count, begun = len(self.answers), len(self.began)

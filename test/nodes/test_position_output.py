@@ -92,8 +92,7 @@ def test_a_rollout_by_positions_ends_as_by_torques_with_each_kind_of_message(
 @pytest.mark.alone
 @pytest.mark.requirement("S-151")
 @pytest.mark.parametrize(
-    ("ended", "output"),
-    [("controller", "position"), ("driver", "position"), ("driver", "pose")],
+    ("ended", "output"), [("controller", "position"), ("driver", "position"), ("driver", "pose")]
 )
 def test_an_interrupted_controller_and_a_dead_driver_leave_references_at_rest(
     probe: Probe,

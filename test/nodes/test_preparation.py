@@ -30,11 +30,7 @@ from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.safety import limits_of
 from wam_power_ros.learning.policy import COUNT_MAX, DURATION_MAX, Basis, Policy, to_json
 from wam_power_ros.nodes import preparation
-from wam_power_ros.nodes.preparation import (
-    Preparation,
-    settings_of,
-    settings_values,
-)
+from wam_power_ros.nodes.preparation import Preparation, settings_of, settings_values
 from wam_power_ros.regions import Region
 from wam_power_ros.ros import interface, joint_messages, process_channel
 from wam_power_ros.ros.outcomes import Answer, Code

@@ -299,9 +299,7 @@ def test_two_trackers_track_two_bodies_side_by_side(session: Session) -> None:
     assert pancake[0].child_frame_id == "pancake"
 
 
-def test_bag_record_of_all_topics_finds_every_type_and_each_topic_has_one(
-    session: Session,
-) -> None:
+def test_bag_record_of_all_topics_finds_every_type_and_each_topic_has_one(session: Session) -> None:
     for name, kinds in names_and_types(session).items():
         (kind,) = kinds
         package, _, message = kind.split("/")

@@ -294,10 +294,9 @@ def test_a_cancel_stops_the_arm_and_ends_the_goal_and_a_late_one_does_nothing(
     t = np.linspace(0.0, 20.0, 201)
     sway = joint_messages.JointMovement(t, HOME + 0.1 * np.sin(t)[:, None])
     movement = joint_messages.movement_message(NAMES, sway)
-    goal = {
-        "replay": {"movement": movement},
-        "follow": {"trajectory": movement},
-    }.get(do, {"policy": lift("trial-0001")})
+    goal = {"replay": {"movement": movement}, "follow": {"trajectory": movement}}.get(
+        do, {"policy": lift("trial-0001")}
+    )
     before = len(arm.read())
     sent = probe.ask(do, **goal)
     label = {"follow": "replay"}.get(do, do)

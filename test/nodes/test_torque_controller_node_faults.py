@@ -164,9 +164,7 @@ def test_a_second_commander_is_a_fault_and_keeps_us_from_starting(arm: PlayedArm
 
 
 @pytest.mark.requirement("S-45")
-def test_a_commander_that_was_silent_at_activation_is_a_fault_when_it_sends(
-    arm: PlayedArm,
-) -> None:
+def test_a_commander_that_was_silent_at_activation_is_a_fault_when_it_sends(arm: PlayedArm) -> None:
     assert change(arm, Transition.TRANSITION_DEACTIVATE)
     other = commander(arm.probe)
     arm.probe.until(lambda: change(arm, Transition.TRANSITION_ACTIVATE), "the activation")

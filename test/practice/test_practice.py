@@ -24,11 +24,7 @@ from toss_task import (
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.policy import Policy, to_json
 from wam_power_ros.learning.rollout import Rollout
-from wam_power_ros.practice.best_policy import (
-    Best,
-    choose_best,
-    choose_demonstration,
-)
+from wam_power_ros.practice.best_policy import Best, choose_best, choose_demonstration
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session_log import Record, Trial, parse_line
 from wam_power_ros.practice.settings import SessionSettings, preset

@@ -10,12 +10,7 @@ from toss_task import record_of
 
 from wam_power_ros.practice.session_log import Record
 from wam_power_ros.practice.settings import PracticeSettings, preset
-from wam_power_ros.practice.stopping_rule import (
-    CONFIDENCE,
-    StoppingRule,
-    inside,
-    rate_shown,
-)
+from wam_power_ros.practice.stopping_rule import CONFIDENCE, StoppingRule, inside, rate_shown
 
 
 def rollout(

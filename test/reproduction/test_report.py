@@ -88,9 +88,7 @@ def test_a_chapter_shows_what_its_template_names_in_this_order_and_escaped(templ
     assert [name for name, png in chapter.figures.items() if png.startswith(b"\x89PNG")] == ["a"]
 
 
-def test_a_name_without_a_value_and_a_figure_twice_are_refused(
-    template: Path,
-) -> None:
+def test_a_name_without_a_value_and_a_figure_twice_are_refused(template: Path) -> None:
     with pytest.raises(jinja2.UndefinedError, match="'missing' is undefined"):
         rendered(template, "{{ missing }}")
     with pytest.raises(ValueError, match="two figures with the same name: a"):

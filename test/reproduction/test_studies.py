@@ -132,11 +132,7 @@ def test_a_habit_changes_the_demonstration() -> None:
 
 
 def a_session(
-    true: int,
-    ended_by: str,
-    used: int,
-    first: bool = False,
-    landed: int = 30,
+    true: int, ended_by: str, used: int, first: bool = False, landed: int = 30
 ) -> dict[str, Any]:
     return {
         "carried": {},

@@ -17,14 +17,7 @@ import pytest
 from conftest import ROOT, python_path
 
 from wam_power_ros.ros import domain
-from wam_power_ros.ros.domain import (
-    DomainError,
-    exported,
-    hold,
-    ports,
-    private_domain,
-    shared,
-)
+from wam_power_ros.ros.domain import DomainError, exported, hold, ports, private_domain, shared
 
 HOLD = """
 import sys

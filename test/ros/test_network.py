@@ -73,8 +73,7 @@ rclpy.shutdown()
 
 @pytest.mark.requirement("S-56")
 @pytest.mark.parametrize(
-    "given",
-    [{}, {RANGE: ""}, {RANGE: "LOCALHOST"}, {"ROS_STATIC_PEERS": "127.0.0.1;localhost"}],
+    "given", [{}, {RANGE: ""}, {RANGE: "LOCALHOST"}, {"ROS_STATIC_PEERS": "127.0.0.1;localhost"}]
 )
 def test_where_nothing_is_asked_for_the_loopback_interface_is_chosen(given: dict[str, str]) -> None:
     environment = dict(given)

@@ -17,10 +17,7 @@ CODES = sorted(set(Code) - {Code.UNKNOWN})
 
 
 @given(
-    st.sampled_from(CODES),
-    st.text(),
-    st.text(max_size=20),
-    st.floats(0.0, 1.0) | st.just(math.nan),
+    st.sampled_from(CODES), st.text(), st.text(max_size=20), st.floats(0.0, 1.0) | st.just(math.nan)
 )
 def test_an_outcome_survives_its_message(code: Code, text: str, stop: str, speed: float) -> None:
     answer = Answer(code, text, stop, speed)

@@ -109,9 +109,7 @@ def test_a_subscription_follows_publishers_that_offer_less(recorder: Recorder) -
     assert len(recorder.topics.layout_of("/notes")[1]) == 2
 
 
-def test_the_first_type_of_a_topic_is_recorded_and_every_other_is_named(
-    recorder: Recorder,
-) -> None:
+def test_the_first_type_of_a_topic_is_recorded_and_every_other_is_named(recorder: Recorder) -> None:
     recorder.publish("first", RELIABLE, VOLATILE)
     recorder.other.create_publisher(Float64, "notes", QoSProfile(depth=1, reliability=BEST_EFFORT))
     for _ in range(200):

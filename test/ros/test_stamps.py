@@ -9,11 +9,7 @@ import uuid
 import pytest
 from sensor_msgs.msg import JointState
 
-from wam_power_ros.ros.stamps import (
-    goal_id,
-    sensor_stamp,
-    sent_ns,
-)
+from wam_power_ros.ros.stamps import goal_id, sensor_stamp, sent_ns
 
 
 def test_a_stamp_that_is_not_set_is_refused() -> None:

@@ -100,10 +100,7 @@ def launch(installation: Path, processes: Processes, tmp_path: Path) -> Launch:
     return Launch(installation, processes, tmp_path)
 
 
-@pytest.mark.parametrize(
-    "moment",
-    ["each step waits for torques", "recording"],
-)
+@pytest.mark.parametrize("moment", ["each step waits for torques", "recording"])
 def test_ctrl_c_ends_a_launch_cleanly_at_any_moment(
     moment: str, launch: Launch, tmp_path: Path
 ) -> None:

@@ -67,9 +67,7 @@ def decoded(bag: Path, topic: str) -> list[Any]:
 
 @pytest.mark.long
 def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_in_a_rollout_changes_nothing(
-    probe: Probe,
-    processes: Processes,
-    tmp_path: Path,
+    probe: Probe, processes: Processes, tmp_path: Path
 ) -> None:
     folder, candidate = tmp_path / "session", fitted(TAUGHT)
     Session.begin(folder, SETTINGS, SEED, [candidate]).close()

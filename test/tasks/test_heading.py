@@ -17,23 +17,13 @@ from hardware_sim.settings import WorldSettings
 from hardware_sim.world import World
 from wam_power_ros import rotations
 from wam_power_ros.in_process.environment import Environment
-from wam_power_ros.learning.demonstration import (
-    Demonstration,
-    from_joint_samples,
-    from_positions,
-)
+from wam_power_ros.learning.demonstration import Demonstration, from_joint_samples, from_positions
 from wam_power_ros.learning.parametrization import Parametrization, seen_from
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.ball_in_cup.task import BallInCup
 from wam_power_ros.tasks.flip.task import Flip
-from wam_power_ros.tasks.heading import (
-    STEP,
-    forward_of_stroke,
-    forward_of_turn,
-    heading,
-    turned,
-)
+from wam_power_ros.tasks.heading import STEP, forward_of_stroke, forward_of_turn, heading, turned
 from wam_power_ros.tasks.task import Task
 
 STEPS = st.integers(-35, 36)  # whole turns have one heading only

@@ -6,14 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wam_power_ros.tasks.reset import (
-    MOVES_MAX,
-    SETTLE_TIME,
-    Action,
-    BodyState,
-    Move,
-    Resetting,
-)
+from wam_power_ros.tasks.reset import MOVES_MAX, SETTLE_TIME, Action, BodyState, Move, Resetting
 
 MOVE = Move(np.linspace(0.0, 1.0, 5), np.zeros((5, 7)))
 FRAME = 33_000_000  # [ns]

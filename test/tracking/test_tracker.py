@@ -186,10 +186,7 @@ def test_a_hidden_body_is_extrapolated_for_a_tenth_of_a_second_and_then_lost() -
 def test_stamps_that_repeat_or_go_back_are_refused() -> None:
     tracker = Tracker(SETTINGS)
     seen(tracker, 5)
-    for when, fault in [
-        (stamp(4), FrameFault.STAMP_REPEATED),
-        (stamp(3), FrameFault.STAMP_BACK),
-    ]:
+    for when, fault in [(stamp(4), FrameFault.STAMP_REPEATED), (stamp(3), FrameFault.STAMP_BACK)]:
         assert tracker.add(when, PAN + 1e-4, LEVEL) is None
         assert tracker.fault is fault
     assert len(tracker.path("a", stamp(0), stamp(99)).t) == 5

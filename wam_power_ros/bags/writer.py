@@ -23,14 +23,7 @@ from mcap.writer import CompressionType, Writer
 from rosbags.interfaces import Qos
 
 from wam_power_ros import durable_files
-from wam_power_ros.bags.layout import (
-    EVENT,
-    STRING,
-    TYPES,
-    described_qos,
-    qos,
-    unfinished,
-)
+from wam_power_ros.bags.layout import EVENT, STRING, TYPES, described_qos, qos, unfinished
 
 _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # the same text, in a tenth of the time
 METADATA_VERSION = 9  # of metadata.yaml, that of Jazzy

@@ -33,12 +33,7 @@ from wam_power_ros.control.modes import (
 )
 from wam_power_ros.control.policy_execution import Execution
 from wam_power_ros.control.policy_preparation import prepare
-from wam_power_ros.control.state_checks import (
-    STATE_LOSS_TIMEOUT,
-    JointState,
-    StateChecks,
-    at_rate,
-)
+from wam_power_ros.control.state_checks import STATE_LOSS_TIMEOUT, JointState, StateChecks, at_rate
 from wam_power_ros.control.supervision import REST_NS, Supervision
 from wam_power_ros.control.torque_output import TorqueOutput
 from wam_power_ros.control.unexplained_torque import UnexplainedTorque
@@ -74,10 +69,7 @@ class Controller:
     """
 
     def __init__(
-        self,
-        arm: Arm,
-        settings: ControllerSettings | None = None,
-        latched: Fault | None = None,
+        self, arm: Arm, settings: ControllerSettings | None = None, latched: Fault | None = None
     ) -> None:
         settings = settings or ControllerSettings()
         self.arm = arm
@@ -542,11 +534,7 @@ class Controller:
             return self._answer_without_model(error, before, None, elapsed)
 
     def _answer_without_model(
-        self,
-        error: Exception,
-        before: np.ndarray,
-        state: JointState | None,
-        elapsed: float | None,
+        self, error: Exception, before: np.ndarray, state: JointState | None, elapsed: float | None
     ) -> np.ndarray:
         """Latch a fault; returns the torque (n,) [N m] to send a time [s] after `before`."""
         self._failed = True

@@ -12,13 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.control.joint_references import (
-    Brake,
-    MinJerk,
-    ReferenceSequence,
-    Sampled,
-    Step,
-)
+from wam_power_ros.control.joint_references import Brake, MinJerk, ReferenceSequence, Sampled, Step
 from wam_power_ros.control.safety import Limits
 from wam_power_ros.faults import FaultKind
 

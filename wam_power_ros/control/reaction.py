@@ -326,11 +326,7 @@ class Reaction:
         return (past[-1].q - past[0].q) / sum(each.dt for each in past[1:])
 
     def torque(
-        self,
-        state: JointState,
-        believed: bool,
-        explained: bool,
-        weight: np.ndarray | None,
+        self, state: JointState, believed: bool, explained: bool, weight: np.ndarray | None
     ) -> np.ndarray:
         """Motor torque that brakes and holds the arm [N m]. Shape (n,).
 
@@ -428,12 +424,7 @@ class Reaction:
             self._frozen[found[0]] = found[1]
 
     def _advance(
-        self,
-        model: ModelState,
-        believed: bool,
-        explained: bool,
-        reported: np.ndarray,
-        dt: float,
+        self, model: ModelState, believed: bool, explained: bool, reported: np.ndarray, dt: float
     ) -> None:
         """Let the model brake for a time [s]; states that are believed correct its speeds."""
         before, self._seconds = model.qd, self._seconds + dt

@@ -15,12 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from wam_power_ros.learning.demonstration import (
-    MOVEMENT,
-    Demonstration,
-    Movement,
-    rotation_from,
-)
+from wam_power_ros.learning.demonstration import MOVEMENT, Demonstration, Movement, rotation_from
 from wam_power_ros.learning.policy import PERIOD, Basis, Policy, symmetric_part
 
 ROTATION_STIFFNESS = 400.0  # stiffness of the orientation [1/s^2]

@@ -92,8 +92,7 @@ def spin(
 
 
 def run(
-    make_node: Callable[[], Node],
-    spin: Callable[[Node, Callable[[], bool]], None] = spin,
+    make_node: Callable[[], Node], spin: Callable[[Node, Callable[[], bool]], None] = spin
 ) -> int:
     """Run a node until SIGINT or SIGTERM, after which it can still send.
 

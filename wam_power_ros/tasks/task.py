@@ -27,15 +27,7 @@ from wam_power_ros.learning.parametrization import Parametrization, parametrizat
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Foreseen, Rollout
 from wam_power_ros.regions import Region
-from wam_power_ros.tasks.errors import (
-    KNOWN,
-    Effect,
-    Error,
-    RoughErrors,
-    learnt,
-    predictor,
-    told,
-)
+from wam_power_ros.tasks.errors import KNOWN, Effect, Error, RoughErrors, learnt, predictor, told
 from wam_power_ros.tasks.heading import turned
 from wam_power_ros.tasks.reset import Action, BodyState
 from wam_power_ros.tasks.settings import FIT, TaskSettings
@@ -386,9 +378,7 @@ class Task:
         return None if measured is None else told(errors, measured)
 
     def error_model(
-        self,
-        parametrization: Parametrization,
-        foresee: Callable[[Policy], Foreseen | None],
+        self, parametrization: Parametrization, foresee: Callable[[Policy], Foreseen | None]
     ) -> ErrorModel | None:
         """Model of the errors, for learners that plan on it; None if the task has none.
 

@@ -18,12 +18,7 @@ from wam_power_ros import rotations
 
 # Markers in the body frame, the body's centre at 0 [m]. Distances differ by >= 18 mm. Shape (4, 3).
 LAYOUT = np.array(
-    [
-        [-0.056, -0.037, 0.0],
-        [-0.022, 0.072, 0.0],
-        [0.028, -0.071, 0.0],
-        [-0.054, 0.033, 0.0],
-    ]
+    [[-0.056, -0.037, 0.0], [-0.022, 0.072, 0.0], [0.028, -0.071, 0.0], [-0.054, 0.033, 0.0]]
 )
 LAYOUT.flags.writeable = False
 

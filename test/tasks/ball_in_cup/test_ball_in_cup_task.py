@@ -16,11 +16,7 @@ from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.ball_in_cup.settings import CUP_FIT
 from wam_power_ros.tasks.ball_in_cup.swing import GRAVITY, PLANE, STRING, Swing
-from wam_power_ros.tasks.ball_in_cup.task import (
-    MISS_OF_SHIFT,
-    MISS_OF_VIGOUR,
-    BallInCup,
-)
+from wam_power_ros.tasks.ball_in_cup.task import MISS_OF_SHIFT, MISS_OF_VIGOUR, BallInCup
 from wam_power_ros.tasks.task import Assessment, Pose
 
 SETTINGS = preset("ball_in_cup").task_settings

@@ -62,10 +62,7 @@ def many(count: int, seed: int, lose: float, air: float) -> list[tuple[Toss, Fli
     return result
 
 
-@pytest.mark.parametrize(
-    ("lose", "air"),
-    [(0.4, 1.0), (0.0, 2.0)],
-)
+@pytest.mark.parametrize(("lose", "air"), [(0.4, 1.0), (0.0, 2.0)])
 def test_nine_fits_of_ten_are_within_a_millisecond_a_millimetre_and_a_degree(
     lose: float, air: float
 ) -> None:

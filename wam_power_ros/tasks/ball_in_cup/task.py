@@ -22,12 +22,7 @@ from wam_power_ros.learning.parametrization import (
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.regions import Region
-from wam_power_ros.tasks.ball_in_cup.put_back import (
-    emptying,
-    stilling,
-    swing_phasor,
-    swing_rate,
-)
+from wam_power_ros.tasks.ball_in_cup.put_back import emptying, stilling, swing_phasor, swing_rate
 from wam_power_ros.tasks.ball_in_cup.settings import CUP_FIT, PRESETS, CupSettings
 from wam_power_ros.tasks.ball_in_cup.swing import (
     CUP_RADIUS,

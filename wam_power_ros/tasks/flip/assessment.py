@@ -13,12 +13,7 @@ import numpy as np
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
 from wam_power_ros.tasks.flip import placement
-from wam_power_ros.tasks.flip.clock_offset import (
-    CORRECTED_MAX,
-    clock_offset,
-    shifted,
-    stamps_off,
-)
+from wam_power_ros.tasks.flip.clock_offset import CORRECTED_MAX, clock_offset, shifted, stamps_off
 from wam_power_ros.tasks.flip.flight import Flight, observe_flight
 from wam_power_ros.tasks.flip.returns import landing_return, pancake_return
 from wam_power_ros.tasks.flip.settings import FlipSettings

@@ -87,14 +87,16 @@ def predict_toss(pan: EndEffectorPath, pancake: Pancake = PANCAKE) -> Mapping[st
         for _ in range(SWEEPS if rows else 0):
             for nx, nz, nu, tu, apart, slide, impulse in rows:
                 error = apart - (vx * nx + vz * nz + vu * nu)
-                normal = max(impulse[0] + error / (1.0 + nu * nu), 0.0)
+                normal = impulse[0] + error / (1.0 + nu * nu)
+                normal = normal if normal > 0.0 else 0.0  # faster than max
                 change, most = normal - impulse[0], friction * normal
                 vx, vz, vu = vx + change * nx, vz + change * nz, vu + change * nu
                 error = slide - (vx * nz - vz * nx + vu * tu)
-                tangent = min(max(impulse[1] + error / (1.0 + tu * tu), -most), most)
+                tangent = impulse[1] + error / (1.0 + tu * tu)
+                tangent = most if tangent > most else -most if tangent < -most else tangent
                 change = tangent - impulse[1]
                 vx, vz, vu = vx + change * nz, vz - change * nx, vu + change * tu
-                impulse[:] = normal, tangent
+                impulse[0], impulse[1] = normal, tangent
         pushed = {name: each for name, each in pushed.items() if each[0] > 0.0}
         x, z, u = x + dt * vx, z + dt * vz, u + dt * vu
         highest = max(highest, z - start)

@@ -82,11 +82,7 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
     "hindsight": _HINDSIGHT,
     # For comparison: what the returns, or the corrections, reach alone.
     "return_only": {**_HINDSIGHT, "gain": 0.0},
-    "corrections_only": {
-        **_HINDSIGHT,
-        "learner": {"name": "corrections_only"},
-        "mean_every": 1,
-    },
+    "corrections_only": {**_HINDSIGHT, "learner": {"name": "corrections_only"}, "mean_every": 1},
     "paper": {
         "variant": "full",
         "noise": {"stiffness": 0.1, "attractor": 0.01, "rotation": 0.05, "catch_shift": 0.01},

@@ -25,14 +25,7 @@ from wam_power_ros.tasks.flip.returns import pancake_return
 from wam_power_ros.tasks.flip.settings import FLIP_FIT, PRESETS, TRUE_TURN, FlipSettings
 from wam_power_ros.tasks.flip.toss_errors import EFFECTS, ERRORS, SLIPPERY, SLOWED, measured_errors
 from wam_power_ros.tasks.heading import forward_of_turn, heading, turned, turned_path
-from wam_power_ros.tasks.task import (
-    Assessment,
-    BodyState,
-    Goal,
-    LoggedRollout,
-    Pose,
-    Task,
-)
+from wam_power_ros.tasks.task import Assessment, BodyState, Goal, LoggedRollout, Pose, Task
 
 _OFFSET_MAX = 0.10  # largest distance of the pancake from the pan's centre before a rollout [m]
 _RIM_OFFSET_MIN = 0.06  # from which on one above the floor lies on the rim [m]
