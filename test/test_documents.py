@@ -117,6 +117,13 @@ def test_every_page_is_in_the_index_and_every_picture_in_a_page() -> None:
     assert unused == []
 
 
+def test_every_page_is_found_from_the_navigation_of_the_site() -> None:
+    shown = read("docs/mkdocs.yml")
+    others = ["bags/README.md", "benchmark/README.md", "examples/README.md"]
+    pages = [page for page in PAGES if not re.match(r"docs/decisions/\d", page)]
+    assert [page for page in [*pages, *others] if f" {page}\n" not in shown] == []
+
+
 def test_every_table_of_results_is_that_of_its_file() -> None:
     if importlib.util.find_spec("joblib") is None:
         pytest.skip("the studies need joblib")
