@@ -130,7 +130,8 @@ class ArmSim(Node):
         moves = self._scene.busy or world.moving or self._scene.label not in IDLE_LABELS
         self._still_ticks = 0 if moves else self._still_ticks + 1
         for frame in world.mocap_frames():
-            self._on_frame(frame, self.stamp_offset_ns, world.time_ns)
+            if not self._scene.covered:
+                self._on_frame(frame, self.stamp_offset_ns, world.time_ns)
         return self.state()
 
     def state(self) -> JointState:

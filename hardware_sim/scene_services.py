@@ -35,10 +35,11 @@ class SceneServices:
 
     Attributes:
         label: Activity of the controller, the label of its torques; "" before the first.
+        covered: Whether the cameras do not see the body, as the hand of who puts it back is there.
     """
 
     def __init__(self, node: Node, world: World, params: ArmSimParams) -> None:
-        self.label = ""
+        self.label, self.covered = "", False
         self._world, self._seed = world, params.seed
         self._lockstep = params.lockstep
         self._demonstrations = 0  # completed
@@ -139,11 +140,13 @@ class SceneServices:
 
     def _settle(self, slices: Iterator[None]) -> Steps:
         """Do the slices of a reset; wait until the controller has settled."""
+        self.covered = True
         yield from slices
         if self._resetting:
             self._resetting = False
             self._world.release()
         yield from repeat(None, self._wait_ticks)
+        self.covered = False
 
     def _reset_for_demonstration(self) -> Steps:
         yield from self._until_guided()

@@ -313,7 +313,7 @@ class Ball:
         self.path(start_ns, WHOLE)
         topic = interface.body_topic("ball", "state")
         self._states = cell.node.create_publisher(Odometry, topic, interface.STATE_OUT)
-        self.sent = 0  # number of states
+        self.late_ns = 0  # added to the stamps of its states
         cell.node.create_timer(0.02, self._publish)
 
     def path(self, start_ns: int, end: float) -> None:
@@ -329,13 +329,11 @@ class Ball:
         return answer
 
     def _publish(self) -> None:
-        self.sent += 1
         self.off -= SCENE in self.cell.requests
         there = self.moves > 0 or self.off < 0
         zero, place = np.zeros(3), np.array([0.0, 0.0, float(there)])
-        state = pose_messages.StateReading(
-            10**9 + 33_000_000 * self.sent, "wam_base", place, LEVEL, zero, zero, 1e-6
-        )
+        stamp_ns = self.cell.node.get_clock().now().nanoseconds + self.late_ns
+        state = pose_messages.StateReading(stamp_ns, "wam_base", place, LEVEL, zero, zero, 1e-6)
         self._states.publish(pose_messages.odometry_message(state, "ball"))
 
 
@@ -351,6 +349,23 @@ def test_a_body_that_is_thrown_off_again_is_put_back_again_by_the_simulation(
     client = connect("ball", joint_names=["j1"], scene_reset=True)
     executed = client.execute(POLICY, WHOLE, in_place, lambda state: move)  # the arm does not
     assert cell.requests == [MOVE, SCENE, MOVE, SCENE, EXECUTE] and executed.reset is None
+
+
+def test_states_of_a_body_from_before_the_reset_of_its_scene_do_not_begin_a_rollout(
+    connect: Connect, cell: Cell
+) -> None:
+    cell.offer_scene()
+    ball = Ball(cell)
+    ball.moves, ball.late_ns = 1, -30 * 10**9  # as if the tracker lagged far behind
+    begun: list[bool] = []
+
+    def catch_up() -> None:
+        begun.append(EXECUTE in cell.requests)
+        ball.late_ns = 0
+
+    cell.node.create_timer(2.0, catch_up)
+    connect("ball", scene_reset=True).execute(POLICY, WHOLE, in_place)
+    assert begun[0] is False and cell.requests[-1] == EXECUTE
 
 
 def test_the_arm_puts_the_body_back_once_the_switch_is_held_and_who_did_is_known(

@@ -62,6 +62,20 @@ def test_a_scene_is_reset_or_demonstrated_in_one_goal_at_a_time_the_latter_if_th
     hardware.give_back()
 
 
+def test_the_cameras_do_not_see_the_body_while_it_is_put_back(hardware: Hardware) -> None:
+    """So that a tracker begins anew, and refuses no frame for a turn that no body can make."""
+    probe, policy = hardware.probe, lift("covered")
+    topic = interface.body_topic("pancake", "pose")
+    poses = probe.listen(PoseStamped, topic, interface.STATE_RECORD)
+    hardware.insist("move_to_start", policy)
+    probe.until(lambda: len(poses) > 3, "frames before the reset")
+    hardware.insist("reset", policy)
+    there = len(poses)
+    probe.until(lambda: len(poses) > there + 3, "frames after the reset")
+    stamps_ns = [pose_messages.pose(pose).stamp_ns for pose in poses]
+    assert 3 * 33_333_333 <= np.diff(stamps_ns).max() < 10 * 33_333_333
+
+
 def fastest(hardware: Hardware) -> float:
     """Highest speed of a joint [rad/s] since the messages were cleared."""
     return max(np.abs(hardware.state(i).qd).max() for i in range(len(hardware.messages)))

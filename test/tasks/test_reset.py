@@ -43,6 +43,15 @@ def test_a_body_must_have_been_ready_without_a_break_for_its_time_of_rest() -> N
     assert course.resetting.done and course.resetting.by == "none"
 
 
+def test_states_of_before_the_reset_do_not_count_however_late_they_come() -> None:
+    course = Course()
+    course.missing, course.resetting.since_ns = "", course.now_ns + 10 * FRAME
+    course.go_on(10 * FRAME * 1e-9)
+    assert not course.resetting.done
+    course.go_on(3 * FRAME * 1e-9)
+    assert course.resetting.done
+
+
 def test_a_person_counts_only_once_the_body_has_had_time_to_come_to_rest() -> None:
     course = Course("person")
     course.go_on(SETTLE_TIME - 0.5)

@@ -369,7 +369,8 @@ class Rollouts:
                 raise NotBegunError(f"the scene is not reset: {answer.said}")
             if not self._body:
                 return
-            again = self._resetting = Resetting(ready, lambda state: "wait")
+            since_ns = self._node.get_clock().now().nanoseconds  # older states may still come
+            again = self._resetting = Resetting(ready, lambda state: "wait", since_ns=since_ns)
             what = lambda again=again: f"the {self._body} to be ready: {again.missing}"  # noqa: E731
             try:
                 return self.until(lambda again=again: again.done, what, READY_TIMEOUT)

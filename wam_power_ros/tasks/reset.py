@@ -56,6 +56,7 @@ class Resetting:
     ready: Callable[[BodyState | None], str]  # what is missing for a rollout, see `Task.ready`
     reset: Callable[[BodyState | None], Action]  # what is to be done then, see `Task.reset`
     rest_time: float = 0.0  # for which the body must have been ready [s]
+    since_ns: int = 0  # time from which on states count [ns]
     missing: str = "no state of the body received"  # in the last state
     by: By = "none"  # who has been needed so far
     waits: bool = False  # whether it is expected to become ready without a person
@@ -73,7 +74,7 @@ class Resetting:
 
     def add(self, state: BodyState | None, now_ns: int) -> None:
         """Judge the next state of the body, None if it is not seen, at a time [ns]."""
-        if self.move is not None:  # which is under way
+        if self.move is not None or now_ns <= self.since_ns:  # a movement is under way
             return
         self.missing = self.ready(state)
         if not self.missing:
