@@ -114,9 +114,13 @@ def test_an_error_that_mostly_has_no_value_is_named() -> None:
         def measure(self, observation: dict[str, Any]) -> dict[str, float]:
             return {**super().measure(observation), "landing_x": math.nan}
 
-    found = why_failed(session(plain).records, Blind(SETTINGS.task_settings, {}), SETTINGS, POLICY)
+    records = session(plain).records
+    found = why_failed(records, Blind(SETTINGS.task_settings, {}), SETTINGS, POLICY)
     assert (found.cause, found.detail) == (Cause.UNMEASURED, "landing_x")
     assert found.count == found.total
+    by_return = preset("flip", "return_only", budget=30, retests=2)
+    found = why_failed(records, Blind(by_return.task_settings, {}), by_return, POLICY)
+    assert found.cause is Cause.UNKNOWN, "what is not learnt from is no cause"
 
 
 def test_rollouts_that_power_chose_are_a_cause_with_a_learner_that_plans() -> None:

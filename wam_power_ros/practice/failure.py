@@ -14,6 +14,7 @@ import numpy as np
 from wam_power_ros import installed
 from wam_power_ros.faults import FaultKind
 from wam_power_ros.learning import dmp
+from wam_power_ros.learning.learner import needs_errors
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.practice.session_log import Record
 from wam_power_ros.practice.settings import SessionSettings
@@ -87,12 +88,14 @@ def why_failed(
     last = [record for record in tests if record.ret is not None] or own[-1:]
     if 2 * sum(record.succeeded for record in last) >= len(last):
         return None
+    learner = installed.find("learner", settings.learner)
     found = _unseen(own) or _faults(own) or _soft(own, start) or _errors(own, task, start)
+    if found and found.cause is Cause.UNMEASURED and not (needs_errors(learner) or task.gain):
+        found = None  # the return alone told what to change
     found = found or _disagree(own)
     drawn = sum(record.kind == "explore" for record in own)
-    plans = hasattr(installed.find("learner", settings.learner), "falls_back")
-    cause = Cause.FELL_BACK if plans and 2 * drawn > len(own) else Cause.UNKNOWN
-    return found or Failure(cause, drawn, len(own))
+    fell_back = hasattr(learner, "falls_back") and 2 * drawn > len(own)
+    return found or Failure(Cause.FELL_BACK if fell_back else Cause.UNKNOWN, drawn, len(own))
 
 
 def _unseen(own: Sequence[Record]) -> Failure | None:
