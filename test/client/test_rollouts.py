@@ -368,6 +368,25 @@ def test_states_of_a_body_from_before_the_reset_of_its_scene_do_not_begin_a_roll
     assert begun[0] is False and cell.requests[-1] == EXECUTE
 
 
+def test_after_a_reset_of_its_scene_a_body_rests_as_long_as_in_the_lab(
+    connect: Connect, cell: Cell
+) -> None:
+    """So that frames of before the reset are none of those that show it at rest."""
+    cell.offer_scene()
+    Ball(cell).moves = 1
+    since: dict[str, int] = {}
+
+    def look() -> None:
+        for request in cell.requests:
+            since.setdefault(request, cell.node.get_clock().now().nanoseconds)
+
+    cell.node.create_timer(0.01, look)
+    client = connect("ball", scene_reset=True)
+    client.execute(POLICY, WHOLE, in_place, rest_time=0.5)
+    look()
+    assert since[EXECUTE] - since[SCENE] > 480_000_000
+
+
 def test_the_arm_puts_the_body_back_once_the_switch_is_held_and_who_did_is_known(
     connect: Connect, cell: Cell
 ) -> None:

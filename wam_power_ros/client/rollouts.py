@@ -306,7 +306,7 @@ class Rollouts:
         it back, in which time; None if the scene was reset, or without a body.
         """
         if self._settings.scene_reset:
-            self._reset_scene(policy, resetting.ready)
+            self._reset_scene(policy, resetting)
             return None
         begun = self._node.get_clock().now()
         by_person = self._reach_start(policy)
@@ -359,7 +359,7 @@ class Rollouts:
             self._log.warning(f"the {self._body} is not put back: {answer.said}")
             self._link.sleep(RETRY_PERIOD)
 
-    def _reset_scene(self, policy: Policy, ready: Ready) -> None:
+    def _reset_scene(self, policy: Policy, resetting: Resetting) -> None:
         """Let the stand-in reset the scene, again if needed, until the body is ready."""
         end = time.monotonic() + self._settings.patience
         while True:
@@ -369,8 +369,8 @@ class Rollouts:
                 raise NotBegunError(f"the scene is not reset: {answer.said}")
             if not self._body:
                 return
-            since_ns = self._node.get_clock().now().nanoseconds  # older states may still come
-            again = self._resetting = Resetting(ready, lambda state: "wait", since_ns=since_ns)
+            now = self._node.get_clock().now().nanoseconds  # older states may still come
+            again = self._resetting = replace(resetting, reset=lambda state: "wait", since_ns=now)
             what = lambda again=again: f"the {self._body} to be ready: {again.missing}"  # noqa: E731
             try:
                 return self.until(lambda again=again: again.done, what, READY_TIMEOUT)
