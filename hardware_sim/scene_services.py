@@ -12,6 +12,7 @@ from itertools import repeat
 
 import numpy as np
 from rclpy.node import Node
+from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from hardware_sim.settings import ArmSimParams
@@ -23,6 +24,7 @@ from wam_power_ros.ros import interface
 from wam_power_ros.ros.action_server import Action
 from wam_power_ros.ros.outcomes import Answer, Code, fill
 from wam_power_ros.ros.pose_messages import TruthReading, ground_truth_message
+from wam_power_ros.ros.stamps import time_message
 
 ROLLOUT = "rollout "  # begins the label of a rollout, before its id
 WAIT_TIME = 0.1  # [s] from a reset to its answer, and from a request to a refusal
@@ -40,7 +42,7 @@ class SceneServices:
 
     def __init__(self, node: Node, world: World, params: ArmSimParams) -> None:
         self.label, self.covered = "", False
-        self._world, self._seed = world, params.seed
+        self._node, self._world, self._seed = node, world, params.seed
         self._lockstep = params.lockstep
         self._demonstrations = 0  # completed
         self._wait_ticks = world.settings.ticks(WAIT_TIME)
@@ -86,8 +88,9 @@ class SceneServices:
         for id, steps in [*self._under_way.items()]:
             if (answer := next(steps, Answer(Code.DONE))) is not None:
                 del self._under_way[id]
-                for action in (self._reset_action, self._demonstration):
-                    action.finish(id, answer)
+                header = Header(stamp=time_message(self._node.stamp_ns))
+                if not self._reset_action.finish(id, answer, header=header):
+                    self._demonstration.finish(id, answer)
 
     def _begin_reset(self, id: str, goal: ResetScene.Goal) -> Answer | None:
         """Reset the scene; in lockstep the world then stays frozen until the next activity.

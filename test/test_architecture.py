@@ -111,14 +111,14 @@ BUDGET = {
     "bags": 2356,  # +246: sets of LeRobot, written and read
     "params": 1298,  # what may be set at rest; -p body:=NAME is derived from; NatNet, FR3
     "ros": 2338,  # +24: PoseStamped; variables of ROS and DDS are named with their remedy
-    "client": 1290,  # +1: states of before a reset do not count
+    "client": 1291,  # +2: states of before a reset do not count
     "nodes": 3460,  # +22: frames of poses; +217: an FR3 by its maker's library; +122: NatNet
     "console": 459,  # a person supports the arm, however a movement ended
     "view": 834,
     "reporting": 765,
     "in_process": 509,  # a session on disk without nodes
     "cli": 2318,  # mistakes of a set-up, new-arm, sessions
-    "hardware_sim": 3340,  # +170: a camera films tags; +4: a hand covers the body
+    "hardware_sim": 3343,  # +170: a camera films tags; +7: a hand covers the body
     "launch": 158,
     "wam_power_interfaces": 159,  # its build without ROS
     "examples": 483,  # +106: five tasks of other libraries

@@ -17,6 +17,7 @@ from nav_msgs.msg import Odometry, Path
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from wam_power_interfaces.action import ExecutePolicy, MoveToStart, Replay, ResetScene
@@ -76,7 +77,8 @@ class Cell:
     def offer_scene(self) -> None:
         """Offer the reset of a scene."""
         self.answers[SCENE] = []
-        Action(self.node, ResetScene, interface.RESET_SCENE, partial(self.take, SCENE))
+        name = interface.RESET_SCENE
+        self._scene = Action(self.node, ResetScene, name, partial(self.take, SCENE))
 
     def take(self, do: str, id: str, goal: ExecutePolicy.Goal) -> Answer | None:
         """Answer a goal."""
@@ -85,6 +87,10 @@ class Cell:
         self.known.append(getattr(goal, "known_stop", ""))
         if self.answers[do]:
             return self.answers[do].pop(0)
+        if do == SCENE:
+            back = Header(stamp=self.node.get_clock().now().to_msg())
+            self._scene.finish(id, Answer(Code.DONE), header=back)
+            return None
         if do != EXECUTE:
             return Answer(Code.DONE)
         return self.run(id)

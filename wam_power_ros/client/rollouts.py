@@ -33,6 +33,7 @@ from wam_power_ros.params.node_params import Timeout
 from wam_power_ros.ros import interface, pose_messages
 from wam_power_ros.ros.joint_messages import JointMovement, movement_message
 from wam_power_ros.ros.outcomes import NO_ANSWER, Answer, Code, Ended, ServiceError
+from wam_power_ros.ros.stamps import nanoseconds
 from wam_power_ros.tasks.reset import Action as ResetAction
 from wam_power_ros.tasks.reset import BodyState, Move, Resetting
 from wam_power_ros.tasks.task import MISSING_MAX
@@ -364,13 +365,13 @@ class Rollouts:
         end = time.monotonic() + self._settings.patience
         while True:
             self._reach_start(policy)
-            answer, _ = self._ask(self._scene, policy, self._settings.service_timeout)
+            answer, result = self._ask(self._scene, policy, self._settings.service_timeout)
             if not answer.success:
                 raise NotBegunError(f"the scene is not reset: {answer.said}")
             if not self._body:
                 return
-            now = self._node.get_clock().now().nanoseconds  # older states may still come
-            again = self._resetting = replace(resetting, reset=lambda state: "wait", since_ns=now)
+            ns = nanoseconds(result.header.stamp)  # older states may still come
+            again = self._resetting = replace(resetting, reset=lambda state: "wait", since_ns=ns)
             what = lambda again=again: f"the {self._body} to be ready: {again.missing}"  # noqa: E731
             try:
                 return self.until(lambda again=again: again.done, what, READY_TIMEOUT)
