@@ -101,10 +101,10 @@ ALLOWED["benchmark"] = {*ALLOWED}
 # what can go; where nothing can, the commit that raises a figure says why.
 BUDGET = {
     "ground": 1491,  # what is missing is named with its remedy; a task may be a class of a file
-    "learning": 2450,  # +35: springs as needed; +36: plans away from edges, on all coordinates
+    "learning": 2452,  # +35: springs as needed; +36: plans away from edges, on all coordinates
     "control": 5499,  # positions; +123: poses of the tool; +10: how far beyond a position limit
     "commissioning": 1418,  # +165: a set-up proposed from a URDF; +116: its report, from cli/
-    "tracking": 892,  # tags in images, from nodes/
+    "tracking": 891,  # tags in images, from nodes/
     "tasks": 3522,  # +93: what cannot be the pancake in the pan; +8: a touch of the rim in the air
     "practice": 2343,  # +32: tools and springs that failed; +46: candidates are fitted here
     "conformance": 1105,  # +13: frames of poses; +25: effort without gravity

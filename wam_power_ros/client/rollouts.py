@@ -28,7 +28,7 @@ from wam_power_ros.client.reports import ControllerReports
 from wam_power_ros.control.modes import Mode
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
+from wam_power_ros.learning.rollout import LEAD_TIME, BodyPath, EndEffectorPath, Rollout
 from wam_power_ros.params.node_params import Timeout
 from wam_power_ros.ros import interface, pose_messages
 from wam_power_ros.ros.joint_messages import JointMovement, movement_message
@@ -307,7 +307,7 @@ class Rollouts:
         it back, in which time; None if the scene was reset, or without a body.
         """
         if self._settings.scene_reset:
-            self._reset_scene(policy, resetting)
+            self._reset_scene(policy, resetting.ready)
             return None
         begun = self._node.get_clock().now()
         by_person = self._reach_start(policy)
@@ -360,7 +360,7 @@ class Rollouts:
             self._log.warning(f"the {self._body} is not put back: {answer.said}")
             self._link.sleep(RETRY_PERIOD)
 
-    def _reset_scene(self, policy: Policy, resetting: Resetting) -> None:
+    def _reset_scene(self, policy: Policy, ready: Ready) -> None:
         """Let the stand-in reset the scene, again if needed, until the body is ready."""
         end = time.monotonic() + self._settings.patience
         while True:
@@ -370,8 +370,8 @@ class Rollouts:
                 raise NotBegunError(f"the scene is not reset: {answer.said}")
             if not self._body:
                 return
-            ns = nanoseconds(result.header.stamp)  # older states may still come
-            again = self._resetting = replace(resetting, reset=lambda state: "wait", since_ns=ns)
+            ns = nanoseconds(result.header.stamp) + LEAD_TIME  # all frames of its path are later
+            again = self._resetting = Resetting(ready, lambda state: "wait", since_ns=ns)
             what = lambda again=again: f"the {self._body} to be ready: {again.missing}"  # noqa: E731
             try:
                 return self.until(lambda again=again: again.done, what, READY_TIMEOUT)

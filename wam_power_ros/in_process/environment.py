@@ -22,7 +22,7 @@ from wam_power_ros.control.reference_output import controller_of
 from wam_power_ros.control.replay_trajectory import sampled
 from wam_power_ros.faults import Fault
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.rollout import Foreseen, Rollout
+from wam_power_ros.learning.rollout import LEAD_TIME, Foreseen, Rollout
 from wam_power_ros.params import overlay
 from wam_power_ros.params.body_tracker_params import BodyTrackerParams
 from wam_power_ros.params.overlay import Setup
@@ -31,7 +31,7 @@ from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session_log import Record
 from wam_power_ros.tasks.reset import Resetting
 from wam_power_ros.tasks.task import Pose, Task
-from wam_power_ros.tracking.tracker import LEAD_TIME, Tracker
+from wam_power_ros.tracking.tracker import Tracker
 
 _STILL = 0.05  # [s] for which the arm is held before a rollout, so that its state repeats
 _SEEN = LEAD_TIME * 1e-9  # [s] for which it is held after it has come there: its body is seen

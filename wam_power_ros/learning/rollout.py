@@ -11,6 +11,8 @@ import numpy as np
 from wam_power_ros.faults import Fault
 from wam_power_ros.learning.policy import check_id, read_only
 
+LEAD_TIME = 300_000_000  # before a rollout, of which the path of its body has frames, too [ns]
+
 
 @dataclass(frozen=True, eq=False)
 class _Path:

@@ -18,12 +18,11 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from typing_extensions import Self
 
 from wam_power_ros import rotations
-from wam_power_ros.learning.rollout import BodyPath
+from wam_power_ros.learning.rollout import LEAD_TIME, BodyPath
 from wam_power_ros.tracking import marker_fit
 
 SECOND = 1_000_000_000  # [ns]
 GRAVITY = 9.81  # [m/s^2]
-LEAD_TIME = 3 * SECOND // 10  # before a rollout, of which its path has the frames too [ns]
 HISTORY_TIME = 20 * SECOND  # age of the oldest frame that is kept for paths [ns]
 INTERVAL_MIN = SECOND // 1000  # frames with closer stamps were stamped on delivery [ns]
 FROZEN_COUNT = 10  # consecutive bit-identical poses, over FROZEN_TIME, that count as frozen
