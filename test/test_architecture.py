@@ -110,7 +110,7 @@ BUDGET = {
     "conformance": 1105,  # +13: frames of poses; +25: effort without gravity
     "bags": 2356,  # +246: sets of LeRobot, written and read
     "params": 1298,  # what may be set at rest; -p body:=NAME is derived from; NatNet, FR3
-    "ros": 2338,  # +24: PoseStamped; variables of ROS and DDS are named with their remedy
+    "ros": 2340,  # +24: PoseStamped; variables of ROS and DDS are named with their remedy
     "client": 1291,  # +2: states of before a reset do not count
     "nodes": 3460,  # +22: frames of poses; +217: an FR3 by its maker's library; +122: NatNet
     "console": 459,  # a person supports the arm, however a movement ended

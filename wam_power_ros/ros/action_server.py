@@ -81,7 +81,9 @@ class Action:
         handle = self.under_way.pop(id, None)
         if handle is None:
             return False
-        if not answer.success:
+        if answer.code is Code.BUSY:  # its sender tries again
+            self._log.info(f"{answer.code.value}: {answer.text}", throttle_duration_sec=1.0)
+        elif not answer.success:
             self._log.warning(f"{answer.code.value}: {answer.text}", throttle_duration_sec=1.0)
         result = self._result(answer, **more)
 
