@@ -33,7 +33,7 @@ from wam_power_ros.regions import Region
 from wam_power_ros.tasks.reach.paths import STEPS, resampled, stopped_paths
 from wam_power_ros.tasks.reach.task import Reach
 
-HELD_OUT = range(9700, 9720)  # seeds not used for tuning; the k-th has the k-th goal in turn
+HELD_OUT = range(18000, 18020)  # seeds not used for tuning; the k-th has the k-th goal in turn
 START = np.array([0.780, -0.248, 0.600])  # [m] of the tool of a reach
 PERIOD = 0.004  # [s] of its recording
 NOISE = 0.004  # standard deviation of the end of its path, per axis [m]
