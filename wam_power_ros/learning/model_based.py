@@ -195,7 +195,7 @@ class ModelBased(GaussianLearner):
         known = [(z, e, p) for z, e in rollouts if (p := self._foreseen(z)) is not None]
         n, m = len(known), self._m
         at = np.array([z for z, _, _ in known]).reshape(n, self.size)
-        rest = np.array([e - p.error for _, e, p in known]).reshape(n, m)
+        rest: np.ndarray = np.array([e - p.error for _, e, p in known]).reshape(n, m)
         noise = ROLLOUT_NOISE**2 * np.eye(n)
 
         def covariance(z: np.ndarray, uncertain: np.ndarray) -> np.ndarray:
