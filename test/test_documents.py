@@ -124,6 +124,15 @@ def test_every_page_is_found_from_the_navigation_of_the_site() -> None:
     assert [page for page in [*pages, *others] if f" {page}\n" not in shown] == []
 
 
+def test_a_term_that_a_door_introduces_is_in_the_glossary() -> None:
+    entries = re.findall(r"^\| ([^|]+) \|", read("docs/glossary.md"), re.MULTILINE)
+    known = [word.strip() for entry in entries for word in entry.split(",")]
+    shown = "".join(CODE.sub("\n", read(door)) for door in ["README.md", *DOORS])
+    terms = re.findall(r"(?<![*\w])\*(?!\*)([A-Za-z][^*\n]{1,30})\*(?!\*)", shown)
+    assert len(terms) > 5
+    assert [term for term in terms if not any(term.startswith(word) for word in known)] == []
+
+
 def test_every_table_of_results_is_that_of_its_file() -> None:
     if importlib.util.find_spec("joblib") is None:
         pytest.skip("the studies need joblib")
