@@ -170,8 +170,13 @@ def test_a_commander_that_was_silent_at_activation_is_a_fault_when_it_sends(arm:
     arm.probe.until(lambda: change(arm, Transition.TRANSITION_ACTIVATE), "the activation")
     arm.settle()
     assert arm.read()[-1].label == "hold"
-    zeros = Float64MultiArray(data=[0.0] * 7)  # again and again, as a commander does
-    probed = lambda d: other.publish(zeros) or arm.send() or d["mode"] == "fault"  # noqa: E731
+
+    def probed(diagnosis: dict[str, str]) -> bool:
+        other.publish(Float64MultiArray(data=[0.0] * 7))  # again and again, as a commander does
+        arm.send()
+        arm.answer()  # unanswered states would be lost
+        return diagnosis["mode"] == "fault"
+
     report = arm.diagnosis(probed, "a fault")
     assert report["fault kind"] == FaultKind.SECOND_COMMANDER.value
     arm.probe.node.destroy_publisher(other)
