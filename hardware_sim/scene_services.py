@@ -37,7 +37,7 @@ class SceneServices:
 
     Attributes:
         label: Activity of the controller, the label of its torques; "" before the first.
-        covered: Whether the cameras do not see the body, as the hand of who puts it back is there.
+        covered: Whether the body is hidden from the cameras, by the hand that puts it back.
     """
 
     def __init__(self, node: Node, world: World, params: ArmSimParams) -> None:

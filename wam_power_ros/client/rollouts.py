@@ -370,8 +370,8 @@ class Rollouts:
                 raise NotBegunError(f"the scene is not reset: {answer.said}")
             if not self._body:
                 return
-            ns = nanoseconds(result.header.stamp) + LEAD_TIME  # all frames of its path are later
-            again = self._resetting = Resetting(ready, lambda state: "wait", since_ns=ns)
+            seen_ns = nanoseconds(result.header.stamp) + LEAD_TIME  # its path begins later
+            again = self._resetting = Resetting(ready, lambda state: "wait", since_ns=seen_ns)
             what = lambda again=again: f"the {self._body} to be ready: {again.missing}"  # noqa: E731
             try:
                 return self.until(lambda again=again: again.done, what, READY_TIMEOUT)
