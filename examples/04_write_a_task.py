@@ -20,7 +20,7 @@ class Puck(Task):
 
     name, body = "puck", "puck"
     errors = (Error("beside", "m", 0.01, limit=0.03), Error("beyond", "m", 0.01, limit=0.03))
-    effects = (Effect("shift_x", 0.05, {"beside": 1.0}), Effect("vigour", 0.2, {"beyond": 0.5}))
+    effects = (Effect("shift_x", 0.05, {"beside": 1.0}), Effect("amplitude", 0.2, {"beyond": 0.5}))
 
     def observe(self, rollout: Rollout) -> dict[str, float]:
         """Where the puck stopped, from the mark."""

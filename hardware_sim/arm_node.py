@@ -52,7 +52,7 @@ class ArmSim(Node):
 
     def __init__(self) -> None:
         super().__init__("wam_sim", automatically_declare_parameters_from_overrides=True)
-        self.params = ArmSimParams.of(self)
+        self.params = ArmSimParams.from_node(self)
         self.on_torque: Callable[[joint_messages.TorqueReading], None] = lambda reading: None
         self.counters: Counter[str] = Counter()
         self._still_ticks = 0  # without motion and requests

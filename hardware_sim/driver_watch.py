@@ -56,9 +56,9 @@ class DriverWatch:
             ValueError: A robot, or a stand-in in the same namespace, is in this domain; or the
                 middleware cannot be confined to this machine, nor its participants be counted.
         """
-        if unconfined := network.unconfined_middleware():
+        if unrestricted := network.unrestricted_middleware():
             raise ValueError(
-                f"the middleware is {unconfined}: a simulation might reach a robot; run it with "
+                f"the middleware is {unrestricted}: a simulation might reach a robot; run it with "
                 f"RMW_IMPLEMENTATION={network.MIDDLEWARE}"
             )
         domain = exported(os.environ)

@@ -28,7 +28,7 @@ from hardware_sim.scenes import scene_type
 from hardware_sim.world import World
 from wam_power_ros.entry import REFUSED
 from wam_power_ros.ros import joint_messages, node_runner, scheduling
-from wam_power_ros.ros.domain import exported, hold
+from wam_power_ros.ros.domain import exported, lock
 from wam_power_ros.ros.loop_statistics import LoopStatistics
 
 REPEAT_PERIOD_NS = 50_000_000  # [ns] after which an unanswered state is published again
@@ -51,11 +51,11 @@ class Simulation:
     """
 
     def __init__(self) -> None:
-        self.intruder = ""
+        self.robot = ""
         self.wam = ArmSim()
         params = self.wam.params
         # a lock, held while the process lives
-        self._domain = hold(exported(os.environ), self.wam.get_namespace())
+        self._domain = lock(exported(os.environ), self.wam.get_namespace())
         self._watch = DriverWatch(self.wam)
         # A name that is given to the process is that of the arm's node.
         given = any(word.startswith("__node:=") for word in sys.argv)
@@ -69,7 +69,7 @@ class Simulation:
                     "camera = True of optitrack_sim needs pace = lockstep of wam_sim: to draw an "
                     "image takes longer than a state may be late"
                 )
-        world = World.of(params, cameras)
+        world = World.from_params(params, cameras)
         self._watch.check()  # discovery went on while the world was built
         self.wam.attach(world, on_frame)
         self._statistics = LoopStatistics(params.period_ns)
@@ -83,8 +83,8 @@ class Simulation:
         """Step the world at its pace until `ended()`, or until a robot appears."""
 
         def stopped() -> bool:
-            self.intruder = self._watch.look()
-            return bool(self.intruder) or ended()
+            self.robot = self._watch.look()
+            return bool(self.robot) or ended()
 
         commands = self.wam.resolve_topic_name(self.wam.params.command_topic)
         waiting = (
@@ -163,15 +163,15 @@ def _schedule(priority: int) -> scheduling.Granted:
 
 def main() -> int:
     """Run both stand-ins until a signal, or until a robot appears in their domain."""
-    intruders = []
+    robots = []
 
     def spin(simulation: Simulation, ended: Callable[[], bool]) -> None:
         simulation.spin(ended)
-        if simulation.intruder:
-            intruders.append(simulation.intruder)
+        if simulation.robot:
+            robots.append(simulation.robot)
             simulation.wam.get_logger().fatal(
-                f"{simulation.intruder}: the simulation ends, as it must not share a domain with a "
+                f"{simulation.robot}: the simulation ends, as it must not share a domain with a "
                 "robot"
             )
 
-    return node_runner.run(Simulation, spin=spin) or (REFUSED if intruders else 0)
+    return node_runner.run(Simulation, spin=spin) or (REFUSED if robots else 0)

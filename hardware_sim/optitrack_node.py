@@ -30,7 +30,7 @@ class OptitrackSim(Node):
         super().__init__(
             "optitrack_sim", automatically_declare_parameters_from_overrides=True, **options
         )
-        self.params = params = OptitrackSimParams.of(self)
+        self.params = params = OptitrackSimParams.from_node(self)
         qos = interface.MOCAP if params.reliable else interface.MOCAP_BEST_EFFORT
         self._poses = self._markers = None
         if params.pose_topic:

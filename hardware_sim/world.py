@@ -103,7 +103,7 @@ class World:
         self.release()
 
     @classmethod
-    def of(cls, params: ArmSimParams, cameras: OptitrackSimParams | None) -> World:
+    def from_params(cls, params: ArmSimParams, cameras: OptitrackSimParams | None) -> World:
         """World of the stand-ins' parameters; `cameras` may be None in a scene without a body.
 
         Raises:

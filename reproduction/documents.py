@@ -217,7 +217,7 @@ def film(folder: Path) -> list[Image.Image]:
     """The first rollout of a session beside the last one, in frames of half speed."""
     found = session.read(folder)
     setup = overlay.read(folder / "logs/parameters.yaml")
-    environment = Environment.of(setup.changed({"wam_sim": {"seed": found.header.seed}}))
+    environment = Environment.from_setup(setup.changed({"wam_sim": {"seed": found.header.seed}}))
     answer = policy.from_json((folder / "policy.json").read_text())
     last = max(record.number for record in found.records if record.kind != "retest")
     strips = []

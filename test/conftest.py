@@ -44,7 +44,7 @@ from wam_power_ros.ros.domain import private_domain, shared
 from wam_power_ros.ros.outcomes import Answer, read
 from wam_power_ros.ros.stamps import goal_id
 
-network.confine(os.environ)  # this process, too
+network.restrict_to_loopback(os.environ)  # this process, too
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # started in the background by a shell
     signal.signal(signal.SIGINT, signal.default_int_handler)  # tests interrupt processes
 settings.register_profile("any machine", deadline=None)  # however busy it is
@@ -256,7 +256,9 @@ class Probe:
         self.until(future.done, "the answer to a cancel")
         return bool(future.result().goals_canceling)
 
-    def insist(self, do: str, policy: Policy | None = None, deadline: float = 60.0) -> Answer:
+    def call_until_success(
+        self, do: str, policy: Policy | None = None, deadline: float = 60.0
+    ) -> Answer:
         """Send a goal until it succeeds, such as to a controller that becomes active."""
         end = time.monotonic() + deadline
         while True:

@@ -106,13 +106,13 @@ BUDGET = {
     "commissioning": 1418,  # +165: a set-up proposed from a URDF; +116: its report, from cli/
     "tracking": 891,  # tags in images, from nodes/
     "tasks": 3522,  # +93: what cannot be the pancake in the pan; +8: a touch of the rim in the air
-    "practice": 2343,  # +32: tools and springs that failed; +46: candidates are fitted here
+    "practice": 2341,  # +32: tools and springs that failed; +46: candidates are fitted here
     "conformance": 1105,  # +13: frames of poses; +25: effort without gravity
     "bags": 2356,  # +246: sets of LeRobot, written and read
-    "params": 1298,  # what may be set at rest; -p body:=NAME is derived from; NatNet, FR3
+    "params": 1364,  # +66: the simulated arm, from nodes; -p body:=NAME is derived from; NatNet, FR3
     "ros": 2340,  # +24: PoseStamped; variables of ROS and DDS are named with their remedy
     "client": 1291,  # +2: states of before a reset do not count
-    "nodes": 3460,  # +22: frames of poses; +217: an FR3 by its maker's library; +122: NatNet
+    "nodes": 3394,  # +22: frames of poses; +217: an FR3 by its maker's library; +122: NatNet
     "console": 459,  # a person supports the arm, however a movement ended
     "view": 834,
     "reporting": 765,

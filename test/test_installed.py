@@ -195,7 +195,7 @@ def nothing(self: Task, rollout: Rollout) -> dict[str, float]:
 
 
 LIMITED = Error("miss", "m", 0.01, limit=0.03)
-PUSHED = Effect("vigour", 0.2, {"miss": 0.5})
+PUSHED = Effect("amplitude", 0.2, {"miss": 0.5})
 STATED = {"name": "mine", "errors": (LIMITED,), "effects": (PUSHED,), "observe": nothing}
 
 
@@ -206,7 +206,7 @@ STATED = {"name": "mine", "errors": (LIMITED,), "effects": (PUSHED,), "observe":
         ({"obsreve": nothing}, "it has no member 'obsreve': 'observe' is meant, or choose"),
         ({"settle_time": 2.0}, "settle_time is stated by `Settings`"),
         ({"presets": ["own"]}, r"presets = \['own'\] must be a mapping"),
-        ({"effects": ("vigour",)}, r"effects = \('vigour',\) must be a tuple of Effect"),
+        ({"effects": ("amplitude",)}, r"effects = \('amplitude',\) must be a tuple of Effect"),
         ({"errors": (Error("miss", "m", 0.01),)}, "there is no return"),
         ({"gain": 1.5}, "gain = 1.5 must be 0 to 1"),
         ({"Settings": Loose}, "Loose'> must refuse unknown fields"),
@@ -215,10 +215,10 @@ STATED = {"name": "mine", "errors": (LIMITED,), "effects": (PUSHED,), "observe":
         ({"observe": Task.observe}, "there is no return: define observe, .*or define assess"),
         (
             {"effects": (Effect("vigor", 0.2, {"miss": 0.5}),)},
-            "effect 'vigor' is not one of shift_x, shift_y, shift_z, vigour, tempo",
+            "effect 'vigor' is not one of shift_x, shift_y, shift_z, amplitude, tempo",
         ),
         (
-            {"effects": (Effect("vigour", 0.2, {"miss": 0.5, "mis": 1.0}),)},
+            {"effects": (Effect("amplitude", 0.2, {"miss": 0.5, "mis": 1.0}),)},
             "effects move 'mis', which is none of the errors miss",
         ),
         ({"effects": (), "predict": nothing}, "predict is never asked: effects move none"),

@@ -136,7 +136,7 @@ def test_a_robot_uses_the_names_of_its_namespace(domain_id: int) -> None:
         node = rclpy.create_node("robot", namespace="left")
         link = Link(node)
         Rollouts(link, RolloutSettings(**setup["learner"]), "pancake")
-        link.newest(JointState, "joint_states")
+        link.poll_latest(JointState, "joint_states")
         of_listener = node.get_subscriber_names_and_types_by_node("robot_states", "/left")
         listener = {name for name, _ in of_listener}
         used = names(node) | listener

@@ -18,7 +18,11 @@ from wam_power_ros.practice import session
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session_log import Line, Record, Trial
 from wam_power_ros.practice.settings import SessionSettings, preset
-from wam_power_ros.tasks.flip.parametrization import TURN_OF_FLICK, TURN_OF_TEMPO, TURN_OF_VIGOUR
+from wam_power_ros.tasks.flip.parametrization import (
+    TURN_OF_AMPLITUDE,
+    TURN_OF_TEMPO,
+    TURN_OF_WRIST,
+)
 from wam_power_ros.tasks.flip.settings import FlipSettings
 from wam_power_ros.tasks.task import Assessment
 
@@ -60,12 +64,12 @@ class AnyArm:
     def __init__(self, refuse: Callable[[Policy], str] = lambda policy: "") -> None:
         self._refuse = refuse
 
-    def infeasible(self, policy: Policy, overruns: int = 0) -> Fault | None:
+    def infeasible(self, policy: Policy, limit_stops: int = 0) -> Fault | None:
         """See `practice.ArmModel`."""
         why = self._refuse(policy)
         return Fault(FaultKind.TOOL_SPEED, why) if why else None
 
-    def foresee(self, policy: Policy) -> None:
+    def simulate(self, policy: Policy) -> None:
         """See `practice.ArmModel`."""
 
 
@@ -108,7 +112,7 @@ def record_of(number: int = 1, **changes: Any) -> Record:  # noqa: ANN401
     values |= {"attempt": 1, "terms": {}, "why": "", "note": "", "observation": None, "fault": ""}
     values |= {"bag": "", "truth": None, "clock": {}, "generator": {}, "z": [0.0, 1.0]} | changes
     learnt = values["ret"] is not None and values["kind"] != "retest"
-    values |= {"learnt": learnt, "learnt_as": values["z"] if learnt else None}
+    values |= {"learnt": learnt, "z_corrected": values["z"] if learnt else None}
     return Record(number=number, id=f"trial-{number:04d}", theta=values["z"], **values)
 
 
@@ -124,7 +128,8 @@ def toss(trial: Trial, task: FlipSettings, noise: float = 0.1) -> Assessment:
     """Outcome of a trial: a function of its id and policy alone, like one of the stand-in.
 
     Turning grows along one direction of z and landing moves away with it; the catch shift (or the
-    last attractor) brings the pan under the pancake again. Vigour, flick and tempo turn it further.
+    last attractor) brings the pan under the pancake again. Both amplitudes and the tempo turn it
+    further.
     """
     rng = np.random.default_rng(zlib.crc32(trial.id.encode()))
     z = trial.z
@@ -135,8 +140,8 @@ def toss(trial: Trial, task: FlipSettings, noise: float = 0.1) -> Assessment:
     further = 0.0
     if task.variant == "planar":
         strength -= float(along[-4:] @ z[-4:])
-        further = TURN_OF_VIGOUR * task.noise.vigour * z[-4]
-        further += TURN_OF_FLICK * task.noise.flick * z[-3]
+        further = TURN_OF_AMPLITUDE * task.noise.amplitude * z[-4]
+        further += TURN_OF_WRIST * task.noise.wrist_amplitude * z[-3]
         further += TURN_OF_TEMPO * task.noise.tempo * z[-1]
     angle = 1.6 + 0.5 * strength + further + 0.3 * noise * rng.normal()
     error = 0.12 + 0.05 * strength - 0.016 * z[shift] + 0.1 * noise * rng.normal()

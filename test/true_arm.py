@@ -33,7 +33,7 @@ def plain() -> Arm:
 def truth() -> Corrections:
     """What is to be found."""
     friction = plain().friction
-    return Corrections.of(
+    return Corrections.from_values(
         7,
         zeros=ZEROS,
         torque_scales=[0.96, 1.04, 0.97, 1.03, 1.02, 0.98, 1.0],

@@ -34,7 +34,7 @@ class Runs:
     paths: Sequence[np.ndarray]  # of the last mean of each run [m], shapes (T, 3)
 
     @classmethod
-    def of(cls, study: Mapping[str, Mapping[str, Any]], variant: str) -> Runs:
+    def from_study(cls, study: Mapping[str, Mapping[str, Any]], variant: str) -> Runs:
         """Join the jobs of a variant."""
         parts = [part for part in study.values() if part["variant"] == variant]
         names = ("means", "best", "stuck", "paths")
@@ -70,7 +70,7 @@ class Runs:
 
 def values(results: Results) -> dict[str, Any]:
     """Names of the template; ignores results of other studies."""
-    runs, scenario = {v: Runs.of(results[SYNTHETIC], v) for v in VARIANTS}, synthetic()
+    runs, scenario = {v: Runs.from_study(results[SYNTHETIC], v) for v in VARIANTS}, synthetic()
     obstacle = Region("obstacle", tuple(scenario.obstacle.tolist()), RADIUS)
     learnt = {}
     for variant, some in runs.items():

@@ -22,7 +22,7 @@ from wam_power_ros.tasks.ball_in_cup.task import BallInCup
 TASK = BallInCup.name
 RETESTS = 30  # of the final policy
 SOLVED = 27  # or more of them in the cup in a solved session
-NEAR = 0.05  # [m] beside the middle of the cup, from where a ball usually falls into it
+NEAR_MISS = 0.05  # [m] beside the middle of the cup, from where a ball usually falls into it
 HELD_OUT = range(18000, 18020)  # seeds not used for tuning
 
 
@@ -63,7 +63,7 @@ def session(
         joint_1: Its angle at the begin [degrees].
     """
     own = {"seed": seed} if spread is None else {"seed": seed, "spread": spread}
-    environment = Environment.of(overlay.setup(task=TASK).changed({"wam_sim": own}))
+    environment = Environment.from_setup(overlay.setup(task=TASK).changed({"wam_sim": own}))
     scene = environment.world.scene
     scene.home = np.array([np.radians(joint_1), *scene.home[1:]])
     script = scene.script(np.random.default_rng([seed, 0]))
@@ -111,7 +111,7 @@ def line(sessions: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     first = [each["trials"][0]["distance"] for each in sessions]
     return {
         "sessions": len(sessions),
-        "near": sum(distance is not None and distance < NEAR for distance in first),
+        "near": sum(distance is not None and distance < NEAR_MISS for distance in first),
         "solved": sum(count >= SOLVED for count in caught),
         "confirmed": sum(each["confirmed"] for each in sessions),
         "rollouts": np.quantile([each["used"] for each in sessions], (0.5, 0.0, 1.0)).tolist(),

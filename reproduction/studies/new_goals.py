@@ -65,12 +65,12 @@ WAYS = {  # what each session begins with
 class Equation:
     """Paths of Eq. 1 as an arm; see the module."""
 
-    def infeasible(self, policy: Policy, overruns: int = 0) -> Fault | None:
+    def infeasible(self, policy: Policy, limit_stops: int = 0) -> Fault | None:
         """See `practice.ArmModel`: it follows every policy."""
         return None
 
-    def foresee(self, policy: Policy) -> None:
-        """Nothing is foreseen."""
+    def simulate(self, policy: Policy) -> None:
+        """Nothing is simulated."""
 
     def executed(self, task: Reach, policy: Policy, rng: np.random.Generator) -> Rollout:
         """Rollout of a policy."""
@@ -90,8 +90,8 @@ def place(task: str, seed: int, goal: Mapping[str, float]) -> Environment | Equa
     """Where a session takes place; the ball hangs on the string of the goal."""
     if task == Reach.name:
         return Equation()
-    string = {"string": goal["string"]} if "string" in goal else {}
-    return Environment.of(overlay.setup(task=task).changed({"wam_sim": {"seed": seed, **string}}))
+    own = {"seed": seed} | ({"string": goal["string"]} if "string" in goal else {})
+    return Environment.from_setup(overlay.setup(task=task).changed({"wam_sim": own}))
 
 
 def taught(task: str, seed: int, arm: Environment | Equation) -> list[Demonstration]:

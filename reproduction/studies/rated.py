@@ -14,7 +14,7 @@ from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.rated import assessed
 
 DISTANCE, NOUGHT = 0.07, 0.15  # [m] of the wanted end; of an end that is rated 0
-NEAR, ROLLOUTS = 0.4, 60  # share of the first error, at most
+NEAR_MISS, ROLLOUTS = 0.4, 60  # share of the first error, at most
 # Share of ratings that are any at all
 PERSONS = {"a person": {"errs": 0.0}, "a person who errs": {"errs": 0.1}}
 VARIANTS = {name: Row("ratings", {"variant": name}) for name in ("shifts", "attractors", "full")}
@@ -24,8 +24,8 @@ HELD_OUT = range(1000, 1020)  # seeds not used for tuning
 class Arm:
     """An arm on which every policy is feasible; see `practice.ArmModel`."""
 
-    def infeasible(self, policy: Policy, overruns: int = 0) -> None: ...  # noqa: D102
-    def foresee(self, policy: Policy) -> None: ...  # noqa: D102
+    def infeasible(self, policy: Policy, limit_stops: int = 0) -> None: ...  # noqa: D102
+    def simulate(self, policy: Policy) -> None: ...  # noqa: D102
 
 
 def session(seed: int, variant: str, errs: float) -> dict[str, float]:
@@ -49,7 +49,7 @@ def line(sessions: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """Sessions that end near, medians of the share of the error left and of the rollouts."""
     left, used = ([each[key] for each in sessions] for key in ("left", "used"))
     medians = {"left": round(float(np.median(left)), 2), "rollouts": float(np.median(used))}
-    return {"near": sum(share < NEAR for share in left), **medians}
+    return {"near": sum(share < NEAR_MISS for share in left), **medians}
 
 
 TABLE = Table(PERSONS, VARIANTS, HELD_OUT, session, line)

@@ -97,7 +97,7 @@ def test_the_file_that_is_written_corrects_the_arm_and_keeps_an_older_one(
     for word in ("cameras", "zeros", "friction", "motors", "payload", "not explained"):
         assert word in shown
     setup = overlay.setup([str(file)], simulated=True)
-    params = TorqueControllerParams.of_setup(setup)
+    params = TorqueControllerParams.from_setup(setup)
     assert np.allclose(params.joint_zeros, true_arm.ZEROS, atol=np.deg2rad(0.3))
     assert 0.0 < params.teaching_friction <= 0.8
     position = np.array(setup["pancake_tracker"]["world_to_base"][:3])
@@ -174,7 +174,7 @@ def test_where_the_driver_adds_gravity_what_it_adds_is_counted(
     words = ["--folder", str(tmp_path), "--config", str(extra), "--simulate"]
     assert run(monkeypatch, *words) == 0
     assert "is taken for that of the URDF" in capsys.readouterr().out
-    params = TorqueControllerParams.of_setup(
+    params = TorqueControllerParams.from_setup(
         overlay.setup([str(extra), str(tmp_path / "arm.yaml")], simulated=True)
     )
     assert np.allclose(params.coulomb_friction[:6], true.coulomb_friction[:6], rtol=0.1)
@@ -225,7 +225,7 @@ def test_an_arm_that_takes_positions_measures_how_late_it_follows(
     assert main.main(words) == 0
     assert "30 ms of delay and 20 ms of lag" in capsys.readouterr().out
     setup = overlay.setup([str(tmp_path / "lab.yaml"), str(tmp_path / "arm.yaml")])
-    settings = TorqueControllerParams.of_setup(setup).controller(true_arm.URDF).settings
+    settings = TorqueControllerParams.from_setup(setup).controller(true_arm.URDF).settings
     assert (settings.servo_delay, settings.servo_lag) == (0.03, 0.02)
 
 

@@ -36,7 +36,7 @@ def test_a_franka_with_another_number_of_joints_is_refused(tmp_path: Path) -> No
     mine = tmp_path / "mine.yaml"
     mine.write_text("franka_driver: {ros__parameters: {address: 10.0.0.1}}")
     with pytest.raises(ValueError, match=r"joint_names .* must be the robot's 7"):
-        FrankaDriverParams.of_setup(overlay.setup(["ur", str(mine)]))
+        FrankaDriverParams.from_setup(overlay.setup(["ur", str(mine)]))
 
 
 def test_the_printed_parameters_are_those_of_task_and_set_up(said: Callable[..., str]) -> None:

@@ -69,7 +69,7 @@ def test_a_goal_that_is_done_gives_its_result_and_a_refused_one_an_error_with_it
     with pytest.raises(ServiceError, match="/act: not now") as raised:
         busy.done()
     assert raised.value.answer == busy.answer == Answer(Code.BUSY, "not now", "17", 0.5)
-    assert action.settled
+    assert action.answered
 
 
 def test_an_action_that_does_not_appear_is_named(
@@ -100,7 +100,7 @@ def test_a_goal_that_nobody_accepts_counts_as_lost(
     try:
         goal = send(action, "late")
         assert goal.ended and not goal.accepted and goal.answer.code is Code.UNKNOWN
-        assert action.settled
+        assert action.answered
     finally:
         server.send_signal(signal.SIGCONT)
     assert link.until(lambda: goal.accepted, timeout=20.0)

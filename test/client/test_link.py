@@ -139,7 +139,7 @@ def test_a_refusal_is_asked_again_until_it_is_an_agreement(link: Link, serve: Se
     refusals = [Answer(Code.NOTHING, "no joint state yet")] * 2
     serve("/ask", lambda: refusals.pop() if refusals else Answer(Code.DONE, "done now"))
     assert link.call("/ask") == Answer(Code.UNKNOWN, "no joint state yet")
-    assert link.insist("/ask") == Answer(Code.DONE, "done now")
+    assert link.call_until_success("/ask") == Answer(Code.DONE, "done now")
 
 
 def test_a_service_that_never_agrees_is_reported_with_its_answer(
@@ -152,7 +152,7 @@ def test_a_service_that_never_agrees_is_reported_with_its_answer(
     ):
         serve(name, lambda answer=answer: answer)
         with pytest.raises(ServiceError, match=says) as raised:
-            link.insist(name)
+            link.call_until_success(name)
         assert raised.value.answer == (answer and Answer(Code.UNKNOWN, answer.text))
 
 
@@ -199,7 +199,7 @@ def test_a_message_that_is_refused_is_logged_and_the_next_one_received(
 def test_the_newest_message_is_taken_once_without_a_service_or_a_callback(
     link: Link, probe: Probe
 ) -> None:
-    take = link.newest(String, "/words")
+    take = link.poll_latest(String, "/words")
     words = probe.publisher(String, "/words", interface.LATCHED)
     for word in ("first", "last"):
         words.publish(String(data=word))

@@ -441,7 +441,7 @@ def test_a_body_that_is_not_seen_is_waited_for_without_limit_and_nobody_is_neede
     seen = awaited_by(client, cell)
     executed = client.execute(POLICY, WHOLE, lambda state: "")
     assert executed.reset is not None and executed.reset["by"] == "none"
-    assert "unseen" in {each.state for each in seen} and client.awaited() is None
+    assert "not_visible" in {each.state for each in seen} and client.awaited() is None
 
 
 def test_a_person_is_waited_for_without_limit_where_the_body_has_not_come_to_rest_by_itself(

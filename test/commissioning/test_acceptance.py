@@ -138,12 +138,12 @@ def test_what_is_found_of_the_last_joint_by_a_flat_body_is_always_noted(
 
 @pytest.mark.requirement("S-129")
 def test_rests_that_were_rejected_or_not_seen_are_noted_by_number(ordinary: Commissioned) -> None:
-    left_out = changed(ordinary, rejected=(0, 11), unseen=(7,), zeros=np.zeros(7))
-    rejected, unseen = notes(ARM, left_out)
+    left_out = changed(ordinary, rejected=(0, 11), not_visible=(7,), zeros=np.zeros(7))
+    rejected, not_visible = notes(ARM, left_out)
     assert (rejected.quantity, rejected.value) == ("rests rejected", 2)
     assert "number 1, 12:" in rejected.advice
-    assert (unseen.quantity, unseen.value) == ("rests without a body", 1)
-    assert "number 8:" in unseen.advice
+    assert (not_visible.quantity, not_visible.value) == ("rests without a body", 1)
+    assert "number 8:" in not_visible.advice
 
 
 def test_that_the_cameras_saw_no_body_is_noted(ordinary: Commissioned) -> None:

@@ -41,7 +41,7 @@ def test_speeds_and_ranges_are_kept_and_it_ends_where_it_began() -> None:
 
 
 def test_lower_limits_of_an_arm_are_kept_with_room() -> None:
-    slow = limits_of(ARM, elbow_speed=0.5, tool_speed=0.6, qd_max=np.full(7, 0.5))
+    slow = limits_of(ARM, guarded_speed=0.5, tool_speed=0.6, qd_max=np.full(7, 0.5))
     rng = np.random.default_rng(0)
     plan = module.excitation(ARM, slow, true_arm.HOME, rng, 4, (6.0, 6.0))
     _, _, qd, guarded, tool = played(plan)
@@ -61,7 +61,7 @@ def test_every_posture_is_reached_from_below_and_from_above() -> None:
 
 def test_the_arm_of_a_set_up_has_room_for_its_movement() -> None:
     setup = overlay.setup(["franka"], simulated=True)
-    params = TorqueControllerParams.of_setup(setup)
+    params = TorqueControllerParams.from_setup(setup)
     core = params.controller(robot_description(params.urdf))
     home = np.array(setup["wam_sim"]["home"])
     rng = np.random.default_rng(0)

@@ -37,7 +37,7 @@ def test_zeros_frame_and_delay_are_those_of_the_arm_and_its_cameras(found: Commi
     assert 0.0 < found.cameras.check_rotation < np.deg2rad(0.2)
     assert 0.0 < found.cameras.sweep_position < 1e-3
     assert found.cameras.sweep_rotation < np.deg2rad(0.1)
-    assert found.cameras.unseen == ()
+    assert found.cameras.not_visible == ()
     assert found.cameras.latency == pytest.approx(0.003, abs=3e-4)
     assert abs(found.cameras.latency_change) < 3e-4
 
@@ -115,7 +115,7 @@ def test_rests_without_the_body_in_view_are_named_and_rejected_ones_keep_their_n
     wrong = (t > PLAN.rests[7, 0]) & (t < PLAN.rests[7, 1])
     parts = {name: getattr(recorded, name)[~hidden] for name in ("seen_t", "position", "rotation")}
     seen = seen_of(replace(recorded, **parts), wrong[~hidden], 0.03 * np.ones(3))
-    assert seen.unseen == (2, 3, 25)
+    assert seen.not_visible == (2, 3, 25)
     assert seen.frame.rejected == (7,)
     assert seen.fit_position < 0.001  # without it
 

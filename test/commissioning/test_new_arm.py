@@ -52,7 +52,7 @@ def test_a_joint_that_turns_without_end_gets_limits_which_all_parts_of_the_set_u
     assert limits == [*[0.0] * 10, -2.99, 2.99]
     for node in ("wam_sim", "demonstration_recorder"):
         assert setup[node]["position_limits"] == limits
-    environment = Environment.of(setup)  # controller and stand-in
+    environment = Environment.from_setup(setup)  # controller and stand-in
     assert environment.controller.limits.q_max[-1] == environment.world.arm.q_max[-1] == 2.99
 
 

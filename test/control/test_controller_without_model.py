@@ -215,7 +215,7 @@ def test_the_spring_that_holds_the_braked_arm_is_bounded(offset: float) -> None:
 
 @pytest.mark.requirement("S-112")
 def test_motors_that_were_measured_to_be_weak_carry_the_arm_without_a_model() -> None:
-    arm = BreakingArm(URDF, NAMES, corrections=Corrections.of(7, torque_scales=0.8))
+    arm = BreakingArm(URDF, NAMES, corrections=Corrections.from_values(7, torque_scales=0.8))
     controller, plant = Controller(arm), Plant(HOME)
     controller.step(*plant.state())
     controller.hold()

@@ -22,7 +22,7 @@ QD = np.linspace(-1.0, 1.0, 7)
 
 
 def arm(**values: object) -> Arm:
-    return Arm(URDF, JOINTS, corrections=Corrections.of(7, **values))
+    return Arm(URDF, JOINTS, corrections=Corrections.from_values(7, **values))
 
 
 PLAIN = Arm(URDF, JOINTS)

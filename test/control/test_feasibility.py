@@ -14,7 +14,7 @@ from wam_power_ros.control.feasibility import (
     POSITION_MARGIN,
     SPEED_SHARE,
     Feasibility,
-    foresee,
+    simulate,
     simulate_policy,
 )
 from wam_power_ros.control.safety import limits_of
@@ -41,22 +41,24 @@ def lift(arm: Arm, height: float) -> Policy:
     )
 
 
-def test_what_is_foreseen_is_the_path_of_the_tool_and_the_excess_of_speed(arm: Arm) -> None:
+def test_a_simulated_rollout_has_the_path_of_the_tool_and_the_excess_of_each_limit(
+    arm: Arm,
+) -> None:
     policy = lift(arm, 0.1)
-    foreseen, simulated = foresee(arm, SETTINGS, policy), simulate_policy(arm, SETTINGS, policy)
+    rollout, simulated = simulate(arm, SETTINGS, policy), simulate_policy(arm, SETTINGS, policy)
     assert simulated.fault is None and (simulated.qd_peak < arm.qd_max).all()
-    path, limits = foreseen.tool, limits_of(arm)
+    path, limits = rollout.tool, limits_of(arm)
     np.testing.assert_allclose(path.position[0], arm.tool_pose(START)[0], atol=1e-6)
     assert path.position[-1, 2] - path.position[0, 2] == pytest.approx(0.1, abs=0.02)
     assert np.diff(path.t) == pytest.approx(SETTINGS.period)
     speeds = np.linalg.norm(np.diff(path.position, axis=0), axis=1) / SETTINGS.period
     assert speeds.max() == pytest.approx(simulated.tool_peak, rel=0.01)
     tool_share = simulated.tool_peak / limits.tool_speed
-    assert foreseen.excess[-1] == pytest.approx(tool_share / SPEED_SHARE - 1.0)
-    assert len(foreseen.excess) == 2 * arm.n + 2 and foreseen.excess.max() < 0.0
+    assert rollout.limit_excess[-1] == pytest.approx(tool_share / SPEED_SHARE - 1.0)
+    assert len(rollout.limit_excess) == 2 * arm.n + 2 and rollout.limit_excess.max() < 0.0
 
 
-def test_beyond_a_position_limit_it_is_foreseen_how_far(arm: Arm) -> None:
+def test_beyond_a_position_limit_it_is_told_how_far(arm: Arm) -> None:
     policy = lift(arm, 0.2)
     free, limits = simulate_policy(arm, SETTINGS, policy).q, limits_of(arm)
     joint = int(np.argmax(free.max(axis=0) - free[0]))
@@ -64,26 +66,26 @@ def test_beyond_a_position_limit_it_is_foreseen_how_far(arm: Arm) -> None:
     q_max[joint] = free[:, joint].max() - 0.04
     tight = SETTINGS.model_copy(update={"limits": replace(limits, q_max=q_max)})
     assert simulate_policy(arm, tight, policy).fault.kind is FaultKind.JOINT_POSITION
-    excess = foresee(arm, tight, policy).excess
+    limit_excess = simulate(arm, tight, policy).limit_excess
     half = 0.5 * (q_max - limits.q_min)[joint]
     free_of_springs = (0.04 + POSITION_MARGIN) / (half - POSITION_MARGIN)
-    assert 0.0 < excess[joint] < free_of_springs, "those at the limit push it back"
-    assert np.delete(excess, joint).max() < 0.0
+    assert 0.0 < limit_excess[joint] < free_of_springs, "those at the limit push it back"
+    assert np.delete(limit_excess, joint).max() < 0.0
 
 
-@pytest.mark.parametrize(("share", "foreseeable"), [(0.6, True), (0.3, False)])
-def test_beyond_a_limit_it_is_foreseen_how_far_and_far_beyond_it_nothing(
-    arm: Arm, share: float, foreseeable: bool
+@pytest.mark.parametrize(("share", "told"), [(0.6, True), (0.3, False)])
+def test_beyond_a_limit_it_is_told_how_far_and_far_beyond_it_nothing(
+    arm: Arm, share: float, told: bool
 ) -> None:
     policy = lift(arm, 0.2)
     peak = simulate_policy(arm, SETTINGS, policy).tool_peak
     limits = replace(limits_of(arm), tool_speed=share * peak / SPEED_SHARE)
     slow = SETTINGS.model_copy(update={"limits": limits})
     assert simulate_policy(arm, slow, policy).fault is not None
-    foreseen = foresee(arm, slow, policy)
-    assert (foreseen is not None) == foreseeable
-    if foreseen is not None:
-        assert foreseen.excess[-1] == pytest.approx(1.0 / share - 1.0)
+    simulated = simulate(arm, slow, policy)
+    assert (simulated is not None) == told
+    if simulated is not None:
+        assert simulated.limit_excess[-1] == pytest.approx(1.0 / share - 1.0)
 
 
 @pytest.mark.requirement("S-31")
@@ -101,7 +103,7 @@ def free(arm: Arm) -> Feasibility:
 def test_a_tenth_of_each_speed_limit_is_kept_in_reserve(arm: Arm, free: Feasibility) -> None:
     for name, peak, kind in (
         ("qd_max", np.full(7, free.qd_peak.max()), FaultKind.JOINT_SPEED),
-        ("elbow_speed", free.elbow_peak, FaultKind.GUARDED_SPEED),
+        ("guarded_speed", free.guarded_peak, FaultKind.GUARDED_SPEED),
         ("tool_speed", free.tool_peak, FaultKind.TOOL_SPEED),
     ):
         settings = ControllerSettings(limits=limits_of(arm, **{name: 1.05 * peak}))
@@ -151,7 +153,7 @@ def test_a_policy_the_controller_refuses_is_not_simulated(arm: Arm) -> None:
     stiff = replace(lift(arm, 0.1), stiffness=np.tile(9e4 * np.eye(3), (4, 1, 1)))
     refused = simulate_policy(arm, SETTINGS, stiff)
     assert "stiffness" in refused.fault.text
-    assert (refused.qd_peak.tolist(), refused.elbow_peak, refused.tool_peak) == ([0.0] * 7, 0, 0)
+    assert (refused.qd_peak.tolist(), refused.guarded_peak, refused.tool_peak) == ([0.0] * 7, 0, 0)
 
 
 @pytest.mark.parametrize(("angle", "kind"), [(1.0, None), (2.6, FaultKind.TRACKING)])
@@ -168,7 +170,7 @@ def test_a_tool_that_turns_too_far_from_its_reference_ends_the_simulation(
 def test_an_arm_that_takes_positions_is_foreseen_behind_them_by_its_servo(arm: Arm) -> None:
     policy, told = lift(arm, 0.1), {"set_point_period": 0.002, "servo_delay": 0.04}
     ahead, late = (
-        foresee(arm, SETTINGS.model_copy(update=update), policy).tool.position
+        simulate(arm, SETTINGS.model_copy(update=update), policy).tool.position
         for update in ({}, told)
     )
     np.testing.assert_allclose(late[20:], ahead[:-20], atol=1e-9)

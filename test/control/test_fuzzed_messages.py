@@ -15,7 +15,7 @@ from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 @pytest.mark.requirement("S-01", "S-123")
 def test_fuzzed_messages_give_no_torque_over_a_limit() -> None:
     files = share("config/torque_controller.yaml"), share("config/simulation.yaml")
-    params = TorqueControllerParams.of_setup(overlay.of_files(files))
+    params = TorqueControllerParams.from_setup(overlay.from_files(files))
     controller = params.controller(share("urdf/wam7.urdf").read_text())
     found = bombard(controller, taught(), 4000, 0)
     assert found["torques"] > 3000 and found["refused"] > 50

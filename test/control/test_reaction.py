@@ -51,10 +51,10 @@ def test_what_the_states_alone_ask_for_gives_a_resting_arm_no_speed_beyond_the_b
 def test_the_brake_takes_energy_from_the_motion_that_either_witness_sees() -> None:
     rng = np.random.default_rng(1)
     for _ in range(20):
-        seen, foreseen = rng.normal(size=7), rng.normal(size=7)
+        seen, simulated = rng.normal(size=7), rng.normal(size=7)
         reaction = Reaction(MODEL, lambda q: MODEL.gravity(q))
         for k in range(120):
-            q = HOME + 0.002 * (k - 119) * foreseen
+            q = HOME + 0.002 * (k - 119) * simulated
             reaction.record(state(k, q), MODEL.gravity(q), [0.0] * 7)
         reaction.begin(0.05, alone=True)
         for k in range(120, 125):

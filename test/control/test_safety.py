@@ -65,9 +65,9 @@ def test_each_motion_limit_is_named_when_exceeded() -> None:
         assert exceeded(Q, qd).text.startswith(f"joint {i + 1} at -")
     slow = 0.5 * LIMITS.qd_max * np.array([0, 1, 0, 0, 0, 0, 0])
     assert exceeded(Q, slow, tool_speed=0.5).text.startswith("tool at")
-    assert exceeded(Q, slow, elbow_speed=0.5).text.startswith("elbow at")
+    assert exceeded(Q, slow, guarded_speed=0.5).text.startswith("elbow at")
     elbow_only = np.array([0, 0, 0, 3.0, 0, 0, 0])
-    assert exceeded(Q, elbow_only, elbow_speed=0.5).text.startswith("forearm at")
+    assert exceeded(Q, elbow_only, guarded_speed=0.5).text.startswith("forearm at")
     assert "z =" in exceeded(Q, still, workspace_max=(1.5, 1.5, 0.3)).text
     fault = exceeded(Q, 9.0 * LIMITS.qd_max)
     assert fault.kind is FaultKind.JOINT_SPEED and fault.kind.of_policy
@@ -113,7 +113,7 @@ def test_limits_that_nobody_chose_are_those_of_the_urdf() -> None:
 
 POSITIVE = (
     *("torque", "torque_rate", "qd_max", "spring_torque"),
-    *("elbow_speed", "tool_speed", "teaching_tool_speed"),
+    *("guarded_speed", "tool_speed", "teaching_tool_speed"),
 )
 
 

@@ -36,19 +36,19 @@ def held(*torques: np.ndarray, speed: float = 0.0) -> UnexplainedTorque:
 
 def test_what_friction_may_explain_is_not_compensated_elsewhere() -> None:
     for share, certain in ((0.99, False), (-1.01, True)):
-        beyond = share * MODEL.friction
-        compensation = held(*[beyond] * 200).compensation
-        np.testing.assert_allclose(compensation, beyond * certain, rtol=1e-6)
+        model_error = share * MODEL.friction
+        compensation = held(*[model_error] * 200).compensation
+        np.testing.assert_allclose(compensation, model_error * certain, rtol=1e-6)
     for share in (0.009, 0.011):  # rounding errors of the model
-        beyond = share * MODEL.friction
-        assert held(*[beyond] * 200).guided(HOME, 0.0).all() == (share > 0.01)
+        model_error = share * MODEL.friction
+        assert held(*[model_error] * 200).teaching_offset(HOME, 0.0).all() == (share > 0.01)
 
 
 def test_a_guided_arm_starts_with_the_torque_that_held_it_which_fades_with_the_way() -> None:
     unexplained = held(*[JOINT_2] * 200)
     ways = ((0.0, 1.0), (0.025, 0.5), (-0.04, 0.2), (0.051, 0.0), (0.0, 0.0))  # at last forgotten
     for way, share in ways:
-        given = unexplained.guided(HOME + way * np.eye(7)[3], 0.0)
+        given = unexplained.teaching_offset(HOME + way * np.eye(7)[3], 0.0)
         np.testing.assert_allclose(given, share * JOINT_2, atol=1e-6)
 
 
@@ -57,8 +57,8 @@ def test_an_arm_that_was_put_elsewhere_is_not_carried_by_what_held_it_before(
     step: float, share: float
 ) -> None:
     unexplained = held(*[JOINT_2] * 200)
-    unexplained.guided(HOME, step)
-    np.testing.assert_allclose(unexplained.guided(HOME, 0.0), share * JOINT_2, atol=1e-6)
+    unexplained.teaching_offset(HOME, step)
+    np.testing.assert_allclose(unexplained.teaching_offset(HOME, 0.0), share * JOINT_2, atol=1e-6)
 
 
 @pytest.mark.parametrize(("joint", "sign"), [(1, 1.0), (5, -1.0)])
@@ -119,8 +119,8 @@ def test_in_lockstep_a_guided_arm_does_not_depend_on_the_hold_before_it(
     run(controller, plant, 1.0)
     controller.set_gravity_compensation(True)
     tau = run(controller, plant, 0.01, elapsed=elapsed)[-1]
-    beyond = tau - MODEL.gravity(plant.q)
-    assert (abs(beyond[1]) > 0.5) == depends
+    model_error = tau - MODEL.gravity(plant.q)
+    assert (abs(model_error[1]) > 0.5) == depends
 
 
 @pytest.mark.requirement("S-132")

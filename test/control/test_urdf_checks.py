@@ -90,7 +90,7 @@ def test_position_limits_make_a_continuous_joint_usable_and_tighten_others() -> 
     assert arm.q_min[1:3].tolist() == [-2.0, -3.0]
     assert arm.q_max[1:3].tolist() == [0.5, 3.0]
     assert arm.identity() == plain.identity()
-    corrected = arm.corrected(Corrections.of(6, zeros=[0.1, *[0.0] * 5]))
+    corrected = arm.corrected(Corrections.from_values(6, zeros=[0.1, *[0.0] * 5]))
     assert corrected.q_max[2] == 3.0
 
 

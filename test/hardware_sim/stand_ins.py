@@ -83,7 +83,7 @@ class Hardware:
 
     def _holds(self) -> bool:
         label = self.label()
-        if label == "fault" and self.pace == "real_time":  # see `insist`
+        if label == "fault" and self.pace == "real_time":  # see `call_until_success`
             self.probe.call(Trigger, interface.RESET)
         return label == "hold"
 
@@ -108,7 +108,7 @@ class Hardware:
         request = SetBool.Request(data=False)
         assert self.probe.call(SetBool, interface.GRAVITY_COMPENSATION, request).success
 
-    def insist(self, do: str, policy: Policy | None = None) -> Answer:
+    def call_until_success(self, do: str, policy: Policy | None = None) -> Answer:
         """Send a goal until it succeeds.
 
         In real time a busy machine may cause a fault, which is reset as by an operator.
@@ -137,10 +137,10 @@ class Hardware:
         """One rollout, with pauses [s of wall time] before and after the reset."""
         self.paths.clear()
         self.truths.clear()
-        self.insist("move_to_start", policy)
+        self.call_until_success("move_to_start", policy)
         self.probe.spin(pauses[0])
-        self.insist("reset", policy)
+        self.call_until_success("reset", policy)
         self.probe.spin(pauses[1])
-        self.insist("execute", policy)
+        self.call_until_success("execute", policy)
         self.probe.until(lambda: self.paths and self.truths, "path and truth", deadline=60.0)
         return self.paths[0], pose_messages.ground_truth(self.truths[0]).values

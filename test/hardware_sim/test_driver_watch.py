@@ -95,9 +95,9 @@ def test_a_second_simulation_is_refused_and_the_first_goes_on(
 def test_a_domain_that_another_session_holds_is_refused_at_once(
     processes: Processes, domain_id: int, tmp_path: Path
 ) -> None:
-    hold = "import signal, sys; from wam_power_ros.ros.domain import hold; "
+    hold = "import signal, sys; from wam_power_ros.ros.domain import lock; "
     free = next(number for number in range(102, 232) if number != domain_id)
-    hold += "lock = hold(int(sys.argv[1])); print('held', flush=True); signal.pause()"
+    hold += "held = lock(int(sys.argv[1])); print('held', flush=True); signal.pause()"
     session = processes.script(hold, str(free))
     while "held" not in processes.output(session):
         time.sleep(0.02)

@@ -45,7 +45,7 @@ def test_a_scene_is_reset_or_demonstrated_in_one_goal_at_a_time_the_latter_if_th
 ) -> None:
     probe = hardware.probe
     policy = lift("put-back")
-    hardware.insist("move_to_start", policy)
+    hardware.call_until_success("move_to_start", policy)
     first, second = probe.ask("reset", policy), probe.ask("reset", policy)
     assert {probe.answer(first).code, probe.answer(second).code} == {Code.DONE, Code.BUSY}
     assert hardware.ask("demonstrate").code is Code.BUSY
@@ -67,9 +67,9 @@ def test_the_cameras_do_not_see_the_body_while_it_is_put_back(hardware: Hardware
     probe, policy = hardware.probe, lift("covered")
     topic = interface.body_topic("pancake", "pose")
     poses = probe.listen(PoseStamped, topic, interface.STATE_RECORD)
-    hardware.insist("move_to_start", policy)
+    hardware.call_until_success("move_to_start", policy)
     probe.until(lambda: len(poses) > 3, "frames before the reset")
-    hardware.insist("reset", policy)
+    hardware.call_until_success("reset", policy)
     there = len(poses)
     probe.until(lambda: len(poses) > there + 3, "frames after the reset")
     stamps_ns = [pose_messages.pose(pose).stamp_ns for pose in poses]

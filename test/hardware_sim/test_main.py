@@ -90,7 +90,7 @@ def test_a_killed_controller_lets_the_arm_come_to_rest_under_its_own_gravity(
     hardware = Hardware(probe, processes, "real_time", realtime_priority=70)
     hardware.control()
     policy = lift("killed")
-    hardware.insist("move_to_start", policy)
+    hardware.call_until_success("move_to_start", policy)
     probe.ask("execute", policy)
     probe.spin(0.15)
     processes.end(hardware.controller, signal.SIGKILL)

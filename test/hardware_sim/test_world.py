@@ -148,7 +148,7 @@ def test_a_start_outside_the_limits_is_refused(calm: World) -> None:
 def test_cameras_of_another_body_are_refused() -> None:
     setup = overlay.setup(simulated=True).changed({"optitrack_sim": {"body": "ball"}})
     with pytest.raises(ValueError, match="is set to body 'ball'"):
-        World.of(ArmSimParams.of_setup(setup), OptitrackSimParams.of_setup(setup))
+        World.from_params(ArmSimParams.from_setup(setup), OptitrackSimParams.from_setup(setup))
 
 
 # Repeatability

@@ -265,7 +265,7 @@ def test_a_plan_keeps_a_limit_that_the_best_point_hardly_exceeds() -> None:
     model = Landscape(predicted)
     learner = learner_of(model)
     practise(learner, 1)
-    assert model.predict(learner.mean).excess[0] < 0.0
+    assert model.predict(learner.mean).limit_excess[0] < 0.0
 
 
 def test_steps_lead_away_from_what_an_assumed_number_changes_much() -> None:

@@ -72,7 +72,7 @@ class Bench:
         file.write_text(f"pancake_tracker: {{ros__parameters: {lines or '{}'}}}")
         self.setup = overlay.setup([*names, str(file)], simulated=True)
         self._context = context
-        self.params = BodyTrackerParams.of_setup(self.setup)
+        self.params = BodyTrackerParams.from_setup(self.setup)
         self.heard: dict[str, Callable[[Any], None]] = {}
         node = SimpleNamespace(
             resolve_topic_name=lambda name: name,

@@ -17,13 +17,13 @@ from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.ros.scheduling import Granted
 
-PARAMS = TorqueControllerParams.of_setup(overlay.of_files([]))
+PARAMS = TorqueControllerParams.from_setup(overlay.from_files([]))
 URDF = share("urdf/wam7.urdf").read_text()
 STILL = Fault(FaultKind.STAMPS, "stamps stand")
 UNCONFIGURED = Condition(
     core=None,
     fault=None,
-    undescribed="",
+    description_missing="",
     autostart=False,
     active=False,
     missing_state="no joint state",
@@ -77,7 +77,12 @@ def active(fault: Fault | None = None) -> Condition:
         core.step(2_000_000, HOME, 0.0 * HOME)
         core.hold()
     return replace(
-        UNCONFIGURED, core=core, fault=fault, undescribed=None, active=True, missing_state=None
+        UNCONFIGURED,
+        core=core,
+        fault=fault,
+        description_missing=None,
+        active=True,
+        missing_state=None,
     )
 
 

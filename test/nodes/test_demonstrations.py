@@ -15,11 +15,11 @@ from wam_power_ros import installed
 from wam_power_ros.bags import reader
 from wam_power_ros.nodes.demonstrations import Demonstrations
 from wam_power_ros.nodes.learner import LearnerParams
-from wam_power_ros.nodes.simulated_arm import SimulatedArm
 from wam_power_ros.params import overlay
+from wam_power_ros.params.simulated_arm import SimulatedArm
 from wam_power_ros.practice.settings import preset
 
-PARAMS = LearnerParams.of_setup(overlay.of_files([]))
+PARAMS = LearnerParams.from_setup(overlay.from_files([]))
 BAG = str(min((ROOT / "bags").glob("demo_*")))
 SETTINGS = preset("flip")
 
@@ -83,7 +83,7 @@ def test_a_demonstration_whose_reproduction_would_end_in_a_fault_is_not_reproduc
 ) -> None:
     low = tmp_path / "low.yaml"
     low.write_text("torque_controller: {ros__parameters: {tool_speed_max: 0.5}}")
-    slow = LearnerParams.of_setup(overlay.of_files([low]))
+    slow = LearnerParams.from_setup(overlay.from_files([low]))
     with pytest.raises(ValueError, match=f"{BAG}: would end in a fault: tool"):
         of_arm(arm_of(slow)).candidates(SETTINGS, [BAG])
 

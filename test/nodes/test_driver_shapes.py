@@ -41,9 +41,9 @@ class Rehearsal:
         """The path of a rollout of this policy, by a controller that is started for it."""
         paths = self.probe.listen(PathMessage, interface.ROLLOUT_END_EFFECTOR, interface.LATCHED)
         self.processes.node("wam_power_ros.nodes.torque_controller", self.file)
-        self.probe.insist("move_to_start", policy)
-        self.probe.insist("reset", policy)
-        self.probe.insist("execute", policy)
+        self.probe.call_until_success("move_to_start", policy)
+        self.probe.call_until_success("reset", policy)
+        self.probe.call_until_success("execute", policy)
         message = self.probe.until(lambda: paths and paths[-1], "the path")
         return pose_messages.path(message)
 

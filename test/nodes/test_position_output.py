@@ -60,7 +60,7 @@ class PositionArm:
 
     def move(self, policy: Policy) -> None:
         """Begin a rollout, and wait until the arm moves in it."""
-        self.probe.insist("move_to_start", policy)
+        self.probe.call_until_success("move_to_start", policy)
         self.probe.ask("execute", policy)
         start = self.q()
         self.probe.until(lambda: np.abs(self.q() - start).max() > 0.02, "the rollout moves")
@@ -79,7 +79,7 @@ def test_a_rollout_by_positions_ends_as_by_torques_with_each_kind_of_message(
 ) -> None:
     arm = PositionArm(probe, processes, "lockstep", output, kind)
     policy = lift("lifted")
-    probe.insist("move_to_start", policy)
+    probe.call_until_success("move_to_start", policy)
     assert probe.answer(probe.ask("execute", policy)).success
     sent = np.array([each.tau for each in arm.references()])
     assert np.ptp(sent, axis=0).max() > 0.05

@@ -222,7 +222,7 @@ def test_a_request_that_a_process_died_of_is_refused_and_another_process_is_star
     beside.configure(None, ())
     end = time.monotonic() + 60.0
     while len(lost) < 2 and time.monotonic() < end:
-        beside.tend()
+        beside.restart_if_ended()
         beside.poll()
         time.sleep(0.01)
     assert [id for id, _ in lost] == ["7", "7"] and "has ended" in lost[0][1]

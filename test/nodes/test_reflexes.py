@@ -313,7 +313,7 @@ def test_bag_record_of_all_topics_finds_every_type_and_each_topic_has_one(sessio
 def test_param_list_is_what_is_in_the_file_of_its_kind(session: Session, node: str) -> None:
     request = ListParameters.Request()
     found = session.probe.call(ListParameters, f"{node}/list_parameters", request).result.names
-    own = overlay.of_files([])[OWN[node]]
+    own = overlay.from_files([])[OWN[node]]
     ours = {name for name in found if "." not in name and name != "use_sim_time"}
     assert ours - {"start_type_description_service"} == {*own}
 
@@ -353,7 +353,7 @@ def test_param_set_of_a_gate_beyond_its_range_or_against_another_is_refused(
 def test_param_set_of_what_is_read_at_start_is_refused(session: Session) -> None:
     for node, name, value in (
         (PLATE, "rate", 50.0),
-        (CONTROLLER, "elbow_speed_max", 1.9),
+        (CONTROLLER, "guarded_speed_max", 1.9),
         (CONTROLLER, "use_sim_time", False),
     ):
         assert session.set(node, name, value)

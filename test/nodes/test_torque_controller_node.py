@@ -250,7 +250,7 @@ def test_each_wrong_goal_ends_aborted_with_its_code_and_the_arm_holds(arm: Playe
         assert named in answer.text and not answer.stop, (wrong, answer)
         assert (0.0 < answer.speed < 1.0) == (code is Code.TOO_FAST), (wrong, answer)
         if do == "execute":
-            assert Ended.of(sent.result.end).start_ns == 0 and not sent.result.path.poses
+            assert Ended.read(sent.result.end).start_ns == 0 and not sent.result.path.poses
     assert {torque.label for torque in arm.read()[before:]} == {"hold"}
     arm.diagnostics.clear()
     assert arm.diagnosis(lambda d: True, "a report")["policy"] == "away"

@@ -492,7 +492,7 @@ def test_each_request_executes_the_policy_that_it_brings_whatever_its_id(arm: Pl
             arm.answer()
         probe.call(Trigger, interface.STOP)
         answer = probe.answer(execute, arm.send)
-        end = Ended.of(execute.result.end)
+        end = Ended.read(execute.result.end)
         assert (answer.code, end.policy_id, end.fault) == (Code.STOPPED, "trial-0001", None)
         assert answer.stop == end.stop != ""
         path = pose_messages.path(execute.result.path)

@@ -14,7 +14,7 @@ from all_params import READS
 from wam_power_ros.cli import main
 
 WHOLE = {
-    "torque_controller": {"workspace_max": [1.5, 1.5, 2], "elbow_speed_max": 1},
+    "torque_controller": {"workspace_max": [1.5, 1.5, 2], "guarded_speed_max": 1},
     "pancake_tracker": {"world_to_base": [0.5, 0, 0, 0, 0, 0, 1], "rate": 120},
     "wam_sim": {"listeners": []},
 }
@@ -28,7 +28,7 @@ def test_whole_numbers_and_empty_lists_are_written_as_ros_has_them(
     assert main.main(["config", "--config", str(file), "--simulate"]) == 0
     text = capsys.readouterr().out
     assert '"listeners": [""]' in text
-    assert '"workspace_max": [1.5, 1.5, 2.0]' in text and '"elbow_speed_max": 1.0' in text
+    assert '"workspace_max": [1.5, 1.5, 2.0]' in text and '"guarded_speed_max": 1.0' in text
     assert text.count('"world_to_base": [0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]') == 2
     file.write_text(text)
     context = rclpy.Context()
@@ -40,7 +40,7 @@ def test_whole_numbers_and_empty_lists_are_written_as_ros_has_them(
             cli_args=["--ros-args", "--params-file", str(file)],
             automatically_declare_parameters_from_overrides=True,
         )
-        READS[name].of(node)
+        READS[name].from_node(node)
         node.destroy_node()
     rclpy.shutdown(context=context)
 

@@ -53,7 +53,7 @@ def node_with(domain_id: int) -> Iterator[Callable[..., Node]]:
 
 
 def test_parameters_come_as_one_frozen_object(node_with: Callable[..., Node]) -> None:
-    oven = Oven.of(node_with(**GOOD))
+    oven = Oven.from_node(node_with(**GOOD))
     assert oven == Oven(**(GOOD | {"limits": (1.0, 2.0), "shelves": ("a", "b")}))
     with pytest.raises(ValueError, match="frozen"):
         oven.rings = 5
@@ -67,13 +67,13 @@ def test_an_unknown_key_or_a_bad_value_is_named(
     node_with: Callable[..., Node], name: str, value: object
 ) -> None:
     with pytest.raises(ValueError, match=name):
-        Oven.of(node_with(**(GOOD | {name: value})))
+        Oven.from_node(node_with(**(GOOD | {name: value})))
 
 
 @pytest.mark.requirement("S-18")
 def test_a_parameter_that_was_read_cannot_be_changed(node_with: Callable[..., Node]) -> None:
     node = node_with(**GOOD)
-    Oven.of(node)
+    Oven.from_node(node)
     (result,) = node.set_parameters([Parameter("heat", value=10.0)])
     assert not result.successful
     assert "heat" in result.reason
@@ -88,7 +88,7 @@ def test_every_parameter_describes_itself_its_range_and_that_it_is_read_at_start
 ) -> None:
     values = of_nodes(ROOT / "config/learner.yaml")["learner"]
     node = node_with(**values)
-    LearnerParams.of(node)
+    LearnerParams.from_node(node)
     described = {name: node.describe_parameter(name) for name in LearnerParams.model_fields}
     assert all(each.read_only and each.description for each in described.values())
     (limits,) = described["trials"].integer_range
@@ -147,9 +147,9 @@ def test_settings_that_a_node_includes_are_parameters_without_default_or_constan
     values = of_nodes(ROOT / "config/wam_sim.yaml")["wam_sim"]
     less = {name: value for name, value in values.items() if name not in ("friction", "home")}
     with pytest.raises(ValueError, match="friction is missing; home is missing"):
-        ArmSimParams.of_values("wam_sim", less)
+        ArmSimParams.from_values("wam_sim", less)
     with pytest.raises(ValueError, match="body_mass is no parameter"):
-        ArmSimParams.of_values("wam_sim", values | {"body_mass": 0.9})
+        ArmSimParams.from_values("wam_sim", values | {"body_mass": 0.9})
 
 
 @pytest.mark.requirement("S-18")
@@ -162,4 +162,4 @@ def test_a_key_twice_in_the_parameter_file_of_a_process_stops_its_node(
     with pytest.raises(
         ValueError, match=r"oven\.yaml.*: heat is given twice, in line 3 and in line 5"
     ):
-        Oven.of(node_with(**GOOD))
+        Oven.from_node(node_with(**GOOD))

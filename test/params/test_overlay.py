@@ -23,7 +23,7 @@ def read(setup: overlay.Setup, node: str, folder: Path) -> Params:
     """Parameters of a node, read as the node reads them."""
     file = folder / "parameters.yaml"
     file.write_text(overlay.text(setup))
-    return READS[node].of_setup(overlay.of_files([file]))
+    return READS[node].from_setup(overlay.from_files([file]))
 
 
 def write(folder: Path, name: str, text: str) -> str:
@@ -43,8 +43,8 @@ def test_set_ups_have_parameters_for_the_existing_nodes() -> None:
 @pytest.mark.parametrize("simulated", [False, True])
 def test_every_set_up_is_accepted_by_every_node(name: str, simulated: bool, tmp_path: Path) -> None:
     (tmp_path / "parameters.yaml").write_text(overlay.text(overlay.setup([name], simulated)))
-    setup = overlay.of_files([tmp_path / "parameters.yaml"])
-    params = {node: READS[node].of_setup(setup) for node in overlay.NODES}
+    setup = overlay.from_files([tmp_path / "parameters.yaml"])
+    params = {node: READS[node].from_setup(setup) for node in overlay.NODES}
     arm, learner = params["torque_controller"], params["learner"]
     # parameters that several nodes share are equal
     assert arm.joint_names == learner.joint_names == params["demonstration_recorder"].joint_names
@@ -53,7 +53,7 @@ def test_every_set_up_is_accepted_by_every_node(name: str, simulated: bool, tmp_
     assert arm.command_topic in params["demonstration_recorder"].driver_topics
     # the learner simulates policies with the limits of the controller
     files = [ROOT / file for file in learner.controller]
-    limits = TorqueControllerParams.of_setup(overlay.of_files(files))
+    limits = TorqueControllerParams.from_setup(overlay.from_files(files))
     lab = ["simulation", "hold_to_run", "allow_no_realtime"]
     if (
         params["wam_sim"].pace == "lockstep"
@@ -172,7 +172,7 @@ def test_a_set_up_is_a_value_that_reads_back_as_it_was_written(tmp_path: Path) -
     file.write_text(overlay.text(other))
     assert overlay.read(file) == parameter_file.of_nodes(file) == other
     file.write_text("wam_sim: {ros__parameters: {seed: 7}}")  # of an older version: fewer values
-    assert ArmSimParams.of_setup(overlay.read(file)).seed == 7
+    assert ArmSimParams.from_setup(overlay.read(file)).seed == 7
 
 
 @pytest.mark.parametrize(
@@ -204,7 +204,7 @@ PAIRS = [("geodude", "natnet_ros2"), ("cobot", "libbarrett"), ("reach", "franka"
 @pytest.mark.parametrize("names", [*((name,) for name in overlay.known()), *PAIRS], ids="+".join)
 def test_plain_files_say_to_a_node_what_the_set_ups_say(names: tuple[str, ...]) -> None:
     files = [ROOT / f"config/{name}.yaml" for name in ("learner", *names)]
-    plain, setup = overlay.of_files(files), overlay.setup(names)
+    plain, setup = overlay.from_files(files), overlay.setup(names)
     for node in {*overlay.NODES} - {*overlay.STAND_INS}:
         assert plain[node] == setup[node]
 
@@ -213,7 +213,7 @@ def test_a_section_of_all_nodes_reaches_each_that_has_the_parameter(tmp_path: Pa
     common = "/**: {ros__parameters: {rate: 100.0, command_topic: torques, urdf: my.urdf}}"
     (tmp_path / "my.urdf").write_text("<robot/>")
     file = Path(write(tmp_path, "lab", common))
-    for setup in (overlay.of_files([file], "/left"), overlay.setup([str(file)], simulated=True)):
+    for setup in (overlay.from_files([file], "/left"), overlay.setup([str(file)], simulated=True)):
         assert setup["pancake_tracker"]["rate"] == setup["optitrack_sim"]["rate"] == 100.0
         assert setup["wam_sim"]["command_topic"] == "torques"
         assert setup["demonstration_recorder"]["driver_topics"] == ["torques"]
@@ -222,21 +222,21 @@ def test_a_section_of_all_nodes_reaches_each_that_has_the_parameter(tmp_path: Pa
         assert "rate" not in setup["learner"]
     write(tmp_path, "lab", "/**: {ros__parameters: {raet: 100.0}}")
     with pytest.raises(ValueError, match="every node has no parameter 'raet'; is it rate"):
-        overlay.of_files([file])
+        overlay.from_files([file])
 
 
 @pytest.mark.requirement("S-101")
 def test_plain_files_of_another_namespace_say_nothing_and_complete_ones_nothing_new(
     tmp_path: Path,
 ) -> None:
-    joints = lambda file, namespace="/": overlay.of_files([file], namespace)[  # noqa: E731
+    joints = lambda file, namespace="/": overlay.from_files([file], namespace)[  # noqa: E731
         "demonstration_recorder"
     ]["joint_names"]
     arms = "{left: %s, right: %s}"
     arm = "{torque_controller: {ros__parameters: {joint_names: [%s]}}}"
     file = Path(write(tmp_path, "arms", arms % (arm % "l1", arm % "r1")))
     assert joints(file, "/left") == ["l1"]
-    assert joints(file) == overlay.of_files([])["demonstration_recorder"]["joint_names"]
+    assert joints(file) == overlay.from_files([])["demonstration_recorder"]["joint_names"]
     both = "/**/torque_controller: {ros__parameters: {joint_names: [a]}}\n/left: " + arm % "l1"
     file = Path(write(tmp_path, "both", both))
     for namespace, joint in (("/left", "l1"), ("/right", "a"), ("/", "a")):
@@ -244,7 +244,7 @@ def test_plain_files_of_another_namespace_say_nothing_and_complete_ones_nothing_
     complete = tmp_path / "complete.yaml"
     for setup in (overlay.setup(), overlay.setup(["libbarrett", "reach"])):
         complete.write_text(overlay.text(setup))
-        assert overlay.of_files([complete]) == setup
+        assert overlay.from_files([complete]) == setup
 
 
 @pytest.mark.requirement("S-101")

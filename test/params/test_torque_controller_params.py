@@ -23,7 +23,7 @@ def params(tmp_path: Path, **changes: object) -> TorqueControllerParams:
     """Parameters of the file with some changed."""
     over = tmp_path / "over.yaml"
     over.write_text(yaml.safe_dump({"torque_controller": {"ros__parameters": changes}}))
-    return TorqueControllerParams.of_setup(overlay.of_files([over]))
+    return TorqueControllerParams.from_setup(overlay.from_files([over]))
 
 
 def test_every_parameter_of_motion_reaches_the_controller(tmp_path: Path) -> None:
@@ -69,7 +69,7 @@ def test_every_limit_reaches_the_controller(tmp_path: Path) -> None:
     changes = {
         "torque_share": 0.5,
         "torque_rate_max": 500.0,
-        "elbow_speed_max": 1.0,
+        "guarded_speed_max": 1.0,
         "tool_speed_max": 1.5,
         "teaching_tool_speed_max": 0.5,
         "workspace_min": [-1.0, -1.1, -0.1],
@@ -80,7 +80,7 @@ def test_every_limit_reaches_the_controller(tmp_path: Path) -> None:
     limits = controller.limits
     assert np.array_equal(limits.torque, 0.5 * controller.arm.tau_max)
     assert np.array_equal(limits.torque_rate, np.full(7, 500.0))
-    assert (limits.elbow_speed, limits.tool_speed, limits.teaching_tool_speed) == (1.0, 1.5, 0.5)
+    assert (limits.guarded_speed, limits.tool_speed, limits.teaching_tool_speed) == (1.0, 1.5, 0.5)
     for name in ("workspace_min", "workspace_max", "plane"):
         assert getattr(limits, name).tolist() == changes[name]
 
@@ -93,7 +93,7 @@ def test_every_limit_reaches_the_controller(tmp_path: Path) -> None:
         ("law", "jacobian_transpose"),
         ("move_speed", "1:30"),
         ("period", 0.021),
-        ("elbow_speed_max", 3.1),
+        ("guarded_speed_max", 3.1),
         ("stiffness_max", 4900.0),
         ("realtime_priority", 99),
     ],
@@ -140,7 +140,7 @@ def test_a_real_arm_refuses_simulated_time(domain_id: int) -> None:
             automatically_declare_parameters_from_overrides=True,
         )
         with pytest.raises(ValueError, match="use_sim_time = True"):
-            TorqueControllerParams.of(node)
+            TorqueControllerParams.from_node(node)
     finally:
         rclpy.shutdown(context=context)
 
@@ -171,5 +171,5 @@ def test_names_of_the_driver_in_another_order_than_the_models_are_refused() -> N
     for params in (TorqueControllerParams, ArmSimParams):
         node = params.file.removesuffix(".yaml")
         with pytest.raises(ValueError, match="'elbow_joint' in the place of 'shoulder_pan_joint'"):
-            params.of_setup(setup.changed({node: {"joint_names": sorted(names)}}))
-        assert params.of_setup(setup.changed({node: {"joint_names": [f"l_{n}" for n in names]}}))
+            params.from_setup(setup.changed({node: {"joint_names": sorted(names)}}))
+        assert params.from_setup(setup.changed({node: {"joint_names": [f"l_{n}" for n in names]}}))

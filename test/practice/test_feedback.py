@@ -117,7 +117,7 @@ def test_a_rating_changes_the_elite_from_the_next_trial_on_and_not_the_one_under
     told = Power(practice.learner.size, practice.settings.learner_settings, np.random.default_rng())
     for record in practice.records:
         if record.demonstration == practice.parametrization.policy0.id:
-            told.tell(np.array(record.learnt_as), record.ret + (record.number == worst.number))
+            told.tell(np.array(record.z_corrected), record.ret + (record.number == worst.number))
     np.testing.assert_array_equal(practice.learner.mean, told.mean)
 
 

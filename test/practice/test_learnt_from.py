@@ -82,7 +82,7 @@ def test_a_return_of_its_own_is_learnt_from_and_said_or_refused(
     seen = {"height": 0.1}
     assert practised.error(seen) is None and not practised.corrections
     parametrization = practised.parametrization(demonstrated_policy(count=16))
-    assert list(practised.hindsight(Assessment(0.5, {}, seen), parametrization)) == []
+    assert list(practised.error_correction(Assessment(0.5, {}, seen), parametrization)) == []
     learner = installed.find("learner", preset(kind.name, name).learner)
     assert not issubclass(learner, MeasuringLearner)
 
@@ -105,6 +105,6 @@ def test_errors_of_its_own_are_learnt_from_and_said(
 def test_a_correction_by_a_parameter_that_is_not_learnt_is_refused_for_every_learner() -> None:
     """It would be said to the person, and not be made."""
     for learner in ("power", "corrections_only"):
-        with pytest.raises(ValueError, match=r"corrects by its effects, .* vigour, sideways"):
+        with pytest.raises(ValueError, match=r"corrects by its effects, .* amplitude, sideways"):
             preset("ball_in_cup", "cup", {"name": learner}, variant="attractors").check(1)
     preset("ball_in_cup", "cup", variant="attractors", gain=0.0).check(1)

@@ -15,15 +15,15 @@ from wam_power_ros.learning.policy import Policy
 from wam_power_ros.practice.new_goal import context_for, policy_for
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.settings import preset
-from wam_power_ros.tasks.flip.parametrization import TURN_OF_FLICK, TURN_OF_TEMPO, TURN_OF_VIGOUR
-from wam_power_ros.tasks.flip.toss_errors import APEX_OF_VIGOUR
+from wam_power_ros.tasks.flip.parametrization import TURN_OF_AMPLITUDE, TURN_OF_TEMPO, TURN_OF_WRIST
+from wam_power_ros.tasks.flip.toss_errors import APEX_OF_AMPLITUDE
 
 ARM = AnyArm()
 GOALS = ({"y": 0.35}, {"y": 0.15, "z": 0.58}, {"x": 0.62, "y": 0.2})
 FLIP, CUP = preset("flip"), preset("ball_in_cup")
 TOSS = {"tossed": True, "seen": True, "angle": math.pi, "landing_error": [0.0, 0.0, 0.1]}
 TOSS |= {"catch_pitch": 0.0, "apex": 0.6}
-NAMES = ("vigour", "tempo", "flick")
+NAMES = ("amplitude", "tempo", "wrist_amplitude")
 
 
 @pytest.fixture(scope="module")
@@ -122,9 +122,10 @@ def test_a_lower_toss_is_less_vigorous_and_turns_as_far() -> None:
     parametrization = task.parametrization(policy)
     shift = sum(task.rough_errors(parametrization).correction(task.error(TOSS), 1.0))
     moved = parametrization.scale * shift
-    vigour, tempo, flick = (moved[parametrization.groups[n]][0] for n in NAMES)
-    assert APEX_OF_VIGOUR * (vigour + tempo) == pytest.approx(-0.1)
-    assert TURN_OF_VIGOUR * vigour + TURN_OF_TEMPO * tempo + TURN_OF_FLICK * flick < 1e-9
+    amplitude, tempo, wrist_amplitude = (moved[parametrization.groups[n]][0] for n in NAMES)
+    assert APEX_OF_AMPLITUDE * (amplitude + tempo) == pytest.approx(-0.1)
+    turn = TURN_OF_AMPLITUDE * amplitude + TURN_OF_TEMPO * tempo
+    assert turn + TURN_OF_WRIST * wrist_amplitude < 1e-9
     lower, _ = parametrization.policy(shift, "new")
     found = run_of(FLIP, TOSS, {"apex": 0.5})
     np.testing.assert_allclose(found.attractors, lower.attractors)

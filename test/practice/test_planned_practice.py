@@ -13,7 +13,7 @@ from wam_power_ros.learning.learner import Prediction
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks import task as task_module
-from wam_power_ros.tasks.flip.parametrization import TURN_OF_FLICK, TURN_OF_TEMPO, TURN_OF_VIGOUR
+from wam_power_ros.tasks.flip.parametrization import TURN_OF_AMPLITUDE, TURN_OF_TEMPO, TURN_OF_WRIST
 from wam_power_ros.tasks.flip.toss_errors import ERRORS
 
 SETTINGS = preset("flip", "model_based", budget=12, retests=2, confirm=3)
@@ -23,7 +23,8 @@ CANDIDATES = [demonstrated_policy()]
 def predict(z: np.ndarray) -> Prediction:
     """Error of `toss`, without its noise and with a rotation that is 0.3 rad off."""
     noise = SETTINGS.task_settings.noise
-    turn = TURN_OF_VIGOUR * noise.vigour * z[-4] + TURN_OF_FLICK * noise.flick * z[-3]
+    turn = TURN_OF_AMPLITUDE * noise.amplitude * z[-4]
+    turn += TURN_OF_WRIST * noise.wrist_amplitude * z[-3]
     turn += TURN_OF_TEMPO * noise.tempo * z[-1]
     error = [1.9 + turn - math.pi, 0.12 - noise.catch_shift * z[-2], 0.0, 0.0]
     tolerances = [each.tolerance for each in ERRORS[:4]]
@@ -64,7 +65,7 @@ def test_the_error_is_that_of_what_was_executed_not_of_the_correction_in_hindsig
         practice.learn_assessed(trial, toss(trial, practice.task.settings))
     learner = practice.learner
     assert learner._z.tolist() == [record.z for record in practice.records]
-    assert any(record.learnt_as != record.z for record in practice.records)
+    assert any(record.z_corrected != record.z for record in practice.records)
     for error, record in zip(learner._errors, practice.records, strict=True):
         angle = (record.observation["angle"] - math.pi) / ERRORS[0].tolerance
         np.testing.assert_allclose(error[0], angle)

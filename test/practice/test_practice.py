@@ -367,7 +367,8 @@ def test_a_preset_changes_only_what_is_named() -> None:
     assert changed.learner_settings.sigma == 3
     assert changed.learner_settings.weights == "sharpened"
     assert changed.practice.budget == 10
-    assert preset("flip", "hindsight", noise={"flick": 0.1}).task_settings.noise.flick == 0.1
+    noisy = preset("flip", "hindsight", noise={"wrist_amplitude": 0.1})
+    assert noisy.task_settings.noise.wrist_amplitude == 0.1
     other = preset("flip", "hindsight", learner={"name": "cma_es", "population": 8})
     assert other.learner == "cma_es" and other.learner_settings.population == 8
     for settings in (changed, other):
@@ -385,7 +386,7 @@ def test_a_record_is_one_line_of_strict_json_and_comes_back_exactly() -> None:
         clock={"took": 1.25},
     )
     line = record.to_json()
-    assert "\n" not in line and json.loads(line)["schema"] == "wam_power_ros/rollout/2"
+    assert "\n" not in line and json.loads(line)["schema"] == "wam_power_ros/rollout/3"
     again = parse_line(line)
     assert again == record and again.to_json() == line
     assert again.terms["b"] is None
@@ -396,7 +397,7 @@ def test_a_record_is_one_line_of_strict_json_and_comes_back_exactly() -> None:
     for damage in (
         line[:-20],
         line.replace('"learnt": true', '"learnt": false'),
-        line.replace("rollout/2", "rollout/1"),
+        line.replace("rollout/3", "rollout/2"),
     ):
         assert damage != line
         with pytest.raises(ValueError):
@@ -404,15 +405,15 @@ def test_a_record_is_one_line_of_strict_json_and_comes_back_exactly() -> None:
 
 
 class SlowModel(AnyArm):
-    """Model of an arm that records the number of overruns at each simulation."""
+    """Model of an arm that records the unpredicted limit stops at each simulation."""
 
     def __init__(self) -> None:
         super().__init__()
         self.asked: list[int] = []
 
-    def infeasible(self, policy: Policy, overruns: int = 0) -> Fault | None:
+    def infeasible(self, policy: Policy, limit_stops: int = 0) -> Fault | None:
         """See `practice.ArmModel`."""
-        self.asked.append(overruns)
+        self.asked.append(limit_stops)
         return None
 
 
@@ -500,7 +501,7 @@ def test_a_correction_that_the_arm_cannot_follow_is_made_in_part_and_keeps_no_ot
     first = CANDIDATES[0].attractors
 
     def infeasible(policy: Policy) -> str:
-        slow = np.allclose(policy.attractors[1], first[1])  # moved by the vigour alone
+        slow = np.allclose(policy.attractors[1], first[1])  # moved by the amplitude alone
         return "" if slow and policy.attractors[-1, 0] < first[-1, 0] + 0.02 else "too far"
 
     practice = practice_of(
@@ -510,9 +511,9 @@ def test_a_correction_that_the_arm_cannot_follow_is_made_in_part_and_keeps_no_ot
     flight = {"tossed": True, "seen": True, "angle": 2.0, "landing_error": [0.1, 0.0, 0.0]}
     flight["catch_pitch"] = 0.0
     record = practice.learn_assessed(practice.next_trial(), Assessment(0.5, observation=flight))
-    vigour, flick, shift, tempo = np.array(record.learnt_as)[-4:]
-    assert vigour == 0.0 < tempo
-    assert 0.0 < flick <= 0.3 / settings.noise.flick
+    amplitude, wrist_amplitude, shift, tempo = np.array(record.z_corrected)[-4:]
+    assert amplitude == 0.0 < tempo
+    assert 0.0 < wrist_amplitude <= 0.3 / settings.noise.wrist_amplitude
     # a quarter of 0.7 * 0.1 m: the whole and the half are infeasible
     assert shift == pytest.approx(0.25 * settings.gain * 0.1 / settings.noise.catch_shift)
 

@@ -70,7 +70,7 @@ def test_a_ball_hangs_on_the_string_of_the_goal_and_a_swing_is_scaled_to_it() ->
 
 def test_ratings_bring_the_end_of_a_movement_near_where_a_person_wants_it() -> None:
     found = [rated.session(seed, "shifts", 0.0) for seed in (1, 2)]
-    assert all(run["left"] < rated.NEAR and run["used"] <= rated.ROLLOUTS for run in found)
+    assert all(run["left"] < rated.NEAR_MISS and run["used"] <= rated.ROLLOUTS for run in found)
     assert rated.line(found)["near"] == 2
 
 

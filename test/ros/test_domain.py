@@ -17,12 +17,12 @@ import pytest
 from conftest import ROOT, python_path
 
 from wam_power_ros.ros import domain
-from wam_power_ros.ros.domain import DomainError, exported, hold, ports, private_domain, shared
+from wam_power_ros.ros.domain import DomainError, exported, lock, ports, private_domain, shared
 
 HOLD = """
 import sys
-from wam_power_ros.ros.domain import hold
-held = hold(int(sys.argv[1]))
+from wam_power_ros.ros.domain import lock
+held = lock(int(sys.argv[1]))
 print(held is None, flush=True)
 sys.stdin.readline()
 """
@@ -90,9 +90,9 @@ def test_a_domain_has_one_holder_and_is_shared_with_the_processes_that_it_starts
     other = holder(two[0])
     assert other.stdout is not None and other.stdout.readline() == "False\n"
     with pytest.raises(DomainError, match=f"domain {two[0]} is in use .*fuser .*_{two[0]}.lock"):
-        hold(two[0])
+        lock(two[0])
     other.communicate("")
-    free = hold(two[0])  # the kernel ends the lock with its process
+    free = lock(two[0])  # the kernel ends the lock with its process
     assert free is not None
     free.close()
 
@@ -102,7 +102,7 @@ def test_a_lock_is_readable_for_other_users_and_one_that_is_not_is_named(
 ) -> None:
     file = Path(tempfile.gettempdir()) / f"ros_domain_{two[0]}.lock"
     file.touch(0o600)  # as of a user with umask 077
-    held = hold(two[0])
+    held = lock(two[0])
     assert held is not None
     held.close()
     assert file.stat().st_mode & 0o444 == 0o444
@@ -114,7 +114,7 @@ def test_a_lock_is_readable_for_other_users_and_one_that_is_not_is_named(
     with pytest.raises(
         DomainError, match=re.escape(f"{file} cannot be read: it belongs to another user")
     ):
-        hold(two[0])
+        lock(two[0])
 
 
 def test_the_exported_domain_is_read_as_ros_does_and_what_is_none_refused_by_its_name() -> None:

@@ -20,7 +20,7 @@ from std_msgs.msg import Int64
 
 from wam_power_ros.params.resources import share
 from wam_power_ros.ros import network
-from wam_power_ros.ros.network import RANGE, confine, wider_reach
+from wam_power_ros.ros.network import RANGE, restrict_to_loopback, wider_reach
 
 PROFILE, PROFILE_HERE, OURS = *network.profile()[:2], network.profile().path
 MEMORY = Path("/dev/shm")
@@ -77,10 +77,10 @@ rclpy.shutdown()
 )
 def test_where_nothing_is_asked_for_the_loopback_interface_is_chosen(given: dict[str, str]) -> None:
     environment = dict(given)
-    confine(environment)
+    restrict_to_loopback(environment)
     assert (environment[RANGE], environment[PROFILE]) == ("SYSTEM_DEFAULT", OURS)
     chosen = dict(environment)
-    confine(environment)  # in a child process
+    restrict_to_loopback(environment)  # in a child process
     assert environment == chosen
 
 
@@ -102,7 +102,7 @@ def test_what_is_asked_for_wins_and_is_named(given: dict[str, str], reason: str)
     changed = {RANGE: "SYSTEM_DEFAULT"}.items() <= given.items() or PROFILE in given
     for inherited in ({},) if changed else ({}, above):
         environment = inherited | given
-        confine(environment)
+        restrict_to_loopback(environment)
         assert environment == {RANGE: "LOCALHOST", network.TRANSPORTS: "UDPv4", **given}
         assert reason in (wider_reach(environment) or "")
 
@@ -114,7 +114,7 @@ def test_a_profile_in_the_working_directory_wins_and_is_named(
     monkeypatch.chdir(tmp_path)
     (tmp_path / PROFILE_HERE).write_text("<dds/>")
     environment: dict[str, str] = {}
-    confine(environment)
+    restrict_to_loopback(environment)
     assert PROFILE_HERE in (wider_reach(environment) or "")
 
 
@@ -124,7 +124,7 @@ def test_another_middleware_is_named_whatever_the_environment_says(
 ) -> None:
     monkeypatch.setattr(network, "middleware", lambda: "rmw_zenoh_cpp")
     environment = {"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}
-    confine(environment)
+    restrict_to_loopback(environment)
     assert PROFILE not in environment
     assert "rmw_zenoh_cpp" in (wider_reach(environment) or "")
 

@@ -38,4 +38,4 @@ def test_every_constant_of_the_message_is_a_code_and_a_later_one_is_unknown() ->
 def test_the_end_of_a_rollout_keeps_its_id_start_fault_region_and_stop() -> None:
     for fault, stop in ((None, "17"), (Fault(FaultKind.TOOL_SPEED, "2.1 m/s"), "")):
         end = Ended("trial-0001", 1_795_640_661_883_907_267, fault, "the obstacle", stop)
-        assert Ended.of(end.message()) == end
+        assert Ended.read(end.message()) == end

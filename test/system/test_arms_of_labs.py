@@ -30,7 +30,7 @@ WAMS = ("geodude", "libbarrett")
 @pytest.mark.parametrize("arm", [*ARMS, *WAMS])
 def test_a_set_up_of_an_arm_is_complete_and_its_reach_lies_within_its_limits(arm: str) -> None:
     setup = overlay.setup([arm], simulated=True, task="reach")
-    params, driver = TorqueControllerParams.of_setup(setup), ArmSimParams.of_setup(setup)
+    params, driver = TorqueControllerParams.from_setup(setup), ArmSimParams.from_setup(setup)
     text = (ROOT / f"config/{arm}.yaml").read_text()
     own = yaml.safe_load(text)["/**/torque_controller"]["ros__parameters"]
     assert {"joint_names", "driver_compensates_gravity", "torque_share"} <= own.keys()
@@ -87,7 +87,9 @@ def test_a_ur_is_taught_and_learns_to_reach_over_dds(tmp_path: Path) -> None:
     assert np.abs(state.effort).max() < 4.0  # [A]; g(q) is up to 27 N m here
     best = policies.from_json((tmp_path / "s/policy.json").read_text())
     (row,) = [row for row in rows if row["id"] == best.id]
-    rollout, truth = Environment.of(overlay.read(tmp_path / "s/logs/parameters.yaml")).run(best)
+    rollout, truth = Environment.from_setup(overlay.read(tmp_path / "s/logs/parameters.yaml")).run(
+        best
+    )
     assert rollout.fault is None and truth == row["truth"]  # as in one process
 
 

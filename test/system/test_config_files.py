@@ -106,7 +106,7 @@ def test_whatever_files_are_combined_a_controller_starts_itself_in_simulation_al
     found = {True: 0, False: 0}
     for names in combinations("torque_controller"):
         try:
-            params = TorqueControllerParams.of_setup(overlay.of_files(files(names)))
+            params = TorqueControllerParams.from_setup(overlay.from_files(files(names)))
         except ValueError:  # refused: it sends nothing
             continue
         assert not params.autostart or params.simulation, names

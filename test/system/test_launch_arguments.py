@@ -56,7 +56,7 @@ def setup(nodes: dict[str, Any], folder: Path) -> dict[str, dict[str, Any]]:
         for values in own:
             (folder / name).write_text(yaml.safe_dump({"/**": {"ros__parameters": values}}))
             files.append(folder / name)
-        found[name] = overlay.of_files(files)[name]
+        found[name] = overlay.from_files(files)[name]
     return found
 
 

@@ -19,7 +19,7 @@ MODULES = {
     "pancake_tracker": "wam_power_ros.nodes.body_tracker",
     "wam_sim": "hardware_sim.main",
 }
-OWN = overlay.of_files([])
+OWN = overlay.from_files([])
 # A file that a launch file writes for `parameters=[{...}]`, or a lab for all of its nodes.
 TOOL = {"tool_frame": "wam_tool_plate"}
 LAB = (

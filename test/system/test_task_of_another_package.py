@@ -39,7 +39,7 @@ from wam_power_ros.params import overlay
 
 session = Path(sys.argv[1])
 setup = overlay.read(session / "logs/parameters.yaml").changed({"wam_sim": {"seed": 3}})
-bench, best = Environment.of(setup), policy.from_json((session / "policy.json").read_text())
+bench, best = Environment.from_setup(setup), policy.from_json((session / "policy.json").read_text())
 rollout, truth = bench.run(best)
 model = bench.world.model
 shapes = [model.geom(k).name for k in range(model.ngeom)]

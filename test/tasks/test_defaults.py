@@ -33,7 +33,7 @@ class Push(Task):
     )
     effects = (
         Effect("shift_y", 0.05, {"beside": 1.0}),
-        Effect("vigour", 0.2, {"off_line": 0.5}),
+        Effect("amplitude", 0.2, {"off_line": 0.5}),
         Effect("tempo", 0.1, {"late": -1.0}),
     )
 
@@ -131,7 +131,13 @@ def test_its_outcome_is_told_by_its_errors_with_their_units() -> None:
 
 def test_it_learns_what_the_settings_say_and_what_its_effects_move() -> None:
     parametrization = TASK.parametrization(POLICY)
-    assert list(parametrization.groups) == ["stiffness", "attractors", "shift_y", "vigour", "tempo"]
+    assert list(parametrization.groups) == [
+        "stiffness",
+        "attractors",
+        "shift_y",
+        "amplitude",
+        "tempo",
+    ]
     scales = [parametrization.scale[parametrization.groups[each.group]] for each in Push.effects]
     assert np.ravel(scales) == pytest.approx([0.01, 0.04, 0.02])  # a fifth of the steps
     attractors = type(TASK)(TaskSettings(variant="attractors"), {}).parametrization(POLICY)
@@ -147,7 +153,7 @@ def test_it_learns_what_the_settings_say_and_what_its_effects_move() -> None:
     shift = moved("shift_y", 0.05).attractors - POLICY.attractors
     np.testing.assert_allclose(shift[:, 1], 0.05 * np.arange(1, n + 1) / n)
     assert not shift[:, [0, 2]].any()
-    vigorous = moved("vigour", 0.1)
+    vigorous = moved("amplitude", 0.1)
     for name in ("attractors", "rotation_attractors"):
         before, after = getattr(POLICY, name), getattr(vigorous, name)
         np.testing.assert_allclose(after - after[0], 1.1 * (before - before[0]), atol=1e-12)

@@ -16,7 +16,7 @@ from toss_task import demonstrated_policy
 from wam_power_ros import installed
 from wam_power_ros.learning.parametrization import Attractors, Direction, Parametrization
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.rollout import EndEffectorPath, Foreseen, Rollout
+from wam_power_ros.learning.rollout import EndEffectorPath, Rollout, SimulatedRollout
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.errors import Effect, Error
 from wam_power_ros.tasks.reach.settings import REACH_FIT
@@ -93,14 +93,14 @@ def test_a_task_is_corrected_judged_and_planned_by_its_errors_alone() -> None:
     plain = Parametrization(POLICY, (Attractors(0.01),))  # without what moves them
     assert TASK.error_model(plain, lambda policy: None) is None
     seen = Assessment(0.5, {}, {"x": 0.02, "y": -0.01})
-    half = change(list(TASK.hindsight(seen, PARAMETRIZATION)))
+    half = change(list(TASK.error_correction(seen, PARAMETRIZATION)))
     assert half["sway"] * SIDE == pytest.approx(-0.01)
     assert list(TASK.corrections) == ["x", "y"]
     record = type("Logged", (), {"observation": seen.observation})()
-    assert TASK.margins(record) == pytest.approx([0.03, 0.04])
-    assert list(TASK.margin_scatter) == [0.004, 0.004]
+    assert TASK.success_margins(record) == pytest.approx([0.03, 0.04])
+    assert list(TASK.scatter) == [0.004, 0.004]
     record.observation = {"x": 0.02}
-    assert list(TASK.margins(record)) == []
+    assert list(TASK.success_margins(record)) == []
     model = TASK.error_model(PARAMETRIZATION, lambda policy: None)
     assert model.predict is None
     np.testing.assert_allclose(model.slopes, [[SIDE * 0.1 / 0.01, 0.0], [0.0, LIFT * 0.2 / 0.02]])
@@ -114,7 +114,7 @@ def test_the_learner_of_a_task_with_errors_plans_unless_its_preset_says_otherwis
     monkeypatch.setattr(Push, "errors", ())
     assert preset("push").learner == "power"
     assert TASK.error_model(PARAMETRIZATION, lambda policy: None) is None
-    assert list(TASK.hindsight(Assessment(0.5, {}, {"x": 1.0}), PARAMETRIZATION)) == []
+    assert list(TASK.error_correction(Assessment(0.5, {}, {"x": 1.0}), PARAMETRIZATION)) == []
 
 
 def test_an_error_that_nothing_moves_is_a_margin_alone_and_without_a_limit_it_is_refused() -> None:
@@ -123,7 +123,7 @@ def test_an_error_that_nothing_moves_is_a_margin_alone_and_without_a_limit_it_is
     deep = type("Deep", (Push,), {"errors": (*Push.errors, watched)})(TaskSettings(), {})
     seen = {"x": 0.02, "y": -0.01, "depth": 0.01}
     record = type("Logged", (), {"observation": seen})()
-    assert list(deep.margins(record)) == pytest.approx([0.03, 0.04, 0.03])
+    assert list(deep.success_margins(record)) == pytest.approx([0.03, 0.04, 0.03])
     assert deep.error(seen) == pytest.approx([2.0, -0.5])
     model = deep.error_model(PARAMETRIZATION, lambda policy: None)
     assert model.slopes.shape == (2, 2)
@@ -137,7 +137,7 @@ def test_an_error_or_effect_that_makes_no_sense_is_refused() -> None:
             Error(**{"name": "x", "unit": "m", "tolerance": 0.02, **changes})
     for step, slope in ((-0.1, 1.0), (0.1, 0.0), (0.1, math.nan)):
         with pytest.raises(ValueError, match=r"step must be above 0|by a finite number, not 0"):
-            Effect("vigour", step, {"x": slope})
+            Effect("amplitude", step, {"x": slope})
 
 
 def test_an_effect_of_a_place_that_its_group_does_not_have_is_refused() -> None:
@@ -148,20 +148,22 @@ def test_an_effect_of_a_place_that_its_group_does_not_have_is_refused() -> None:
 
 
 def test_what_a_task_predicts_sharpens_its_slopes() -> None:
-    def predict(self: Task, foreseen: Foreseen) -> list[dict[str, float]]:
-        x = float(foreseen.tool.position[0, 0])
+    def predict(self: Task, simulated: SimulatedRollout) -> list[dict[str, float]]:
+        x = float(simulated.tool.position[0, 0])
         return [{"x": x, "y": 0.02}, {"x": x + 0.005, "y": 0.02}, {"x": x + 0.01}]
 
     tool = EndEffectorPath("t", np.zeros(1), np.full((1, 3), 0.03), np.array([[0.0, 0, 0, 1]]))
     knowing = type("Knowing", (Push,), {"predict": predict})(TaskSettings(), {})
-    model = knowing.error_model(PARAMETRIZATION, lambda policy: Foreseen(tool, np.array([-0.1])))
+    model = knowing.error_model(
+        PARAMETRIZATION, lambda policy: SimulatedRollout(tool, np.array([-0.1]))
+    )
     found = model.predict(np.zeros(PARAMETRIZATION.size))
-    assert found.error == pytest.approx([3.0, 1.0]) and found.excess == pytest.approx([-0.1])
+    assert found.error == pytest.approx([3.0, 1.0]) and found.limit_excess == pytest.approx([-0.1])
     # The last of the numbers decides whether y has a value: that tells nothing of x.
     np.testing.assert_allclose(found.uncertain, [[0.5, 0.0], [0.0, 0.0]])
-    alone = type("Alone", (Push,), {"predict": lambda self, foreseen: [{"x": 0.01}]})
+    alone = type("Alone", (Push,), {"predict": lambda self, simulated: [{"x": 0.01}]})
     model = alone(TaskSettings(), {}).error_model(
-        PARAMETRIZATION, lambda policy: Foreseen(tool, np.empty(0))
+        PARAMETRIZATION, lambda policy: SimulatedRollout(tool, np.empty(0))
     )
     found = model.predict(np.zeros(PARAMETRIZATION.size))
     assert np.isnan(found.error[1]) and found.uncertain.shape == (1, 0)

@@ -21,7 +21,7 @@ RECORDS = some_records(8)
 
 
 def test_each_return_is_in_the_column_of_its_kind_and_the_best_never_falls() -> None:
-    lost = RECORDS[3].model_copy(update={"ret": None, "learnt": False, "learnt_as": None})
+    lost = RECORDS[3].model_copy(update={"ret": None, "learnt": False, "z_corrected": None})
     records = [*RECORDS[:3], lost, *RECORDS[4:]]
     numbers, *columns, best = curve(records)
     assert numbers.tolist() == [float(record.number) for record in records]

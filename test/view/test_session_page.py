@@ -108,7 +108,7 @@ def test_a_session_that_a_person_rates_has_buttons_for_ratings_that_are_passed_o
     server: GuardedServer, tmp_path: Path
 ) -> None:
     given: list[tuple[str, float]] = []
-    answer = SimpleNamespace(said="rated", success=True)
+    answer = SimpleNamespace(message="rated", success=True)
     node = SimpleNamespace(
         state=LiveState(),
         update=LiveState,

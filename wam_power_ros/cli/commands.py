@@ -440,7 +440,7 @@ def config(devices: Devices, task: str | None) -> None:
     setup = devices.parameters(task or DEFAULT_TASK)
     stand_ins = (ArmSimParams, OptitrackSimParams) if devices.stand_ins else ()
     for node in (DemonstrationRecorderParams, LearnerParams, *DRIVERS, *stand_ins):
-        node.of_setup(setup)
+        node.from_setup(setup)
     if wrong := [*mistakes(setup)]:
         raise ValueError("; ".join(wrong))
     print(overlay.text(setup), end="")

@@ -38,7 +38,7 @@ def commission(
     folder = (folder or Path("commissioning") / timestamp()).resolve()
     setup = devices.parameters(folder=folder)
     setup = setup.changed({RECORDER: {"stem": "commissioning"}, SIMULATION: {"scene": SCENE}})
-    controller = TorqueControllerParams.of_setup(setup)
+    controller = TorqueControllerParams.from_setup(setup)
     if controller.output == "pose":
         text = "output = pose: only the delay of positions is measured; commission the arm with"
         raise UsageError(f"{text} --config position if it takes them, or give servo_delay by hand")
@@ -46,7 +46,7 @@ def commission(
     arm = setup.arm()
     if arm is None:
         raise UsageError("the set-up has no URDF file of the arm: choose one with --config")
-    arm = arm.corrected(Corrections.of(arm.n))
+    arm = arm.corrected(Corrections.from_values(arm.n))
     movement, status = folder / MOVEMENT, 0
     if not movement.exists():
         status = _move(arm, setup, controller, movement, devices)

@@ -75,14 +75,14 @@ def machine() -> list[Row]:
 
 def described(setup: overlay.Setup) -> list[Row]:
     """What the set-up says of arm and limits."""
-    params, arm = TorqueControllerParams.of_setup(setup), setup.arm()
+    params, arm = TorqueControllerParams.from_setup(setup), setup.arm()
     name = "from /robot_description" if arm is None else arm.name
     kind = "simulated" if params.simulation else "a real arm"
     sent = "torques"
     if params.output != "torque":
         sent = f"{params.output}: no stiffness, no checks of torques"
-    fast = params.elbow_speed_max >= ELBOW_FLIP
-    limit = f"elbow {params.elbow_speed_max:g} m/s, tool {params.tool_speed_max:g} m/s"
+    fast = params.guarded_speed_max >= ELBOW_FLIP
+    limit = f"elbow {params.guarded_speed_max:g} m/s, tool {params.tool_speed_max:g} m/s"
     need = "" if fast else f"; a flip needs about {ELBOW_FLIP:g} m/s of the elbow (full_speed)"
     held = params.hold_to_run or params.simulation
     switch = f"{'an' if params.hold_to_run else 'no'} enabling switch is required"
@@ -96,7 +96,7 @@ def described(setup: overlay.Setup) -> list[Row]:
 
 def eyes(setup: overlay.Setup) -> list[Row]:
     """Where the tracked body is seen."""
-    params = BodyTrackerParams.of_setup(setup)
+    params = BodyTrackerParams.from_setup(setup)
     if not params.body:
         return []
     text = f"{params.source_type} on {params.topic}, in the frame {params.mocap_frame}"
@@ -106,7 +106,7 @@ def eyes(setup: overlay.Setup) -> list[Row]:
 
 def measured(setup: overlay.Setup) -> list[Row]:
     """What was measured on this arm."""
-    params, cameras = TorqueControllerParams.of_setup(setup), setup["pancake_tracker"]
+    params, cameras = TorqueControllerParams.from_setup(setup), setup["pancake_tracker"]
     rows = []
     if cameras["body"]:
         known = not np.allclose(cameras["world_to_base"], [0, 0, 0, 0, 0, 0, 1])

@@ -23,7 +23,7 @@ from wam_power_ros.entry import SIGNALS
 from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import robot_description
 from wam_power_ros.ros import network
-from wam_power_ros.ros.domain import exported, hold, private_domain, shared
+from wam_power_ros.ros.domain import exported, lock, private_domain, shared
 
 if TYPE_CHECKING:
     from wam_power_ros.client.robot import Robot
@@ -83,11 +83,11 @@ def check(setup: overlay.Setup) -> None:
     from wam_power_ros.params.body_tracker_params import BodyTrackerParams
     from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 
-    controller = TorqueControllerParams.of_setup(setup)
+    controller = TorqueControllerParams.from_setup(setup)
     if setup.arm() is not None:
         controller.controller(robot_description(controller.urdf))
     if setup["pancake_tracker"]["body"]:
-        BodyTrackerParams.of_setup(setup)
+        BodyTrackerParams.from_setup(setup)
 
 
 @dataclass(frozen=True)
@@ -154,8 +154,8 @@ def launch(plan: Plan, text: str = "") -> Iterator[Launcher]:
             files[plan.file.with_name(DOMAIN_FILE)] = f"{domain}\n"
         else:
             domain = exported(os.environ)
-            if lock := hold(domain):
-                stack.enter_context(lock)
+            if held := lock(domain):
+                stack.enter_context(held)
             reach = os.environ.get(network.RANGE) or "LOCALHOST"  # this machine alone
             environment = {network.RANGE: reach} | shared(domain)
         stack.enter_context(folder_lock(plan.folder))

@@ -14,7 +14,7 @@ from wam_power_ros.control.feasibility import POSITION_MARGIN
 from wam_power_ros.control.inverse_kinematics import damped_step
 from wam_power_ros.params import overlay
 
-NEAR = 0.01  # [m] from the goal
+GOAL_DISTANCE_MAX = 0.01  # [m] from the goal
 ITERATIONS, DAMPING = 200, 0.01  # of the inverse kinematics
 
 
@@ -51,7 +51,7 @@ def mistakes(setup: overlay.Setup) -> Iterator[str]:
     places = {"the tool at home": arm.tool_pose(home)[0]}
     if has_goal:
         places["goal of wam_sim"] = goal = np.array(simulated["goal"], dtype=float)
-        if (left := _distance(arm, home, goal)) > NEAR:
+        if (left := _distance(arm, home, goal)) > GOAL_DISTANCE_MAX:
             yield f"goal = {goal.tolist()} of wam_sim is {left:.2f} m beyond the reach of the tool"
     *normal, distance = controller["plane"]
     box = controller["workspace_min"], controller["workspace_max"]

@@ -34,11 +34,11 @@ class Goal:
 
     def _ended(self, asked: Future) -> None:
         if self.answer is None:
-            said = asked.result()
-            if said.status == GoalStatus.STATUS_UNKNOWN:  # the server was restarted
+            response = asked.result()
+            if response.status == GoalStatus.STATUS_UNKNOWN:  # the server was restarted
                 self.answer = NO_ANSWER
             else:
-                self.result, self.answer = said.result, outcomes.read(said.result.outcome)
+                self.result, self.answer = response.result, outcomes.read(response.result.outcome)
         self._link.notify()
 
     @property
@@ -63,7 +63,7 @@ class Goal:
         self._link.until(lambda: self.ended, f"the end of {self.what}", timeout)
         answer = self.answer or NO_ANSWER
         if not answer.success:
-            raise ServiceError(f"{self.what}: {answer.said}", answer)
+            raise ServiceError(f"{self.what}: {answer.message}", answer)
         return self.result
 
 
@@ -82,7 +82,7 @@ class Action:
         return self._link.discovered(self._name, self._client.server_is_ready)
 
     @property
-    def settled(self) -> bool:
+    def answered(self) -> bool:
         """Whether every goal that was sent has been accepted or is lost."""
         return all(goal.accepted or goal.ended for goal in self._goals)
 

@@ -171,7 +171,7 @@ class Link:
             log = self.node.get_logger()
             log.warning(f"message ignored: {error}", throttle_duration_sec=1.0)
 
-    def newest(self, kind: type, topic: str) -> Callable[[], Any]:
+    def poll_latest(self, kind: type, topic: str) -> Callable[[], Any]:
         """Subscribe; returns a function that takes the newest message not taken yet, or None.
 
         Callbacks for 500 states a second would use a whole core: its node is not dispatched.
@@ -251,7 +251,7 @@ class Link:
         text = getattr(response, "message", "")  # of a transition: none
         return Answer(code, text, under_way=getattr(response, "under_way", False))
 
-    def insist(self, name: str, data: Data = None) -> Answer:
+    def call_until_success(self, name: str, data: Data = None) -> Answer:
         """Call a service until it succeeds; a node that has just started may lack inputs.
 
         A ServiceError if it does not appear, does not answer or still refuses after TIMEOUT.

@@ -87,7 +87,7 @@ class Robot:
 
     @cached_property
     def _take(self) -> Callable[[], JointState | None]:
-        return self.link.newest(JointState, self._state_topic)
+        return self.link.poll_latest(JointState, self._state_topic)
 
     @cached_property
     def _reports(self) -> ControllerReports:
@@ -181,18 +181,18 @@ class Robot:
     def _stop(self, *motions: Action) -> None:
         """Stop, and again once a goal on its way has been accepted: it may begin in between."""
         self.stop()
-        settled = lambda: all(action.settled for action in motions)  # noqa: E731
-        if not settled():
-            self.link.until(settled, "a goal to be accepted", ACCEPT_TIMEOUT)
+        all_answered = lambda: all(action.answered for action in motions)  # noqa: E731
+        if not all_answered():
+            self.link.until(all_answered, "a goal to be accepted", ACCEPT_TIMEOUT)
             self.stop()
 
     def stop(self) -> None:
         """End any movement and hold; no safety function."""
-        self.link.insist(interface.STOP)
+        self.link.call_until_success(interface.STOP)
 
     def reset(self) -> None:
         """Reset a fault of the controller; the arm must be at rest."""
-        self.link.insist(interface.RESET)
+        self.link.call_until_success(interface.RESET)
 
     @cached_property
     def _replays(self) -> Action:
@@ -248,20 +248,20 @@ class Robot:
     @contextmanager
     def guided(self) -> Iterator[None]:
         """Gravity compensation within a `with` block; the arm holds afterwards."""
-        self.link.insist(interface.GRAVITY_COMPENSATION, True)
+        self.link.call_until_success(interface.GRAVITY_COMPENSATION, True)
         try:
             yield
         finally:
-            self.link.insist(interface.GRAVITY_COMPENSATION, False)
+            self.link.call_until_success(interface.GRAVITY_COMPENSATION, False)
 
     @contextmanager
     def record(self) -> Iterator[Path]:
         """Record within a `with` block; yields the path of the bag, complete afterwards."""
-        bag = Path(self.link.insist(interface.RECORD, True).text)
+        bag = Path(self.link.call_until_success(interface.RECORD, True).text)
         try:
             yield bag
         finally:
-            self.link.insist(interface.RECORD, False)
+            self.link.call_until_success(interface.RECORD, False)
 
 
 @contextmanager

@@ -48,17 +48,17 @@ SILENCE = 2.0  # without a state of the body, after which it counts as not seen 
 NOT_BEGUN_CODES = (Code.UNKNOWN, Code.FAULT, Code.NOT_ACTIVE, Code.NOT_AT_START, Code.STOPPED)
 INACTIVE_MODES = ("", "unconfigured", Mode.INACTIVE.value)  # the first before any is known
 Ready = Callable[[BodyState | None], str]  # what is missing before a rollout, empty if nothing
-PutBack = Callable[[BodyState | None], ResetAction]  # what is to be done then
+ResetBody = Callable[[BodyState | None], ResetAction]  # what is to be done then
 
 
 class Awaited(NamedTuple):
     """What is waited for, without limit, before a rollout goes on.
 
-    "rest": the body comes to rest by itself; "unseen": no state of it comes; otherwise what a
+    "rest": the body comes to rest by itself; "not_visible": no state of it comes; otherwise what a
     person must do.
     """
 
-    state: Literal["rest", "unseen", "put back", "reset", "activate", "switch", "rate"]
+    state: Literal["rest", "not_visible", "put back", "reset", "activate", "switch", "rate"]
     what: str  # noun phrase
 
 
@@ -156,7 +156,7 @@ class Rollouts:
         policy: Policy,
         duration: float,
         ready: Ready,
-        put_back: PutBack = lambda state: "person",
+        reset_body: ResetBody = lambda state: "person",
         rest_time: float = 0.0,
     ) -> Executed:
         """Execute a policy once.
@@ -173,7 +173,7 @@ class Rollouts:
         """
         for start in itertools.count(1):
             try:
-                reset = self._prepare(policy, Resetting(ready, put_back, rest_time))
+                reset = self._prepare(policy, Resetting(ready, reset_body, rest_time))
                 self._begin_bag(policy.id)
                 executed = self._collect(policy, duration, self._execute(policy))
                 return replace(executed, reset=reset)
@@ -240,7 +240,7 @@ class Rollouts:
         if not answer.success and self._end_bag():  # of a killed learner
             answer = self._call(interface.RECORD, True)
         if not answer.success:
-            self._log.warning(f"{policy_id} is not recorded: {answer.said}")
+            self._log.warning(f"{policy_id} is not recorded: {answer.message}")
 
     def _end_bag(self) -> str:
         """End the recording; returns the name of the bag, empty without one."""
@@ -264,9 +264,9 @@ class Rollouts:
             if _start_ns(result):
                 return result
             if answer.code in NOT_BEGUN_CODES:
-                raise NotBegunError(answer.said)
+                raise NotBegunError(answer.message)
             if time.monotonic() > end:
-                raise RolloutError(f"{policy.id} could not be executed: {answer.said}")
+                raise RolloutError(f"{policy.id} could not be executed: {answer.message}")
             self._link.sleep(RETRY_PERIOD)
 
     def _await_switch(self, answer: Answer, why: str) -> bool:
@@ -341,7 +341,7 @@ class Rollouts:
         resetting, silent = self._resetting, time.monotonic() - self._seen
         if silent > SILENCE:
             what = f"the {self._body} to be seen: no state of it for {silent:.0f} s"
-            return Awaited("unseen", what)
+            return Awaited("not_visible", what)
         if resetting.waits:
             return Awaited("rest", f"the {self._body} to come to rest: {resetting.missing}")
         what = f"the {self._body} to be ready, which a person puts back: {resetting.missing}"
@@ -357,7 +357,7 @@ class Rollouts:
             if not self._await_switch(answer, f"to put the {self._body} back"):
                 break
         if not answer.success:
-            self._log.warning(f"the {self._body} is not put back: {answer.said}")
+            self._log.warning(f"the {self._body} is not put back: {answer.message}")
             self._link.sleep(RETRY_PERIOD)
 
     def _reset_scene(self, policy: Policy, ready: Ready) -> None:
@@ -367,7 +367,7 @@ class Rollouts:
             self._reach_start(policy)
             answer, result = self._ask(self._scene, policy, self._settings.service_timeout)
             if not answer.success:
-                raise NotBegunError(f"the scene is not reset: {answer.said}")
+                raise NotBegunError(f"the scene is not reset: {answer.message}")
             if not self._body:
                 return
             seen_ns = nanoseconds(result.header.stamp) + LEAD_TIME  # its path begins later
@@ -400,19 +400,19 @@ class Rollouts:
                 end = time.monotonic() + self._settings.patience
                 continue
             if time.monotonic() > end or answer.code is Code.REFUSED:
-                text = f"the arm cannot move to the start of {policy.id}: {answer.said}"
+                text = f"the arm cannot move to the start of {policy.id}: {answer.message}"
                 raise RolloutError(text)
             if answer.code is Code.FAULT:
                 self._call(interface.RESET)
             else:
-                self._log.warning(f"the arm cannot move to its start yet: {answer.said}", once=True)
+                self._log.warning(f"the arm cannot move to its start: {answer.message}", once=True)
             self._link.sleep(BUSY_PERIOD if answer.code is Code.BUSY else RETRY_PERIOD)
 
     def _await_person(self, refused: Answer) -> None:
         """Wait until the diagnostics say that the controller is active, or has no fault."""
         reports, count = self.reports, self.reports.count  # the last one may be out of date
         if refused.code is Code.FAULT:
-            awaited = Awaited("reset", f"a person to reset the controller: {refused.said}")
+            awaited = Awaited("reset", f"a person to reset the controller: {refused.message}")
             done = lambda: reports.count > count + 1 and reports.fault is None  # noqa: E731
         else:
             reports.mode = ""
@@ -426,7 +426,7 @@ class Rollouts:
 
         The latched topics may have those of an earlier one; paths have the stamp of its start.
         """
-        end, timeout = Ended.of(result.end), self._settings.rollout_timeout
+        end, timeout = Ended.read(result.end), self._settings.rollout_timeout
         tool = EndEffectorPath(policy.id, *pose_messages.path(result.path)[1:])
         body = truth = None
         if self._body:
@@ -452,7 +452,7 @@ class Rollouts:
 
 def _start_ns(result: Any) -> int:  # noqa: ANN401 - of any action
     """Stamp of the start of a rollout that has run [ns]; 0 for another result."""
-    return Ended.of(result.end).start_ns if isinstance(result, ExecutePolicy.Result) else 0
+    return Ended.read(result.end).start_ns if isinstance(result, ExecutePolicy.Result) else 0
 
 
 def _nothing() -> None:

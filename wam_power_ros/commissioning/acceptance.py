@@ -114,7 +114,7 @@ def notes(arm: Arm, found: Commissioned) -> list[Finding]:
         rows.append(Finding("rests with the body in view", 0, "", "", "no zeros and no frame"))
     else:
         frame = found.cameras.frame
-        left_out = {"rejected": frame.rejected, "without a body": found.cameras.unseen}
+        left_out = {"rejected": frame.rejected, "without a body": found.cameras.not_visible}
         for how, numbers in left_out.items():
             shown = ", ".join(str(number + 1) for number in numbers)
             advice = f"number {shown}: markers were hidden, or body or cameras moved"

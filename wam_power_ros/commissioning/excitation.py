@@ -112,7 +112,7 @@ def _move(
 
 def _relative_speed(arm: Arm, limits: Limits, states: list[tuple[np.ndarray, np.ndarray]]) -> float:
     """Largest speed of guarded points, tool and joints over its limit."""
-    elbow_max = min(ELBOW_SPEED, LIMIT_SHARE * limits.elbow_speed)
+    elbow_max = min(ELBOW_SPEED, LIMIT_SHARE * limits.guarded_speed)
     tool_max = min(TOOL_SPEED, LIMIT_SHARE * limits.tool_speed)
     joint_max = LIMIT_SHARE * limits.qd_max
     peak = 0.0

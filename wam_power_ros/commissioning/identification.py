@@ -211,7 +211,7 @@ def _fit(
     links, mass, moment, coulomb, asymmetry, stribeck, damping, tilt, shares = parts
     coulomb = np.maximum(friction + coulomb, 0.0)
     per_coulomb = 1.0 / np.maximum(coulomb, 1e-9)
-    found = Corrections.of(
+    found = Corrections.from_values(
         n,
         torque_scales=1.0 / (1.0 + shares),
         coulomb_friction=coulomb,

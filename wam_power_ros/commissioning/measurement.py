@@ -51,7 +51,7 @@ class Seen:
     """What the cameras tell."""
 
     frame: CameraFrame
-    unseen: tuple[int, ...]  # numbers of the rests at which the body was not seen, from 0
+    not_visible: tuple[int, ...]  # numbers of the rests at which the body was not seen, from 0
     latency: float  # by which the poses' stamps are late, beyond what is known [s]
     latency_change: float  # by how much more they are late in the last sweep [s]
     fit_position: float  # mean error of the body at a rest that was used, largest [m]
@@ -154,9 +154,9 @@ def _seen(arm: Arm, plan: Excitation, recorded: Recording, flat: bool) -> Seen:
         parts = np.arange(begin, end - SETTLED, SETTLED)[:, None] + [0.0, SETTLED]
         apart.append(_apart(arm, frame, timed, parts).mean(axis=0))
     fit, check, *swept = np.sqrt(np.maximum(apart, 0.0)).tolist()
-    unseen = tuple(np.flatnonzero(~seen).tolist())
+    not_visible = tuple(np.flatnonzero(~seen).tolist())
     worst = np.max(swept, axis=0).tolist()
-    return Seen(frame, unseen, first, last - first, *fit, *check, *worst)
+    return Seen(frame, not_visible, first, last - first, *fit, *check, *worst)
 
 
 def _at_rest(recorded: Recording, rests: list[tuple[float, float]]) -> Iterator[np.ndarray]:

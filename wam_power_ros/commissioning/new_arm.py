@@ -156,7 +156,7 @@ def proposals(urdf: str, file: str, tool: str, output: str) -> Iterator[Proposal
     yield Proposal(node, "workspace_max", [box, box, 2.0 * box], "[m]")
     yield Proposal(node, "plane", [0.0, 0.0, 1.0, 0.0], "it stands on a table at the height of 0")
     yield Proposal(node, "torque_share", 0.5, "of the URDF's limits, for the first runs")
-    yield Proposal(node, "elbow_speed_max", 1.0, "[m/s] for the first runs")
+    yield Proposal(node, "guarded_speed_max", 1.0, "[m/s] for the first runs")
     yield Proposal(node, "idle_service", "", "none is known")
     yield Proposal(node, "output", output, "what the driver takes")
     middle = [*((start + goal) / 2.0 + ARC).round(3).tolist(), round(SHARE * way, 3)]

@@ -326,8 +326,8 @@ class Controller:
         self._enter(Mode.HOLD, reset=True)
         self.latched = None
         self._supervision.begin()
-        beyond = self._output.motor_torque(last.q) - self.arm.gravity(last.q)
-        self.unexplained.assume(last.q, beyond)
+        model_error = self._output.motor_torque(last.q) - self.arm.gravity(last.q)
+        self.unexplained.assume(last.q, model_error)
 
     def deactivate(self) -> None:
         """Abort any motion; the caller must send no torque from now on. A fault stays latched."""
@@ -526,7 +526,7 @@ class Controller:
             state = self._supervision.missing(last, dt)
             dt = min(dt, 2.0 * self.settings.period)
             if self._mode is Mode.FAULT:
-                tau = self._supervision.reaction.unseen(state)
+                tau = self._supervision.reaction.without_state(state)
             else:
                 tau = self._braking_torque(state)
             return _finite(self._send(self._with_springs(tau, state.q, dt), state.q, dt))
@@ -609,19 +609,19 @@ class Controller:
         before, step = self._states.before, 0.0
         if before is not None:
             step = float(np.abs(state.q - before.q - state.span * state.qd).max())
-        beyond = self.unexplained.guided(state.q, step)
+        offset = self.unexplained.teaching_offset(state.q, step)
         if self._lockstep:  # a demonstration in simulation may not depend on the hold before it
-            beyond = self.unexplained.compensation
-        tau = self._damped_gravity(state, safety.teaching_damping(motion.tool_speed), beyond)
+            offset = self.unexplained.compensation
+        tau = self._damped_gravity(state, safety.teaching_damping(motion.tool_speed), offset)
         if not (share := self.settings.teaching_friction):
             return tau
         arm = self.arm
         relief = safety.friction_relief(arm.friction, arm.asymmetry, arm.damping, state.qd)
         return tau + share * relief
 
-    def _damped_gravity(self, state: JointState, damping: float, beyond: np.ndarray) -> np.ndarray:
+    def _damped_gravity(self, state: JointState, damping: float, error: np.ndarray) -> np.ndarray:
         """g(q) and a torque beyond the model, damped [N m]. Shape (n,)."""
-        carried = self.arm.gravity(state.q) + beyond
+        carried = self.arm.gravity(state.q) + error
         return safety.damped_gravity(carried, self.arm.mass_matrix(state.q), state.qd, damping)
 
     def _joint_torque(self, state: JointState, motion: Motion | Speeds) -> np.ndarray:
@@ -632,9 +632,9 @@ class Controller:
         if self._held_states >= self._observed_states and self._mode is Mode.HOLD:
             self._held_states = 0
             at_rest = max(*motion.guarded_speeds, motion.tool_speed) < safety.REST_SPEED
-            beyond = self._output.motor_torque(state.q) - self.arm.gravity(state.q)
+            model_error = self._output.motor_torque(state.q) - self.arm.gravity(state.q)
             dt = self._observed_states * self.settings.period
-            self.unexplained.observe(at_rest, state.q, state.qd, beyond, dt)
+            self.unexplained.observe(at_rest, state.q, state.qd, model_error, dt)
             if self.unexplained.crept:
                 self.fault(Fault(FaultKind.DRIFT, self.unexplained.crept))
                 self.unexplained.rest_again()

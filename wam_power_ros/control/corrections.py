@@ -48,7 +48,7 @@ class Corrections:
     base_tilt: np.ndarray
 
     @classmethod
-    def of(cls, n: int, **values: Any) -> Corrections:  # noqa: ANN401 - numbers of any kind
+    def from_values(cls, n: int, **values: Any) -> Corrections:  # noqa: ANN401 - numbers of any kind
         """Corrections of some quantities of an arm with n joints; one number holds for all joints.
 
         Raises:
@@ -73,7 +73,7 @@ class Corrections:
         return cls(**arrays)
 
     @classmethod
-    def of_parameters(cls, parameters: Mapping[str, Any]) -> Corrections:
+    def from_parameters(cls, parameters: Mapping[str, Any]) -> Corrections:
         """Corrections of the parameters of the torque controller, by name.
 
         Raises:
@@ -81,7 +81,7 @@ class Corrections:
         """
         names = [each.name for each in fields(cls)]
         values = {name: parameters["joint_zeros" if name == "zeros" else name] for name in names}
-        return cls.of(len(parameters["model_joint_names"]), **values)
+        return cls.from_values(len(parameters["model_joint_names"]), **values)
 
     @property
     def gravity(self) -> np.ndarray:

@@ -44,7 +44,7 @@ class BrakeWithoutModel:
         self._states = 0  # states observed since they were computed
         self._reference: tuple[np.ndarray, np.ndarray] | None = None  # q_ref, qd_ref
 
-    def observe(self, arm: Arm, q: np.ndarray, beyond: np.ndarray) -> None:
+    def observe(self, arm: Arm, q: np.ndarray, model_error: np.ndarray) -> None:
         """Compute anew, every 20 ms, what carries and brakes the arm.
 
         Args:
@@ -60,7 +60,7 @@ class BrakeWithoutModel:
                 raise ArithmeticError(f"gravity {gravity.tolist()} is not finite")
             if self._driver_adds_gravity:
                 self._added = arm.driver_gravity(q)
-            self._gravity = gravity - self._added + beyond
+            self._gravity = gravity - self._added + model_error
             self._mass, self._states = mass, 0
         self._states += 1
 

@@ -31,11 +31,11 @@ from wam_power_ros.control.torque_output import TorqueOutput
 from wam_power_ros.control.urdf_checks import Approach
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.rollout import EndEffectorPath, Foreseen
+from wam_power_ros.learning.rollout import EndEffectorPath, SimulatedRollout
 
 POSITION_MARGIN = 0.05  # [rad] smallest distance from a position limit
 SPEED_SHARE = 0.9  # usable share of the speed limits: the arm differs from the model
-# In `foresee`, which tells how far beyond a limit a policy is, not only that it is:
+# In `simulate`, which tells how far beyond a limit a policy is, not only that it is:
 FORESEEN_SHARE = 2.0  # usable share of the speed limits
 FORESEEN_BEYOND = 0.5  # [rad] usable beyond the position limits
 OVERRUN_SHARE = 0.98  # factor on it for each rollout in which the arm was faster than the model
@@ -49,31 +49,31 @@ class Feasibility:
         fault: Fault that would end the rollout, None without one. For a policy that the controller
             refuses it holds the refusal.
         qd_peak: Highest joint speeds, as reported [rad/s]. Shape (n,).
-        elbow_peak: Highest speed of the guarded points, elbow and forearm [m/s].
+        guarded_peak: Highest speed of the guarded points, elbow and forearm [m/s].
         tool_peak: Highest speed of the tool [m/s].
         q: Joint positions in every control period of the rollout [rad]. Shape (T, n).
     """
 
     fault: Fault | None
     qd_peak: np.ndarray
-    elbow_peak: float
+    guarded_peak: float
     tool_peak: float
     q: np.ndarray
 
     def __str__(self) -> str:
         """Return one line; the arm's safety board must allow the peak speed of the elbow."""
-        peaks = f"elbow at most {self.elbow_peak:.2f} m/s, tool {self.tool_peak:.2f} m/s"
+        peaks = f"elbow at most {self.guarded_peak:.2f} m/s, tool {self.tool_peak:.2f} m/s"
         return peaks if self.fault is None else f"{peaks}; would end in a fault: {self.fault.text}"
 
 
-def speed_margin(overruns: int) -> float:
+def speed_margin(limit_stops: int) -> float:
     """Share of the speed limits that a policy may use on the model.
 
     Args:
-        overruns: Number of rollouts that a motion limit ended although the model had kept it: the
-            model underestimates the speed, because of a payload for instance.
+        limit_stops: Number of rollouts that a motion limit ended although the model had kept it: it
+            underestimates the speed, because of a payload for instance.
     """
-    return SPEED_SHARE * OVERRUN_SHARE**overruns
+    return SPEED_SHARE * OVERRUN_SHARE**limit_stops
 
 
 def simulate_policy(
@@ -92,7 +92,7 @@ def simulate_policy(
             `POSITION_MARGIN` within the widened ones.
     """
     limits = settings.limits or limits_of(arm)
-    limited = ("qd_max", "elbow_speed", "tool_speed")
+    limited = ("qd_max", "guarded_speed", "tool_speed")
     allowed = {name: margin * getattr(limits, name) for name in limited}
     allowed |= {"q_min": limits.q_min - beyond, "q_max": limits.q_max + beyond}
     near = tuple(Approach(margin * o, margin**2 * d) for o, d in limits.approach)
@@ -110,7 +110,7 @@ def simulate_policy(
     period, period_ns = settings.period, round(settings.period * 1e9)
     start = policy.q_start
     model = ModelArm(arm, settings, start, output.send(arm.gravity(start), start, None))
-    elbow_peak = tool_peak = 0.0
+    guarded_peak = tool_peak = 0.0
     positions, speeds = [], []  # of the joints
     fault: Fault | None = None
     for tick in count():
@@ -119,7 +119,7 @@ def simulate_policy(
         motion = arm.motion(q, seen)
         positions.append(q)
         speeds.append(seen)
-        elbow_peak = max(elbow_peak, *motion.guarded_speeds)
+        guarded_peak = max(guarded_peak, *motion.guarded_speeds)
         tool_peak = max(tool_peak, motion.tool_speed)
         if (fault := check.fault(Mode.ROLLOUT, state, motion)) is not None:
             break
@@ -138,10 +138,10 @@ def simulate_policy(
     path = np.array(positions)
     fault = fault or _margin_fault(path.min(axis=0), path.max(axis=0), tight)
     qd_peak = np.abs(speeds).max(axis=0)
-    return Feasibility(fault, qd_peak, elbow_peak, tool_peak, path[:-1])
+    return Feasibility(fault, qd_peak, guarded_peak, tool_peak, path[:-1])
 
 
-def foresee(arm: Arm, settings: ControllerSettings, policy: Policy) -> Foreseen | None:
+def simulate(arm: Arm, settings: ControllerSettings, policy: Policy) -> SimulatedRollout | None:
     """Path of the tool in a simulated execution of a policy, and its excesses.
 
     An arm that takes positions follows with the delay and lag of its servo. None if it ends in a
@@ -151,11 +151,11 @@ def foresee(arm: Arm, settings: ControllerSettings, policy: Policy) -> Foreseen 
     if simulated.fault is not None:
         return None
     limits = settings.limits or limits_of(arm)
-    points = simulated.elbow_peak / limits.elbow_speed, simulated.tool_peak / limits.tool_speed
+    points = simulated.guarded_peak / limits.guarded_speed, simulated.tool_peak / limits.tool_speed
     q, middle = simulated.q, 0.5 * (limits.q_min + limits.q_max)
     ranges = np.abs(q - middle).max(axis=0) / (limits.q_max - middle - POSITION_MARGIN)
     speeds = np.array([*(simulated.qd_peak / limits.qd_max), *points])
-    excess = np.array([*ranges, *(speeds / SPEED_SHARE)]) - 1.0
+    limit_excess = np.array([*ranges, *(speeds / SPEED_SHARE)]) - 1.0
     if settings.set_point_period:
         q = followed(q, settings.period, settings.servo_delay, settings.servo_lag)
     poses = [arm.tool_pose(posture) for posture in q]
@@ -163,7 +163,7 @@ def foresee(arm: Arm, settings: ControllerSettings, policy: Policy) -> Foreseen 
     position = np.stack([place for place, _ in poses])
     quat_xyzw = np.stack([rotations.quat_xyzw(matrix) for _, matrix in poses])
     path = EndEffectorPath(policy.id, t, position, quat_xyzw)
-    return Foreseen(path, excess)
+    return SimulatedRollout(path, limit_excess)
 
 
 def _margin_fault(lowest: np.ndarray, highest: np.ndarray, limits: Limits) -> Fault | None:

@@ -134,7 +134,7 @@ class Reaction:
         # Torque that last held the resting arm, and its share that the states alone ask for [N m].
         self._held: tuple[np.ndarray, np.ndarray] | None
         self._resting = np.zeros(arm.n)  # torque that rests it, or carries it where the model is
-        self._beyond: np.ndarray | None  # torque that carries the arm beyond g(q) [N m]
+        self._model_error: np.ndarray | None  # torque that carries the arm beyond g(q) [N m]
         self._anchor: np.ndarray | None  # torque when the arm came to rest [N m]
         self._frozen: np.ndarray | None  # torque that rests the arm whatever is reported [N m]
         self._kept: np.ndarray | None  # torque beyond g that an arm needed before it fell [N m]
@@ -174,8 +174,8 @@ class Reaction:
 
     def end(self) -> None:
         """Use the measured states again, and forget what was held."""
-        self._model = self._reference = self._asked = None
-        self._weight = self._held = self._kept = self._beyond = self._frozen = self._anchor = None
+        self._model = self._reference = self._asked = self._frozen = self._anchor = None
+        self._weight = self._held = self._kept = self._model_error = None
         self._external = np.zeros(self._arm.n)
         self._believed = self.alone = True
         self.unanswered = self._slow = self.was_held = False
@@ -294,19 +294,19 @@ class Reaction:
         self._seconds += dt
         return last.moved(self._model.q, self._model.qd)
 
-    def unseen(self, state: JointState) -> np.ndarray:
+    def without_state(self, state: JointState) -> np.ndarray:
         """Motor torque of a fault [N m] in a state of the model, shape (n,); see `torque`."""
         if self._frozen is not None:
             return self._frozen
-        beyond = self.carried if self._beyond is None else self._beyond
-        resting = self._arm.gravity(state.q) + beyond if self._held is None else self._held[0]
+        error = self.carried if self._model_error is None else self._model_error
+        resting = self._arm.gravity(state.q) + error if self._held is None else self._held[0]
         return resting - safety.FAULT_DAMPING * self._arm.mass_matrix(state.q).dot(state.qd)
 
     def _at_posture(self, q: np.ndarray) -> ModelState:
         self._external = zero = np.zeros(self._arm.n)
         return ModelState(self._arm, q, zero, zero, [], self._period)
 
-    def follow(self, q: np.ndarray, beyond: np.ndarray) -> None:
+    def follow(self, q: np.ndarray, model_error: np.ndarray) -> None:
         """Carry an arm that truly falls where it is reported, by a torque beyond g(q).
 
         Args:
@@ -314,7 +314,7 @@ class Reaction:
             beyond: Torque that would carry it, as its fall shows [N m]. Shape (n,).
         """
         model = self._model = self._model or self._at_posture(q)
-        self._kept, self._frozen, self._anchor = beyond, None, None
+        self._kept, self._frozen, self._anchor = model_error, None, None
         self._seconds, self.alone = 0.0, False  # it is braked anew
         model.q, model.qd, self._held, self._believed = q, self.reported(), None, True
 
@@ -344,9 +344,9 @@ class Reaction:
             self._resting = self._frozen
             return self._frozen
         mass, gravity = self._arm.mass_matrix(model.q), self._arm.gravity(model.q)
-        beyond = self.carried if self._weight is None else -self._weight
-        self._beyond = beyond if self._kept is None else self._kept
-        carrying = gravity + self._beyond
+        model_error = self.carried if self._weight is None else -self._weight
+        self._model_error = model_error if self._kept is None else self._kept
+        carrying = gravity + self._model_error
         resting = self._resting = carrying if self._held is None else self._held[0]
         if believed and not self._believed and self.settled:
             self._frozen = resting

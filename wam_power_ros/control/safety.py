@@ -25,7 +25,7 @@ from wam_power_ros.learning.policy import PERIOD, read_only
 
 # Shapes that are not (n,)
 _SHAPES: dict[str, tuple[int, ...]]
-_SHAPES = dict.fromkeys(("elbow_speed", "tool_speed", "teaching_tool_speed"), ())
+_SHAPES = dict.fromkeys(("guarded_speed", "tool_speed", "teaching_tool_speed"), ())
 _SHAPES |= {"workspace_min": (3,), "workspace_max": (3,), "plane": (4,)}
 _SIGNED = ("q_min", "q_max", "workspace_min", "workspace_max", "plane")  # may be negative
 SPRING_RANGE = 0.1  # [rad] width of the soft springs inside the position limits
@@ -81,7 +81,7 @@ class Limits:
     q_max: np.ndarray
     qd_max: np.ndarray
     spring_torque: np.ndarray
-    elbow_speed: float = 2.0
+    guarded_speed: float = 2.0
     tool_speed: float = 4.0
     teaching_tool_speed: float = 0.5
     workspace_min: np.ndarray = field(default_factory=lambda: np.array([-1.5, -1.5, -0.5]))
@@ -302,8 +302,8 @@ def motion_fault(
         text = f"tool at {motion.tool_speed:.2f} m/s, limit {tool_speed:.2f}"
         return Fault(FaultKind.TOOL_SPEED, text)
     for name, speed in zip(guarded, motion.guarded_speeds, strict=True):
-        if speed > limits.elbow_speed:
-            text = f"{name} at {speed:.2f} m/s, limit {limits.elbow_speed:.2f}"
+        if speed > limits.guarded_speed:
+            text = f"{name} at {speed:.2f} m/s, limit {limits.guarded_speed:.2f}"
             return Fault(FaultKind.GUARDED_SPEED, text)
     if workspace and isinstance(motion, Motion):
         for axis, x, (low, high) in zip("xyz", motion.position.tolist(), limits._box, strict=True):

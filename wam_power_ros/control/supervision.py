@@ -28,7 +28,7 @@ STANDING_SHARE = 0.05  # share of a torque limit: bound at a joint that stands s
 FAULT_SHARE = 0.15  # share of a torque limit: beyond it no motion in a fault is believed
 USUAL_TIME = 1.0  # [s] in which an unexplained torque that stays becomes usual
 SLIDING = 2.5 * FRICTION_SPEED  # [rad/s] from which the sign of a joint's friction is known
-NEAR = 0.1  # [rad] from the end of a movement, to where what the joints needed there holds
+END_DISTANCE = 0.1  # [rad] from the end of a movement, to where what the joints needed there holds
 REST_NS = 200_000_000  # [ns] at rest before a fault may be reset
 DOUBTFUL_STATES = 12  # consecutive states that nothing explains until none is believed
 BELIEF_STATES = 50  # consecutive states that agree until states are believed again: 0.1 s
@@ -161,9 +161,9 @@ class Supervision:
             joint, torque = found
             before = past[-min(self._rest_states, len(past))].external[joint]
             if kind is FaultKind.DRIFT or abs(before) > self._arm.friction[joint]:
-                beyond = torque - self._arm.gravity(past[-1].q)
-                return np.where(np.arange(self._arm.n) == joint, beyond, held)
-        if kind is FaultKind.DRIFT or not np.abs(self._moved_to - at).max() < NEAR:
+                model_error = torque - self._arm.gravity(past[-1].q)
+                return np.where(np.arange(self._arm.n) == joint, model_error, held)
+        if kind is FaultKind.DRIFT or not np.abs(self._moved_to - at).max() < END_DISTANCE:
             return held
         amid = 0.5 * (np.fmin(self._least, held) + np.fmax(self._most, held))
         return np.minimum(np.maximum(amid, held - half), held + half)
@@ -269,8 +269,8 @@ class Supervision:
         if self._lasting:
             return tau
         if self._falls(state):
-            beyond = self._plausibility.residual if self._weight is None else self._weight
-            self.reaction.follow(state.q, -np.array(beyond))
+            error = self._plausibility.residual if self._weight is None else self._weight
+            self.reaction.follow(state.q, -np.array(error))
             self.believed, self._explained, self._suspect = True, 0, False
         elif not self.believed:
             agrees = self._agrees(state.q - self.reaction.posture)

@@ -75,13 +75,13 @@ class UnexplainedTorque:
         self._settled = self._latest = self._before = self._mover = None
         self.drift = self._drag = np.zeros(self._n)
 
-    def assume(self, q: np.ndarray, beyond: np.ndarray) -> None:
+    def assume(self, q: np.ndarray, model_error: np.ndarray) -> None:
         """Begin with a torque (n,) [N m] beyond g(q) that holds the arm at q (n,) [rad]."""
-        self.torque, self._held_at = beyond, q
-        self._past = deque([beyond], maxlen=PAST_OBSERVATIONS)
+        self.torque, self._held_at = model_error, q
+        self._past = deque([model_error], maxlen=PAST_OBSERVATIONS)
 
     def observe(
-        self, at_rest: bool, q: np.ndarray, qd: np.ndarray, beyond: np.ndarray, dt: float
+        self, at_rest: bool, q: np.ndarray, qd: np.ndarray, model_error: np.ndarray, dt: float
     ) -> None:
         """Register a state of the held arm.
 
@@ -91,7 +91,7 @@ class UnexplainedTorque:
             beyond: Motor torque commanded, minus g(q) [N m]. Shape (n,).
             dt: Time since the last call [s].
         """
-        self._watch(qd, beyond, dt)
+        self._watch(qd, model_error, dt)
         if not at_rest:
             self._rested = 0.0
             return
@@ -99,14 +99,14 @@ class UnexplainedTorque:
         if self.crept:
             return
         share = 1.0 - math.exp(-dt / TIME_CONSTANT)
-        self.torque = self.torque + share * (beyond - self.torque)
+        self.torque = self.torque + share * (model_error - self.torque)
         self._past.append(self.torque)
         certain = np.abs(self.torque) > self._friction
         self.compensation = np.where(certain, self.torque, np.zeros(self._n))
         self._held_at = q
         self.known = self.known or self._rested >= KNOWN_AFTER
 
-    def _watch(self, qd: np.ndarray, beyond: np.ndarray, dt: float) -> None:
+    def _watch(self, qd: np.ndarray, model_error: np.ndarray, dt: float) -> None:
         """Notice a torque that changes while no joint reports a motion."""
         moves = np.abs(qd) >= MOTION
         if moves.any():
@@ -114,21 +114,21 @@ class UnexplainedTorque:
                 self._before, self._settled, self._mover = self._latest, None, None
                 self.drift = self._drag = np.zeros(self._n)
             if self._before is not None:
-                self._resist(qd, moves, beyond - self._before)
+                self._resist(qd, moves, model_error - self._before)
         self._still = 0.0 if moves.any() else self._still + dt
-        self._latest = beyond
+        self._latest = model_error
         if self._still < SETTLED_AFTER:
             return
         if self._settled is None:
-            self._settled = beyond
-        change = beyond - self._settled
+            self._settled = model_error
+        change = model_error - self._settled
         excess = np.abs(change) - self._creep
         if excess[joint := int(excess.argmax())] > 0.0:
             self.crept = (
                 f"the torque that holds joint {joint + 1} has changed by {change[joint]:.1f} N m, "
                 "and no joint reports a motion: its zero drifts, or something leans on the arm"
             )
-            self.compensation = beyond - self._friction_in(change)
+            self.compensation = model_error - self._friction_in(change)
             self._past = deque([self.compensation], maxlen=PAST_OBSERVATIONS)
 
     def _resist(self, qd: np.ndarray, moves: np.ndarray, change: np.ndarray) -> None:
@@ -155,7 +155,7 @@ class UnexplainedTorque:
         slip[mover] = drag[mover]
         return slip
 
-    def guided(self, q: np.ndarray, step: float) -> np.ndarray:
+    def teaching_offset(self, q: np.ndarray, step: float) -> np.ndarray:
         """Torque to add to g(q) while a person guides the arm [N m]. Shape (n,).
 
         Where the arm was held it is the torque that held it: then friction goes on holding it. Away

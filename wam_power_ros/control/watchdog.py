@@ -10,8 +10,8 @@ from wam_power_ros.control.state_checks import STATE_LOSS_TIMEOUT
 from wam_power_ros.faults import Fault, FaultKind
 
 IDLE_TIMEOUT = 0.1  # [s] without a joint state after which the driver is asked to idle
-MISSED_WARNING, MISSED_FAULT = 0.01, 0.05  # shares of the periods of a second
-MISSED_IN_ROW = 3  # consecutive missed periods that are a warning
+MISSED_SHARE_WARNING, MISSED_SHARE_FAULT = 0.01, 0.05  # shares of the periods of a second
+MISSED_IN_ROW_WARNING = 3  # consecutive missed periods that are a warning
 STAMP_WINDOW_NS = 200_000_000  # [ns] over which stamps are compared with real time
 _FAULT_NS, _IDLE_NS = round(STATE_LOSS_TIMEOUT * 1e9), round(IDLE_TIMEOUT * 1e9)
 _CHECK_PERIOD = 0.01  # [s] longest time between two checks while active
@@ -119,9 +119,9 @@ def overload(share_missed: float, missed_in_row: int) -> tuple[str, Fault | None
     Returns:
         Text of the warning, empty without one, and the fault, None without one.
     """
-    if share_missed <= MISSED_WARNING and missed_in_row < MISSED_IN_ROW:
+    if share_missed <= MISSED_SHARE_WARNING and missed_in_row < MISSED_IN_ROW_WARNING:
         return "", None
     text = (
         f"{100.0 * share_missed:.1f} % of the periods of a second missed, {missed_in_row} in a row"
     )
-    return text, Fault(FaultKind.OVERLOAD, text) if share_missed > MISSED_FAULT else None
+    return text, Fault(FaultKind.OVERLOAD, text) if share_missed > MISSED_SHARE_FAULT else None

@@ -16,13 +16,13 @@ from hardware_sim.demonstrator import Script
 from hardware_sim.ground_truth import Truth
 from hardware_sim.settings import ArmSimParams, OptitrackSimParams
 from hardware_sim.world import World
-from wam_power_ros.control.feasibility import foresee, simulate_policy, speed_margin
+from wam_power_ros.control.feasibility import simulate, simulate_policy, speed_margin
 from wam_power_ros.control.modes import Mode
 from wam_power_ros.control.reference_output import controller_of
 from wam_power_ros.control.replay_trajectory import sampled
 from wam_power_ros.faults import Fault
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.rollout import LEAD_TIME, Foreseen, Rollout
+from wam_power_ros.learning.rollout import LEAD_TIME, Rollout, SimulatedRollout
 from wam_power_ros.params import overlay
 from wam_power_ros.params.body_tracker_params import BodyTrackerParams
 from wam_power_ros.params.overlay import Setup
@@ -62,31 +62,31 @@ class Environment:
         if setup is None:
             region = {"guarded_region": world.settings.guarded_region}
             setup = overlay.setup().changed({"torque_controller": region})
-        params = TorqueControllerParams.of_setup(setup)
+        params = TorqueControllerParams.from_setup(setup)
         self.controller = params.controller(urdf or world.urdf)
         self.arm = self.controller.arm
-        self._tracker_settings = BodyTrackerParams.of_setup(setup)
+        self._tracker_settings = BodyTrackerParams.from_setup(setup)
         self.tracker = Tracker(self._tracker_settings)
         self._truth: Truth | None = None  # of the last rollout
 
     @classmethod
-    def of(cls, setup: Setup) -> Environment:
+    def from_setup(cls, setup: Setup) -> Environment:
         """Environment of a set-up: stand-ins, controller and tracker as nodes would have them.
 
         Raises:
             ValueError: A parameter is not acceptable.
         """
-        params = ArmSimParams.of_setup(setup), OptitrackSimParams.of_setup(setup)
-        return cls(World.of(*params), setup=setup)
+        params = ArmSimParams.from_setup(setup), OptitrackSimParams.from_setup(setup)
+        return cls(World.from_params(*params), setup=setup)
 
-    def infeasible(self, policy: Policy, overruns: int = 0) -> Fault | None:
+    def infeasible(self, policy: Policy, limit_stops: int = 0) -> Fault | None:
         """See `practice.ArmModel`."""
-        margin = speed_margin(overruns)
+        margin = speed_margin(limit_stops)
         return simulate_policy(self.arm, self.controller.settings, policy, margin).fault
 
-    def foresee(self, policy: Policy) -> Foreseen | None:
+    def simulate(self, policy: Policy) -> SimulatedRollout | None:
         """See `practice.ArmModel`."""
-        return foresee(self.arm, self.controller.settings, policy)
+        return simulate(self.arm, self.controller.settings, policy)
 
     def tick(self) -> None:
         """Run one control period: state to torque, torque to state."""
@@ -134,8 +134,8 @@ class Environment:
 
         Args:
             policy: Policy to execute.
-            placed: Whether arm and body are ready as they are, see `put_back`; otherwise the world
-                is reset.
+            placed: Whether arm and body are ready as they are, see `reset_body`; otherwise the
+                world is reset.
         """
         world = self.world
         if not placed:
@@ -167,7 +167,7 @@ class Environment:
         while not self.controller.ready:
             self.tick()
 
-    def put_back(self, task: Task, policy: Policy) -> dict[str, Any]:
+    def reset_body(self, task: Task, policy: Policy) -> dict[str, Any]:
         """Put the body back without a reset of the world, as `Task.reset` says.
 
         What needs a person, a reset of the world does.
@@ -213,12 +213,12 @@ class Environment:
 
         Args:
             practice: The session.
-            scene_reset: Whether the world is reset before each rollout; otherwise see `put_back`.
+            scene_reset: Whether the world is reset before each rollout; otherwise see `reset_body`.
         """
         while (trial := practice.next_trial()) is not None:
             clock, begun_ns = {}, self.world.time_ns
             if not scene_reset:
-                clock["reset"] = self.put_back(practice.task, trial.policy)
+                clock["reset"] = self.reset_body(practice.task, trial.policy)
             rollout, truth = self.run(trial.policy, placed=not scene_reset)
             clock["took"] = (self.world.time_ns - begun_ns) * 1e-9
             yield practice.learn(trial, rollout, truth=truth, clock=clock)

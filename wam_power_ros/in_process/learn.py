@@ -38,7 +38,7 @@ def run(
         ValueError: No demonstration can be reproduced, or the session cannot be resumed, such as
             one of another arm.
     """
-    environment = Environment.of(setup)
+    environment = Environment.from_setup(setup)
     if Session.exists(folder):
         session = Session.open(folder)
         for policy in session.policies:
@@ -46,7 +46,7 @@ def run(
                 session.close()
                 raise ValueError(f"{folder}: policy {policy.id} {why}")
     else:
-        region = TorqueControllerParams.of_setup(setup).region
+        region = TorqueControllerParams.from_setup(setup).region
         candidates, context = _taught(environment, settings, region, seed, demonstrations)
         session = Session.begin(folder, settings, seed, candidates, context=context)
     with session:

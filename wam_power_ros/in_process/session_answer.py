@@ -65,7 +65,7 @@ def run(folder: Path, film: bool) -> session_report.ShownRollout:
     if not parameters.exists():
         raise ValueError(f"{parameters}, the set-up of the session, is missing")
     setup = overlay.read(parameters).changed({"wam_sim": {"seed": found.header.seed}})
-    environment = Environment.of(setup)
+    environment = Environment.from_setup(setup)
     world = environment.world
     quiet = policy.with_id(answer, f"answer{QUIET}")
     without = _caption(task, quiet, *environment.run(quiet))

@@ -66,7 +66,7 @@ class Prediction(NamedTuple):
     """What an `ErrorModel` predicts."""
 
     error: np.ndarray  # [tolerances], shape (m,)
-    excess: np.ndarray  # share by which each limit is exceeded, below 0 if kept, shape (c,)
+    limit_excess: np.ndarray  # share by which each limit is exceeded, below 0 if kept, shape (c,)
     # Change of the error by one standard deviation of each number that the model only assumes, such
     # as a friction, shape (m, k), or (1, 0) for none
     uncertain: np.ndarray = np.empty((1, 0))

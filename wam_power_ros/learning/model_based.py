@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Planning on the vector error of rollouts: what is foreseen of it, and what rollouts show.
+"""Planning on the vector error of rollouts: what is predicted of it, and what rollouts show.
 
 Not in the paper. The return of a rollout is one number; its error is a vector of which is known
 roughly how it changes. As in [Cully2015], a Gaussian process models what rollouts differ from what
-was foreseen. See `ModelBased`.
+was predicted. See `ModelBased`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from wam_power_ros.learning.learner import ErrorModel, GaussianLearner, LearnerS
 from wam_power_ros.learning.power import Power
 
 UNKNOWN_ERROR = 8.0  # [tolerances] assumed of an error without a value
-MODEL_ERROR = 4.0  # [tolerances] standard deviation of an error from what is foreseen
+MODEL_ERROR = 4.0  # [tolerances] standard deviation of an error from what is predicted
 ROLLOUT_NOISE = 0.5  # [tolerances] standard deviation of an error over rollouts of one policy
 EXCESS_UNIT = 0.02  # [share of a limit] beyond it that weighs as much as an error of a tolerance
 OTHER_STEP = 5.0  # [sd of the exploration] step along a direction that is none of the model's
@@ -38,24 +38,24 @@ class _Point(NamedTuple):
 
     z: np.ndarray  # (size,)
     residuals: np.ndarray  # (m + m j,) [tolerances]
-    excess: np.ndarray  # predicted share by which each limit is exceeded, (c,)
+    limit_excess: np.ndarray  # predicted share by which each limit is exceeded, (c,)
     loss: float  # [tolerances^2]
 
     @property
     def feasible(self) -> bool:
         """Whether no limit is exceeded, as far as it is predicted."""
-        return math.isfinite(self.loss) and bool((self.excess < 0.0).all())
+        return math.isfinite(self.loss) and bool((self.limit_excess < 0.0).all())
 
     @property
     def values(self) -> np.ndarray:
         """All that changes with the coordinates. Shape (m + m j + c,)."""
-        return np.append(self.residuals, self.excess)
+        return np.append(self.residuals, self.limit_excess)
 
 
 class ModelBased(GaussianLearner):
     """Planning on the vector error. Not in the paper.
 
-    Foreseen of a rollout is what the model predicts, or its rough slopes where it predicts nothing.
+    Predicted is what the model tells of a rollout, or its rough slopes where it tells nothing.
     Rollouts correct that by a constant, by what changes slowly, and by the numbers that a
     prediction only assumes. A part of an error that is unknown teaches nothing, the others do.
 
@@ -66,7 +66,7 @@ class ModelBased(GaussianLearner):
     less was known, as one that a fault ended, is an edge, too: a plan is nearer to the former.
 
     PoWER learns from the same rollouts, as told. It decides when a part of the error was never
-    measured and is not foreseen; when no better plan is found than one that was run and is not
+    measured and is not predicted; when no better plan is found than one that was run and is not
     within the tolerances; after `patience` rollouts without progress; after `planned` rollouts: the
     error may leave out something that matters; and once a person has rated a rollout.
 
@@ -78,7 +78,7 @@ class ModelBased(GaussianLearner):
         """Settings of model-based learning."""
 
         simulations: int = Field(default=120, ge=1)  # largest number of predictions for a plan
-        # Distance over which what is not foreseen changes [sd of the exploration]
+        # Distance over which what is not predicted changes [sd of the exploration]
         length: float = Field(default=10.0, gt=0.0, allow_inf_nan=False)
         patience: int = Field(default=8, ge=1)  # rollouts without progress until PoWER decides
         # Rollouts after which it decides in any case: small errors alone have not sufficed
@@ -181,7 +181,7 @@ class ModelBased(GaussianLearner):
         distances: np.ndarray = np.linalg.norm((self._z - z) @ self._inverse, axis=1)
         return distances
 
-    def _foreseen(self, z: np.ndarray) -> Prediction | None:
+    def _predicted(self, z: np.ndarray) -> Prediction | None:
         """What the model predicts, or its rough slopes; None if z cannot be executed."""
         if self._model.predict is None:
             return Prediction(self._model.slopes @ (z @ self._inverse)[: self._d], np.empty(0))
@@ -190,9 +190,9 @@ class ModelBased(GaussianLearner):
         return self._known[z.tobytes()]
 
     def _expected(self) -> Callable[[np.ndarray], _Point]:
-        """Function of coordinates (size,): what is foreseen, corrected by the rollouts."""
+        """Function of coordinates (size,): what is predicted, corrected by the rollouts."""
         rollouts = zip(self._z, self._errors, strict=True)
-        known = [(z, e, p) for z, e in rollouts if (p := self._foreseen(z)) is not None]
+        known = [(z, e, p) for z, e in rollouts if (p := self._predicted(z)) is not None]
         n, m = len(known), self._m
         at = np.array([z for z, _, _ in known]).reshape(n, self.size)
         rest: np.ndarray = np.array([e - p.error for _, e, p in known]).reshape(n, m)
@@ -216,13 +216,13 @@ class ModelBased(GaussianLearner):
             # Near a rollout it is that of the rollout: what a model sees between them is not real.
             apart = self._apart(z)
             near = self._z[apart.argmin()] if apart.min(initial=math.inf) < PROBE_STEP else z
-            if (p := self._foreseen(near)) is None:
+            if (p := self._predicted(near)) is None:
                 return _Point(z, np.full(m, math.nan), np.empty(0), math.inf)
             weights = np.einsum("kn,kni->ki", covariance(near, p.uncertain), inverse)
             error = p.error + (weights * rest.T).sum(axis=1)
             assumed = np.reshape([q.uncertain for _, _, q in known], (n, *p.uncertain.shape))
             spread = p.uncertain - np.einsum("ki,ikj->kj", weights, assumed)
-            excess = p.excess + EXCESS_UNIT * self._faults  # an arm exceeds what its model keeps
+            excess = p.limit_excess + EXCESS_UNIT * self._faults  # its model keeps more than it
             over = np.maximum(excess / EXCESS_UNIT + 0.5, 0.0)
             loss = _squares(error[np.newaxis])[0] + (spread**2).sum() + (over**2).sum()
             return _Point(z, np.append(error, spread), excess, float(loss))
@@ -310,7 +310,7 @@ class ModelBased(GaussianLearner):
             slopes[row] += np.linalg.solve(a, (near[known] * x).T @ (y - x @ slopes[row]))
         rows = np.flatnonzero(np.isfinite(best.residuals))
         step: np.ndarray = np.zeros(self.size)
-        limits, excess = slopes[r:] / EXCESS_UNIT, best.excess / EXCESS_UNIT + 0.5
+        limits, excess = slopes[r:] / EXCESS_UNIT, best.limit_excess / EXCESS_UNIT + 0.5
         for _ in range(8):  # rounds in which it finds the limits that it would exceed
             over = excess + limits @ step > 0.0
             j, e = np.vstack([slopes[rows], limits[over]]), [*best.values[rows], *excess[over]]

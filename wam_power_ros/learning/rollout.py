@@ -70,16 +70,16 @@ class BodyPath(_Path):
         return BodyPath(self.id, self.t[kept], self.position[kept], self.quat_xyzw[kept])
 
 
-class Foreseen(NamedTuple):
+class SimulatedRollout(NamedTuple):
     """Execution of a policy on a model of the arm.
 
     Attributes:
-        excess: Share by which each joint's range and each highest speed exceeds what is allowed;
-            below 0 if it does not. Shape (c,).
+        limit_excess: Share by which each joint's range and each highest speed exceeds what is
+            allowed; below 0 if it does not. Shape (c,).
     """
 
     tool: EndEffectorPath
-    excess: np.ndarray
+    limit_excess: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)

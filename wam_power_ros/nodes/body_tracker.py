@@ -51,7 +51,7 @@ class BodyTracker(Node):
 
     def __init__(self) -> None:
         super().__init__("pancake_tracker", automatically_declare_parameters_from_overrides=True)
-        self._params = params = BodyTrackerParams.of(self)
+        self._params = params = BodyTrackerParams.from_node(self)
         self._tracker = Tracker(params)
         namespace = self.get_namespace()
         self._frame = interface.frame(namespace, params.base_frame)

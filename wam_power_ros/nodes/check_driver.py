@@ -462,8 +462,8 @@ def main() -> int:
     node_runner.interrupt_on_signals()
     try:
         setup = overlay.setup(options.config, task=options.task)
-        arm = TorqueControllerParams.of_setup(setup)
-        mocap = BodyTrackerParams.of_setup(setup)
+        arm = TorqueControllerParams.from_setup(setup)
+        mocap = BodyTrackerParams.from_setup(setup)
         make = lambda: CheckDriver(arm, mocap, console)  # noqa: E731
         with node_runner.participant(make) as node, node.link:
             rows = node.check(options.seconds, options.active)

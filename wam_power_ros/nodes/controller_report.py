@@ -30,7 +30,7 @@ class Condition:
 
     core: Controller | None  # None until the node is configured
     fault: Fault | None  # latched fault, also after a clean-up
-    undescribed: str | None  # None if the robot description is known, else who does not send it
+    description_missing: str | None  # who does not send it; None if it is known
     autostart: bool  # the node configures and activates itself
     active: bool
     missing_state: str | None  # why the joint states do not suffice to hold the arm, else None
@@ -98,9 +98,9 @@ class ControllerReport:
         if now.active:
             return ""
         node = self._node.get_fully_qualified_name()
-        if now.undescribed is not None:
+        if now.description_missing is not None:
             topic = self._node.resolve_topic_name(interface.ROBOT_DESCRIPTION)
-            return f"the robot description on {topic}{now.undescribed}"
+            return f"the robot description on {topic}{now.description_missing}"
         if now.core is None:
             return "" if now.autostart else f"ros2 lifecycle set {node} configure"
         if now.missing_state:

@@ -80,7 +80,7 @@ class DemonstrationRecorder(Node):
     def __init__(self) -> None:
         name = "demonstration_recorder"
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
-        self._params = params = DemonstrationRecorderParams.of(self)
+        self._params = params = DemonstrationRecorderParams.from_node(self)
         self._arm = ""  # identity of the arm, as JSON
         if params.urdf:
             urdf = robot_description(params.urdf)

@@ -13,7 +13,7 @@ from wam_power_ros.bags.bag import Bag
 from wam_power_ros.bags.reader import read_states
 from wam_power_ros.learning.demonstration import Demonstration
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.nodes.simulated_arm import SimulatedArm
+from wam_power_ros.params.simulated_arm import SimulatedArm
 from wam_power_ros.practice.candidates import fitted
 from wam_power_ros.practice.settings import SessionSettings
 from wam_power_ros.tasks.task import Task

@@ -46,7 +46,7 @@ class FrankaDriver(Node):
 
     def __init__(self) -> None:
         super().__init__("franka_driver", automatically_declare_parameters_from_overrides=True)
-        self._params = params = FrankaDriverParams.of(self)
+        self._params = params = FrankaDriverParams.from_node(self)
         if not params.address:
             raise ValueError("address of franka_driver is empty: give that of the robot")
         self._robot: franka.Robot | None = None

@@ -35,8 +35,8 @@ from wam_power_ros.durable_files import explained
 from wam_power_ros.learning.policy import Policy, with_id
 from wam_power_ros.nodes.demonstrations import Demonstrations
 from wam_power_ros.nodes.markers import Markers
-from wam_power_ros.nodes.simulated_arm import SimulatedArm
 from wam_power_ros.params.node_params import Names, Params, plain
+from wam_power_ros.params.simulated_arm import SimulatedArm
 from wam_power_ros.practice.new_goal import context_for, policy_for
 from wam_power_ros.practice.practice import GO_ON, RATING_MAX, Practice
 from wam_power_ros.practice.session import Session, read, read_policy
@@ -94,7 +94,7 @@ class Learner(Node):
 
     def __init__(self) -> None:
         super().__init__("learner", automatically_declare_parameters_from_overrides=True)
-        self.params = LearnerParams.of(self)
+        self.params = LearnerParams.from_node(self)
         params, log = self.params, self.get_logger()
         model = params.urdf, params.model_joint_names, params.tool_frame
         self._arm = SimulatedArm(*model, params.controller, log.info)

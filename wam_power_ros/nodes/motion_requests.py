@@ -15,6 +15,7 @@ from wam_power_ros.nodes.preparation import Preparation
 from wam_power_ros.ros.outcomes import NOT_ACTIVE, Answer, Code, Ended
 
 STOPPED = "stopped by a person"
+Payload = TabulatedPolicy | Sampled  # a prepared policy or movement
 
 
 def attempt(core: Controller | None, request: Callable[[Controller], None]) -> Answer:
@@ -42,14 +43,12 @@ class MotionRequests:
         replies: Preparation,
     ) -> None:
         self._joint_names, self._active, self._replies = joint_names, active, replies
-        self._id = self._do = ""  # request under way; "" for none
+        self._id = self._action = ""  # request under way; "" for none
         self._begin_ns = 0  # wall time; what was asked for before is not begun
         self.last_stop = ""
         self._by_person = False  # has ended the request under way
 
-    def begin(
-        self, id: str, do: str, about: TabulatedPolicy | Sampled, asked_ns: int, known_stop: str
-    ) -> None:
+    def begin(self, id: str, action: str, payload: Payload, asked_ns: int, known_stop: str) -> None:
         """Begin to "move_to_start", "execute" a policy or "replay" a movement, or say why not.
 
         It was asked for at a wall time [ns], by who knows of a last stop, after which a person has
@@ -58,10 +57,10 @@ class MotionRequests:
         """
 
         def start(core: Controller) -> None:
-            if do == "replay":
-                return core.start_replay(about)
-            core.load_prepared(about)
-            return core.execute() if do == "execute" else core.move_to_start()
+            if action == "replay":
+                return core.start_replay(payload)
+            core.load_prepared(payload)
+            return core.execute() if action == "execute" else core.move_to_start()
 
         if known_stop and self.last_stop not in ("", known_stop):
             return self._replies.ended(id, self._stopped())
@@ -74,7 +73,7 @@ class MotionRequests:
         answer = attempt(self._active(), start)
         if not answer.success:
             return self._replies.ended(id, answer)
-        self._id, self._do, self._by_person = id, do, False
+        self._id, self._action, self._by_person = id, action, False
         return self._replies.begun(id)
 
     def expire(self) -> None:
@@ -95,7 +94,7 @@ class MotionRequests:
 
     def rollout_ended(self, core: Controller, path: EndEffectorPath, start_ns: int) -> None:
         """Answer the request for a rollout whose path, from a stamp [ns] on, is complete."""
-        if self._do != "execute":
+        if self._action != "execute":
             return
         self._note_release(core)
         fault, stop = core.latched, self.last_stop if self._by_person else ""
@@ -114,9 +113,9 @@ class MotionRequests:
         if mode is Mode.HOLD and not core.at_rest:
             return
         self._note_release(core)
-        if self._do == "move_to_start" and core.ready:
+        if self._action == "move_to_start" and core.ready:
             answer = Answer(Code.DONE)
-        elif self._do == "replay" and mode is Mode.HOLD:
+        elif self._action == "replay" and mode is Mode.HOLD:
             answer = Answer(Code.DONE, self._summary(core))
         elif core.latched is None:
             answer = Answer(Code.STOPPED, f"failed: mode is {mode.value}")
@@ -129,9 +128,9 @@ class MotionRequests:
     def stop(self, core: Controller | None) -> None:
         """Answer the request under way: a person has stopped the arm, or takes it in the hand."""
         self._note_stop()
-        if self._do == "replay":
+        if self._action == "replay":
             self._end(self._stopped(f"{STOPPED}\n{self._summary(core)}".rstrip()))
-        elif self._do == "move_to_start":
+        elif self._action == "move_to_start":
             self._end(self._stopped())
 
     def _note_stop(self) -> None:
@@ -153,7 +152,7 @@ class MotionRequests:
             self._end(NOT_ACTIVE)
 
     def _end(self, answer: Answer, end: Ended | None = None) -> None:
-        id, self._id, self._do = self._id, "", ""
+        id, self._id, self._action = self._id, "", ""
         self._replies.ended(id, answer, end)
 
     def _summary(self, core: Controller | None) -> str:

@@ -41,7 +41,7 @@ class NatNet(Node):
 
     def __init__(self) -> None:
         super().__init__("natnet_client", automatically_declare_parameters_from_overrides=True)
-        self._params = params = NatNetClientParams.of(self)
+        self._params = params = NatNetClientParams.from_node(self)
         self._names: dict[int, str] = {}  # of the rigid bodies
         self._problem, self._frequency = "no answer yet", 0.0
         self._recent: deque[float] = deque(maxlen=1000)  # latency of Motive, NaN: no pose [s]

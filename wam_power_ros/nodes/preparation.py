@@ -72,7 +72,7 @@ class Preparation:
         self._path: tuple[dict[str, object], Arrays] | None = None  # the last
         self._unsent: deque[tuple[dict[str, object], Arrays]] = deque(maxlen=UNSENT_MAX)
         self._warned_ns = -LOG_PERIOD_NS
-        self.tend()
+        self.restart_if_ended()
 
     # To the process
 
@@ -175,14 +175,14 @@ class Preparation:
         elif values["configuration"] != self._configuration:
             self._on_lost(values["id"], "the controller was configured anew")
         else:
-            kind = Sampled if values["do"] == "replay" else TabulatedPolicy
-            about = kind(**values["about"], **arrays)
+            kind = Sampled if values["action"] == "replay" else TabulatedPolicy
+            payload = kind(**values["payload"], **arrays)
             asked = values["sent_ns"], values["known_stop"]
-            self._on_request(values["id"], values["do"], about, *asked)
+            self._on_request(values["id"], values["action"], payload, *asked)
 
     # Start and end of the process
 
-    def tend(self) -> None:
+    def restart_if_ended(self) -> None:
         """Start the process if it has ended; takes a few ms, so not while the arm moves."""
         if self._channel is not None or time.monotonic() - self._started < RESTART_PERIOD:
             return
@@ -240,5 +240,5 @@ def settings_of(values: Mapping[str, Any]) -> ControllerSettings:
 
 
 def channel_of_process() -> Channel:
-    """Channel of this process, which `tend` has started, to the torque controller."""
+    """Channel of this process, which `restart_if_ended` has started, to the torque controller."""
     return Channel(socket.socket(fileno=CHANNEL))

@@ -80,8 +80,8 @@ class PreparationWorker(Node):
         self._log = publish(Log, interface.LOG, interface.LOG_QOS)
         cancel = lambda id: channel.send({"what": "cancel", "id": id})  # noqa: E731
         self._actions = [
-            Action(self, kind, name, partial(self._begin, do), cancel, result)
-            for kind, name, do, result in (
+            Action(self, kind, name, partial(self._begin, action), cancel, result)
+            for kind, name, action, result in (
                 (ExecutePolicy, interface.EXECUTE_POLICY, "execute", None),
                 (MoveToStart, interface.MOVE_TO_START, "move_to_start", None),
                 (Replay, interface.REPLAY_MOVEMENT, "replay", None),
@@ -168,21 +168,22 @@ class PreparationWorker(Node):
         if answer is not None:
             self.get_logger().warning(f"movement refused: {answer.text}")
 
-    def _begin(self, do: str, id: str, goal: Goal, sent: int | None = None) -> Answer | None:
+    def _begin(self, action: str, id: str, goal: Goal, sent: int | None = None) -> Answer | None:
         """Hand over what a goal is about, or say why not; `sent` [ns], or as its id says."""
         if self._settings is None:
             return NOT_ACTIVE
         self._channel.send({"what": "reading", "id": id})
         try:
-            replay = do == "replay"
-            about = self._movement(goal) if replay else self._policy(id, goal.policy)
-            parts = vars(about).items()
+            replay = action == "replay"
+            payload = self._movement(goal) if replay else self._policy(id, goal.policy)
+            parts = vars(payload).items()
             arrays = {name: each for name, each in parts if isinstance(each, np.ndarray)}
             values = {name: each for name, each in parts if name not in arrays}
-            asked = {"what": "asked", "id": id, "do": do, "configuration": self._configuration}
+            asked = {"what": "asked", "id": id, "action": action, "payload": values}
             asked |= {"sent_ns": sent or sent_ns(id), "known_stop": getattr(goal, "known_stop", "")}
-            shared = self._channel.send({**asked, "about": values}, arrays)
-            self._shared[type(about)].append(shared)
+            asked |= {"configuration": self._configuration}
+            shared = self._channel.send(asked, arrays)
+            self._shared[type(payload)].append(shared)
         except ControllerError as error:
             text, code, speed = str(error), Code(error.refusal.value), error.speed
         except Exception as error:  # of any kind: the process goes on

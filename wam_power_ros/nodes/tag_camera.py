@@ -48,7 +48,7 @@ class TagCamera(Node):
 
     def __init__(self) -> None:
         super().__init__("tag_camera", automatically_declare_parameters_from_overrides=True)
-        self._params = params = TagCameraParams.of(self)
+        self._params = params = TagCameraParams.from_node(self)
         cv2.setNumThreads(1)  # the controller's machine has other things to do
         given = params.family, params.tags, params.tag_size, params.tag_poses
         self._detector, self._problem = TagDetector(*given), "no image yet"

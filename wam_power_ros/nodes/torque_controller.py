@@ -64,7 +64,7 @@ class TorqueController(LifecycleNode):
 
     def __init__(self) -> None:
         super().__init__("torque_controller", automatically_declare_parameters_from_overrides=True)
-        self._params = params = TorqueControllerParams.of(self)
+        self._params = params = TorqueControllerParams.from_node(self)
         if (exposed := network.exposed(os.environ)) is not None:
             self.get_logger().warning(exposed)
         self._frame = interface.frame(self.get_namespace(), params.base_frame)
@@ -154,7 +154,7 @@ class TorqueController(LifecycleNode):
         try:
             if not self._urdf:
                 topic = self.resolve_topic_name(interface.ROBOT_DESCRIPTION)
-                raise ValueError(f"no robot description on {topic} yet{self._undescribed()}")
+                raise ValueError(f"no robot description on {topic} yet{self._no_description()}")
             self._controller = self._params.controller(self._urdf, self._latched)
         except ValueError as error:
             self._report.refuse("configuration", error)
@@ -172,7 +172,7 @@ class TorqueController(LifecycleNode):
         In simulation it also requires that no node but a stand-in publishes states.
         """
         simulation = self._simulation_guard
-        reason = self._missing_state() or simulation.stranger() or simulation.other_clock()
+        reason = self._missing_state() or simulation.other_publisher() or simulation.other_clock()
         reason = reason or self._missing_realtime() or self._unheard() or self._guard.begin()
         if not reason and self._controller.mode is not Mode.FAULT:
             try:
@@ -232,11 +232,11 @@ class TorqueController(LifecycleNode):
         while time.monotonic() - begun < RELEASE_TIME:
             self._answer_next()
         self._send(self._stale_torque(), "inactive")
-        self._fall_silent()
+        self._stop_publishing()
         # What a busy reader does not have when this process ends may be lost.
         self._commands.wait_for_all_acked(Duration(seconds=RECEIPT_TIMEOUT))
 
-    def _fall_silent(self) -> None:
+    def _stop_publishing(self) -> None:
         """Send no torque any more, and refuse the pending requests."""
         self._active = False
         self._controller.deactivate()
@@ -280,7 +280,7 @@ class TorqueController(LifecycleNode):
             return f"no joint velocity on {params.velocity_topic} within the last second{unmatched}"
         return None
 
-    def _undescribed(self) -> str:
+    def _no_description(self) -> str:
         return self._unmatched(interface.ROBOT_DESCRIPTION, String, interface.LATCHED)
 
     def _unmatched(self, topic: str, kind: type, qos: QoSProfile) -> str:
@@ -519,17 +519,17 @@ class TorqueController(LifecycleNode):
             self._autostart = self.trigger_configure() is SUCCESS
         if self._autostart and self._controller is not None and self._missing_state() is None:
             self._autostart = self.trigger_activate() is not SUCCESS
-        if self._active and (stranger := self._simulation_guard.intruder()) is not None:
-            self._fall_silent()  # at once: a last torque would reach a robot
-            self._report.refuse("joint states", stranger)
+        if self._active and (robot := self._simulation_guard.unexpected_publisher()) is not None:
+            self._stop_publishing()  # at once: a last torque would reach a robot
+            self._report.refuse("joint states", robot)
             self.trigger_deactivate()
-        if self._active and (intruder := self._guard.intruder()):
-            self._controller.fault(Fault(FaultKind.SECOND_COMMANDER, intruder))
+        if self._active and (commander := self._guard.unexpected_publisher()):
+            self._controller.fault(Fault(FaultKind.SECOND_COMMANDER, commander))
         if self._active:
             self._answer_requests(self._stamp_ns)
         self._report.log_changes(self._condition())
         if self._controller is None or self._controller.mode not in MOVING_MODES:
-            self._preparation.tend()
+            self._preparation.restart_if_ended()
 
     def _publish_report(self) -> None:
         statistics, warning = self._statistics, ""
@@ -548,7 +548,7 @@ class TorqueController(LifecycleNode):
         return Condition(
             core=core,
             fault=self._latched if core is None else core.latched,
-            undescribed=None if self._urdf else self._undescribed(),
+            description_missing=None if self._urdf else self._no_description(),
             autostart=self._autostart,
             active=self._active,
             missing_state=self._missing_state(),

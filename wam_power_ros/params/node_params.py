@@ -3,8 +3,8 @@
 
 A node subclasses `Params` with typed fields and no defaults, is constructed with
 `automatically_declare_parameters_from_overrides=True`, and reads its parameters once:
-`MyParams.of(self)`. Every number has a lower and an upper bound; the field's description gives the
-reasons. What is `settable` may change later, if the node accepts it (`follow`).
+`MyParams.from_node(self)`. Every number has a lower and an upper bound; the field's description
+gives the reasons. What is `settable` may change later, if the node accepts it (`follow`).
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Params(BaseModel):
     )
 
     @classmethod
-    def of(cls: type[P], node: Node) -> P:
+    def from_node(cls: type[P], node: Node) -> P:
         """Read the parameters of `node` and make them read-only.
 
         A ValueError names keys that are unknown, missing, of a wrong type or out of range, and a
@@ -62,7 +62,7 @@ class Params(BaseModel):
             parameter_file.read(file)
         given = node.get_parameters_by_prefix("").items()
         values = {k: plain(() if it.value is None else it.value) for k, it in given}
-        params = cls.of_values(node.get_name(), values)
+        params = cls.from_values(node.get_name(), values)
         cls._describe(node)
         return params
 
@@ -78,7 +78,7 @@ class Params(BaseModel):
 
         kind, name, namespace = Path(cls.file).stem, node.get_name(), node.get_namespace()
         files = parameter_file.given(sys.argv)
-        setup = overlay.of_files(files, namespace, name, kind)
+        setup = overlay.from_files(files, namespace, name, kind)
         passed: dict[str, Any] = {"use_sim_time": False}  # by ROS, from the files
         foreign: set[str] = set()
         if kind in overlay.STAND_INS:
@@ -90,7 +90,7 @@ class Params(BaseModel):
             passed |= common | sections.get(name, {})
         given = {each: plain(node.get_parameter_or(each).value) for each in setup[kind]}
         words = {k: v for k, v in given.items() if v is not None and v != passed.get(k)}
-        setup = overlay.of_files(files, namespace, name, kind, words)
+        setup = overlay.from_files(files, namespace, name, kind, words)
         for each in foreign - setup[kind].keys():
             if node.has_parameter(each) and not parameter_file.of_ros(each):
                 node.undeclare_parameter(each)
@@ -136,7 +136,7 @@ class Params(BaseModel):
             own = {it.name: plain(it.value) for it in given if it.name in type(self).settable}
             try:
                 values = known.model_dump(exclude=type(self).constants) | own
-                accept(changed := self.of_values(node.get_name(), values))
+                accept(changed := self.from_values(node.get_name(), values))
             except ValueError as error:
                 return SetParametersResult(successful=False, reason=str(error))
             known = changed
@@ -145,13 +145,13 @@ class Params(BaseModel):
         node.add_on_set_parameters_callback(on_set)
 
     @classmethod
-    def of_setup(cls: type[P], setup: overlay.Setup) -> P:
+    def from_setup(cls: type[P], setup: overlay.Setup) -> P:
         """Read the parameters of the node that `file` is named after from a set-up."""
         node = Path(cls.file).stem
-        return cls.of_values(node, setup[node])
+        return cls.from_values(node, setup[node])
 
     @classmethod
-    def of_values(cls: type[P], owner: str, values: Mapping[str, object]) -> P:
+    def from_values(cls: type[P], owner: str, values: Mapping[str, object]) -> P:
         """Check values from YAML for a node; parameters that ROS itself defines are ignored."""
         own = {
             name: tuple(value) if isinstance(value, list) else value

@@ -47,7 +47,7 @@ _STR, _SEQ = "tag:yaml.org,2002:str", "tag:yaml.org,2002:seq"
 class Setup(dict[str, dict[str, Any]]):
     """One set-up, of which nodes, stand-ins, simulations in one process and reports are built.
 
-    It maps nodes to their parameters; `Params.of_setup` reads those of one node.
+    It maps nodes to their parameters; `Params.from_setup` reads those of one node.
     """
 
     @property
@@ -68,7 +68,7 @@ class Setup(dict[str, dict[str, Any]]):
         points = (controller[f"guarded_{part}"] for part in ("names", "links", "points"))
         names, tool = controller["model_joint_names"], controller["tool_frame"]
         try:
-            corrections = Corrections.of_parameters(controller)
+            corrections = Corrections.from_parameters(controller)
             guarded, base = guarded_points(*points), controller["base_frame"]
             limits = controller["position_limits"]
             return Arm(urdf, names, tool, guarded, corrections, base, limits)
@@ -172,7 +172,7 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
     return Setup(parameters)
 
 
-def of_files(
+def from_files(
     files: Sequence[Path],
     namespace: str = "/",
     node: str = "",

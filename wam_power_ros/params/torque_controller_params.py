@@ -130,7 +130,7 @@ class TorqueControllerParams(Params, MotionSettings):
     guarded_names: GuardedNames
     guarded_links: GuardedNames
     guarded_points: tuple[Length, ...] = Field(min_length=1, max_length=24, description=REACH)
-    elbow_speed_max: float = Field(
+    guarded_speed_max: float = Field(
         ge=0.05,
         le=3.0,
         description="in m/s: below, no skill is possible; a toss needs 2, no task here needs 3",
@@ -152,9 +152,9 @@ class TorqueControllerParams(Params, MotionSettings):
     guarded_region_name: str = Field(min_length=1)
 
     @classmethod
-    def of(cls, node: Node) -> Self:
+    def from_node(cls, node: Node) -> Self:
         """As `Params.of`; simulated time is refused, which would disable a real arm's watchdog."""
-        params = super().of(node)
+        params = super().from_node(node)
         if not params.simulation and node.get_parameter("use_sim_time").value:
             raise ValueError(
                 "use_sim_time = True: must be false on a real arm (simulation: false), or lost "
@@ -203,7 +203,7 @@ class TorqueControllerParams(Params, MotionSettings):
     @property
     def corrections(self) -> Corrections:
         """What was measured on this arm."""
-        return Corrections.of_parameters(self.model_dump())
+        return Corrections.from_parameters(self.model_dump())
 
     def arm(self, urdf: str) -> Arm:
         """Build the model of the arm of a URDF; a ValueError names joints and frames it lacks."""
@@ -224,7 +224,7 @@ class TorqueControllerParams(Params, MotionSettings):
             arm,
             torque=self.torque_share * arm.tau_max,
             torque_rate=np.full(arm.n, self.torque_rate_max),
-            elbow_speed=self.elbow_speed_max,
+            guarded_speed=self.guarded_speed_max,
             tool_speed=self.tool_speed_max,
             teaching_tool_speed=self.teaching_tool_speed_max,
             workspace_min=self.workspace_min,

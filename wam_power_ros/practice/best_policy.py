@@ -82,7 +82,7 @@ def lower_bound(returns: Sequence[float], return_noise: float) -> float:
     return float(np.mean(returns)) - return_noise / math.sqrt(len(returns))
 
 
-def overruns(records: Sequence[Record]) -> int:
+def limit_stops(records: Sequence[Record]) -> int:
     """Number of rollouts in which the arm exceeded a limit that its model had kept."""
     # Such a fault has a return of 0, any other has none.
     return sum(bool(r.fault) and r.ret is not None and not r.refused for r in records)

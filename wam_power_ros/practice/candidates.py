@@ -9,7 +9,7 @@ from dataclasses import replace
 from wam_power_ros.arm_identity import ArmIdentity
 from wam_power_ros.learning.demonstration import Demonstration
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.practice.improvement import ArmModel
+from wam_power_ros.practice.learning_run import ArmModel
 from wam_power_ros.practice.practice import reproduction_of
 from wam_power_ros.practice.settings import SessionSettings
 from wam_power_ros.regions import Region

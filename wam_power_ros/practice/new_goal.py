@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.practice.improvement import ArmModel, feasibility, shrink
+from wam_power_ros.practice.learning_run import ArmModel, feasibility, shrink
 from wam_power_ros.practice.session_log import Record
 from wam_power_ros.practice.settings import SessionSettings
 from wam_power_ros.tasks.task import Task

@@ -23,8 +23,8 @@ from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy, check_id, to_json
 from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.practice import session_log
-from wam_power_ros.practice.best_policy import Best, choose_best, choose_demonstration, overruns
-from wam_power_ros.practice.improvement import ArmModel, Improvement, feasibility
+from wam_power_ros.practice.best_policy import Best, choose_best, choose_demonstration, limit_stops
+from wam_power_ros.practice.learning_run import ArmModel, LearningRun, feasibility
 from wam_power_ros.practice.session_log import Line, NewDemonstration, Pause, Rating, Record, Trial
 from wam_power_ros.practice.settings import PracticeSettings, SessionSettings
 from wam_power_ros.tasks.task import Assessment, Task, cut_short
@@ -78,7 +78,7 @@ class Practice:
       may be chance, but a policy may also want more than motors give at their speed.
     * A rollout that a person ended is learnt from with return 0 and pauses the session. Its policy
       is never run again; a re-test that a person ended has failed and is the last one.
-    * An infeasible policy is not executed, see `improvement.sample`.
+    * An infeasible policy is not executed, see `learning_run.sample`.
     * A mean that succeeds is run again, unchanged, until it fails or `StoppingRule` is satisfied;
       all these runs are learnt from.
     * The session stops when a mean is confirmed or the budget is used. Its answer is the confirmed
@@ -125,7 +125,7 @@ class Practice:
         self._rng = np.random.Generator(np.random.PCG64(seed))
         self._candidates = list(candidates)
         self._parametrizations = {p.id: self.task.parametrization(p) for p in candidates}
-        self._improvement: Improvement | None = None
+        self._learning_run: LearningRun | None = None
         self._reproductions: list[int] = []  # rollout number for each candidate
         self._retried: Record | None = None  # whose z is executed again
         self._answer: np.ndarray | None = None  # re-tested once learning has stopped
@@ -135,7 +135,7 @@ class Practice:
         self._log: list[Line] = []
         self._waiting: list[Rating | NewDemonstration] = []  # take effect after the pending trial
         self._pending: Trial | None = None
-        self._improvement_of(candidates[0].id)  # a learner without its model is refused now
+        self._learning_run_of(candidates[0].id)  # a learner without its model is refused now
         for line in log:
             self.apply(line)
 
@@ -158,12 +158,12 @@ class Practice:
     @property
     def parametrization(self) -> Parametrization | None:
         """Parametrization of the chosen demonstration, None before the choice."""
-        return None if self._improvement is None else self._improvement.parametrization
+        return None if self._learning_run is None else self._learning_run.parametrization
 
     @property
     def learner(self) -> Learner | None:
         """The learner, None before the choice; read-only for callers."""
-        return None if self._improvement is None else self._improvement.learner
+        return None if self._learning_run is None else self._learning_run.learner
 
     @property
     def unusable_in_a_row(self) -> int:
@@ -179,13 +179,13 @@ class Practice:
     @property
     def confirmed(self) -> int:
         """Number of successes in a row that confirmed the answer; 0 while nothing has."""
-        found = self._improvement
+        found = self._learning_run
         return 0 if found is None or not found.rule.complete else found.rule.count
 
     @property
     def best(self) -> Best | None:
         """Best policy so far, see `choose_best`."""
-        name = None if self._improvement is None else self._improvement.demonstration
+        name = None if self._learning_run is None else self._learning_run.demonstration
         noise = self.settings.practice.return_noise
         known, answer = self._parametrizations, self._answer
         return choose_best(self._records, known, name, answer, self.stopped, noise)
@@ -246,7 +246,7 @@ class Practice:
             Record(
                 **due.logged(),
                 learnt=learnt,
-                learnt_as=self._in_hindsight(due, assessment).tolist() if learnt else None,
+                z_corrected=self._corrected(due, assessment).tolist() if learnt else None,
                 ret=assessment.ret,
                 terms=assessment.terms,
                 success=bool(assessment.success),
@@ -373,15 +373,15 @@ class Practice:
             return
         record = self._records[event.rollout - 1].with_rating(event.amount)
         self._records[event.rollout - 1] = record
-        if self._improvement is not None:
-            self._improvement.learn_again()
+        if self._learning_run is not None:
+            self._learning_run.learn_again()
             if not record.succeeded:
-                self._improvement.rule.forget(record)
+                self._learning_run.rule.forget(record)
 
     # The next trial
 
     def _next_trial(self, rejections: int | None) -> Trial | None:
-        """The next trial; `rejections` is given in a replay, see `improvement.sample`."""
+        """The next trial; `rejections` is given in a replay, see `learning_run.sample`."""
         if self._pending is None and not self.finished:
             trial = self._draw(len(self._records) + 1, rejections)
             if (trial.demonstration, tuple(trial.z.tolist())) in self._refused:
@@ -395,28 +395,28 @@ class Practice:
         if (last := self._retried) is not None:
             purpose, attempt = f"attempt {last.attempt + 1}: {last.why}", last.attempt + 1
             own, z = self._parametrizations[last.demonstration], np.array(last.z)
-            return Trial.of(number, own, last.kind, z, purpose, attempt=attempt)
+            return Trial.at(number, own, last.kind, z, purpose, attempt=attempt)
         if len(self._reproductions) < len(self._candidates):
             name = self._candidates[len(self._reproductions)].id
             own = self._parametrizations[name]
-            return Trial.of(number, own, "reproduction", np.zeros(own.size), f"reproduces {name}")
-        improvement = self._improvement
-        if improvement is None:
+            return Trial.at(number, own, "reproduction", np.zeros(own.size), f"reproduces {name}")
+        learning_run = self._learning_run
+        if learning_run is None:
             raise ValueError("the session has ended: no demonstration was chosen")
         if self._answer is None:
-            return improvement.draw(number, rejections)
-        self._answer, count = improvement.shrunk(self._answer, rejections)
+            return learning_run.draw(number, rejections)
+        self._answer, count = learning_run.shrunk(self._answer, rejections)
         purpose = f"re-test {self._retested + 1} of {self.settings.practice.retests}"
-        own = improvement.parametrization
-        return Trial.of(number, own, "retest", self._answer, purpose, count)
+        own = learning_run.parametrization
+        return Trial.at(number, own, "retest", self._answer, purpose, count)
 
-    def _in_hindsight(self, trial: Trial, assessment: Assessment) -> np.ndarray:
+    def _corrected(self, trial: Trial, assessment: Assessment) -> np.ndarray:
         """Coordinates at which a rollout is learnt from: corrected as far as it stays feasible."""
         parametrization = self._parametrizations[trial.demonstration]
-        exceeded = overruns(self._records)
+        exceeded = limit_stops(self._records)
         is_feasible = feasibility(parametrization, self._arm, exceeded, "corrected")
         z = trial.z
-        parts = self.task.hindsight(assessment, parametrization)
+        parts = self.task.error_correction(assessment, parametrization)
         if not parts or is_feasible(z + sum(parts)):
             return z + sum(parts)
         for part in parts:  # one at a time: an infeasible part does not prevent the others
@@ -452,19 +452,19 @@ class Practice:
         note = ""
         if record.kind == "reproduction":
             note = self._advance_reproduction(record)
-        elif self._improvement is not None:
-            note = self._improvement.add(record)
-        if (improvement := self._improvement) is not None and not self.stopped:
-            self.stopped = self._end_of(improvement)
+        elif self._learning_run is not None:
+            note = self._learning_run.add(record)
+        if (learning_run := self._learning_run) is not None and not self.stopped:
+            self.stopped = self._end_of(learning_run)
             if self.stopped:
-                self._answer = improvement.parametrization.clip(improvement.answer)
+                self._answer = learning_run.parametrization.clip(learning_run.answer)
         return "; ".join(part for part in (note, self.stopped, paused) if part)
 
-    def _end_of(self, improvement: Improvement) -> str:
+    def _end_of(self, learning_run: LearningRun) -> str:
         """Reason why learning ends after the newest record, empty if it goes on."""
         budget, minutes = self.settings.practice.budget, self.settings.practice.minutes
-        if improvement.rule.complete:
-            return f"the mean policy is confirmed: {improvement.rule.complete}"
+        if learning_run.rule.complete:
+            return f"the mean policy is confirmed: {learning_run.rule.complete}"
         if self.used >= budget:
             return f"budget of {budget} rollouts used"
         if 0 < minutes <= self.seconds / 60.0:
@@ -475,8 +475,8 @@ class Practice:
 
     def _advance_reproduction(self, record: Record) -> str:
         self._reproductions.append(record.number)
-        if self._improvement is not None:
-            return self._compare(record, self._improvement)
+        if self._learning_run is not None:
+            return self._compare(record, self._learning_run)
         if len(self._reproductions) < len(self._candidates):
             return ""
         chosen, why = choose_demonstration([self._records[n - 1] for n in self._reproductions])
@@ -485,7 +485,7 @@ class Practice:
             return ""
         return self._learn_from(chosen, why)
 
-    def _compare(self, record: Record, present: Improvement) -> str:
+    def _compare(self, record: Record, present: LearningRun) -> str:
         """Switch to a demonstration that was added later if its reproduction is better."""
         own = [r.rated_return for r in self._records if r.demonstration == present.demonstration]
         recent = [ret for ret in own if ret is not None][-COMPARED_ROLLOUTS:]
@@ -501,9 +501,9 @@ class Practice:
     def _learn_from(self, reproduction: Record, why: str, practised: int = 0) -> str:
         demonstration = reproduction.demonstration
         self.choice = f"learns from {demonstration}: {why}"
-        self._improvement = self._improvement_of(demonstration, practised)
-        return "; ".join(filter(None, (self.choice, self._improvement.rule.add(reproduction))))
+        self._learning_run = self._learning_run_of(demonstration, practised)
+        return "; ".join(filter(None, (self.choice, self._learning_run.rule.add(reproduction))))
 
-    def _improvement_of(self, demonstration: str, practised: int = 0) -> Improvement:
+    def _learning_run_of(self, demonstration: str, practised: int = 0) -> LearningRun:
         of, settings, task = self._parametrizations[demonstration], self.settings, self.task
-        return Improvement(of, settings, task, self._rng, self._arm, self._records, practised)
+        return LearningRun(of, settings, task, self._rng, self._arm, self._records, practised)

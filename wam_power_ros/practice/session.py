@@ -38,7 +38,7 @@ from wam_power_ros import durable_files, plain_json, plain_yaml
 from wam_power_ros.arm_identity import ArmIdentity, refusal
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.practice.improvement import ArmModel
+from wam_power_ros.practice.learning_run import ArmModel
 from wam_power_ros.practice.practice import Practice, check_candidates
 from wam_power_ros.practice.session_log import (
     Line,

@@ -43,7 +43,7 @@ class Trial:
     demonstration: str  # id of the candidate that the coordinates refer to
     attempt: int  # 1, or more after rollouts of the same z without a return
     # Infeasible samples before this one, plus halvings after 20 of them; for a mean or an answer
-    # the number of halvings, see `improvement.sample`
+    # the number of halvings, see `learning_run.sample`
     rejections: int
     z: np.ndarray  # coordinates, shape (size,)
     theta: np.ndarray  # learnt parameters in physical units, shape (size,)
@@ -51,7 +51,7 @@ class Trial:
     purpose: str  # human-readable
 
     @classmethod
-    def of(
+    def at(
         cls,
         number: int,
         parametrization: Parametrization,
@@ -124,8 +124,8 @@ class _Line(BaseModel):
 class Record(_Line):
     """One executed rollout, a line of the session's log; for what has no comment see `Trial`."""
 
-    schema_: Literal["wam_power_ros/rollout/2"] = Field(
-        default="wam_power_ros/rollout/2", alias="schema"
+    schema_: Literal["wam_power_ros/rollout/3"] = Field(
+        default="wam_power_ros/rollout/3", alias="schema"
     )
     number: int = Field(ge=1)
     id: str
@@ -136,8 +136,8 @@ class Record(_Line):
     z: list[float]  # as executed
     theta: list[float]
     learnt: bool  # whether it is learnt from
-    # Coordinates at which it is learnt from, including the hindsight correction; None: it is not
-    learnt_as: list[float] | None
+    # Coordinates at which it is learnt from, including the correction of errors; None: it is not
+    z_corrected: list[float] | None
     # Return; None when the rollout is no evidence about its policy
     ret: float | None = Field(ge=0.0, allow_inf_nan=False)
     terms: Terms  # of the return
@@ -158,12 +158,12 @@ class Record(_Line):
 
     @model_validator(mode="after")
     def _is_consistent(self) -> Record:
-        if self.learnt != (self.learnt_as is not None) or (self.learnt and self.ret is None):
-            raise ValueError("a learnt rollout must have learnt_as and ret, any other no learnt_as")
-        if len(self.theta) != len(self.z) or len(self.learnt_as or self.z) != len(self.z):
-            raise ValueError("z, theta and learnt_as must have the same length")
-        if not np.isfinite([*self.z, *self.theta, *(self.learnt_as or [])]).all():
-            raise ValueError("z, theta and learnt_as must be finite")
+        if self.learnt != (self.z_corrected is not None) or (self.learnt and self.ret is None):
+            raise ValueError("a learnt rollout has z_corrected and ret, any other no z_corrected")
+        if len(self.theta) != len(self.z) or len(self.z_corrected or self.z) != len(self.z):
+            raise ValueError("z, theta and z_corrected must have the same length")
+        if not np.isfinite([*self.z, *self.theta, *(self.z_corrected or [])]).all():
+            raise ValueError("z, theta and z_corrected must be finite")
         return self
 
     @property

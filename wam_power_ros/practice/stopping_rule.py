@@ -75,7 +75,7 @@ class StoppingRule:
     """Judges the successes in a row of one mean.
 
     `settings.confirm` successes are enough whatever their margins; 0 disables the rule. For
-    `margins` and their `scatter` see `Task.margins` and `Task.margin_scatter`.
+    `margins` and their `scatter` see `Task.success_margins` and `Task.scatter`.
 
     Attributes:
         z: Coordinates of the mean being confirmed, None when there is none. Shape (size,).

@@ -67,7 +67,7 @@ def private_domain() -> Iterator[int]:
     raise DomainError(f"{text}; end a simulation")
 
 
-def hold(domain: int, namespace: str = "") -> ExitStack | None:
+def lock(domain: int, namespace: str = "") -> ExitStack | None:
     """Hold a domain until the returned locks are closed or the process ends.
 
     With a namespace only that one, beside those of other processes. None if a parent process holds

@@ -69,7 +69,7 @@ class CommandGuard:
             self._own.append(command)
         self._publisher.publish(command)
 
-    def intruder(self) -> str | None:
+    def unexpected_publisher(self) -> str | None:
         """Text for a fault if publishers have appeared since the last call, else None."""
         others, before = self._count_others(), self._others
         self._others = others
@@ -170,11 +170,11 @@ class SimulationGuard:
         self._node, self._topic = node, node.resolve_topic_name(topic)
         self._simulated, self._lockstep = simulated, lockstep
         self._clock = node.resolve_topic_name(interface.CLOCK)
-        self._unnamed = False  # at the last call of `intruder`
+        self._unnamed = False  # at the last call of `unexpected_publisher`
 
-    def stranger(self) -> str | None:
+    def other_publisher(self) -> str | None:
         """Describe a publisher of joint states that is no stand-in; None if there is none."""
-        name = self._stranger()
+        name = self._other_publisher()
         if name is None:
             return None
         return (
@@ -200,15 +200,15 @@ class SimulationGuard:
             )
         return ""
 
-    def intruder(self) -> str | None:
-        """As `stranger`, but a publisher whose name is not discovered yet has until the next call.
+    def unexpected_publisher(self) -> str | None:
+        """As `other_publisher`, but one whose name is not discovered yet has until the next call.
 
         The name of a node arrives milliseconds after its topics.
         """
-        unnamed, self._unnamed = self._unnamed, self._stranger() == UNNAMED
-        return None if self._unnamed and not unnamed else self.stranger()
+        unnamed, self._unnamed = self._unnamed, self._other_publisher() == UNNAMED
+        return None if self._unnamed and not unnamed else self.other_publisher()
 
-    def _stranger(self) -> str | None:
+    def _other_publisher(self) -> str | None:
         if not self._simulated:
             return None
         names = {each.node_name for each in self._node.get_publishers_info_by_topic(self._topic)}

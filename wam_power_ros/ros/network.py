@@ -71,7 +71,7 @@ def middleware() -> str:
     return identifier
 
 
-def unconfined_middleware() -> str | None:
+def unrestricted_middleware() -> str | None:
     """Middleware that cannot be confined to the loopback interface, as text; None if it can."""
     if (loaded := middleware()) == MIDDLEWARE:
         return None
@@ -88,7 +88,7 @@ def check(environment: Mapping[str, str]) -> None:
             raise VariableError(f"{variable}={file}: there is no such file; unset the variable")
 
 
-def confine(environment: MutableMapping[str, str]) -> None:
+def restrict_to_loopback(environment: MutableMapping[str, str]) -> None:
     """Set the variables that select transports: on loopback unless the environment asks for more.
 
     It is that of a process that has not initialised rclpy yet, and is changed.
@@ -110,8 +110,8 @@ def confine(environment: MutableMapping[str, str]) -> None:
 
 def wider_reach(environment: Mapping[str, str]) -> str | None:
     """Setting that opens more than the loopback interface, as text; None without one."""
-    if unconfined := unconfined_middleware():
-        return unconfined
+    if unrestricted := unrestricted_middleware():
+        return unrestricted
     own = profile()
     if environment.get(own.variable) == own.path:
         return None

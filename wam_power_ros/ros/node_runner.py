@@ -46,7 +46,7 @@ def init(context: Context | None = None, domain: int | None = None) -> None:
     for file in parameter_file.given(sys.argv):
         parameter_file.read(file, parameter_file.PlainLoader)
     domain = exported(os.environ) if domain is None else domain
-    network.confine(os.environ)
+    network.restrict_to_loopback(os.environ)
     if not any(map(os.environ.get, ("ROS_LOG_DIR", "ROS_HOME", "HOME"))):  # rclpy insists on one
         os.environ["ROS_LOG_DIR"] = str(Path(tempfile.gettempdir()) / f"ros_log_{os.getuid()}")
     signals = SignalHandlerOptions.NO  # its handlers end all communication at once

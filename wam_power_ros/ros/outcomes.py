@@ -55,7 +55,7 @@ class Answer:
         return self.code is Code.DONE
 
     @property
-    def said(self) -> str:
+    def message(self) -> str:
         """Sentence for a person, or the code if there is none."""
         return self.text or self.code.value
 
@@ -89,7 +89,7 @@ def read(outcome: Outcome) -> Answer:
 
 def fill(response: Response, answer: Answer) -> Response:
     """Write an outcome into the response of a service."""
-    response.success, response.message = answer.success, answer.said
+    response.success, response.message = answer.success, answer.message
     return response
 
 
@@ -111,7 +111,7 @@ class Ended:
         return end
 
     @classmethod
-    def of(cls, end: RolloutEnd) -> Ended:
+    def read(cls, end: RolloutEnd) -> Ended:
         """Read a message; a ValueError if the kind of the fault is unknown."""
         fault = Fault(FaultKind(end.fault), end.text) if end.fault else None
         start_ns = nanoseconds(end.header.stamp)

@@ -12,9 +12,10 @@ import numpy as np
 from wam_power_ros.learning.learner import Prediction
 from wam_power_ros.learning.parametrization import Direction, Group, Parametrization, Tempo
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.rollout import Foreseen
+from wam_power_ros.learning.rollout import SimulatedRollout
 
-KNOWN = ("shift_x", "shift_y", "shift_z", "vigour", "tempo")  # see `direction`
+Simulate = Callable[[Policy], SimulatedRollout | None]  # None if it ends in a fault
+KNOWN = ("shift_x", "shift_y", "shift_z", "amplitude", "tempo")  # see `direction`
 SHOWN_IN = {"m": (1000.0, ".1f", " mm"), "rad": (math.degrees(1.0), ".1f", "°")}  # by unit
 
 
@@ -85,7 +86,7 @@ class Effect:
 def direction(policy: Policy, name: str, noise: float) -> Group:
     """Group of one parameter of any movement, by its name in `KNOWN`.
 
-    * vigour: Scales the movement, mu_i - mu_1 and r_i - r_1, by 1 + vigour [1].
+    * amplitude: Scales the movement, mu_i - mu_1 and r_i - r_1, by 1 + amplitude [1].
     * tempo: Logarithm of the tempo [1].
     * shift_x, shift_y, shift_z: Moves the end of the movement along an axis of the base, what is
       before it in proportion to its place [m].
@@ -93,7 +94,7 @@ def direction(policy: Policy, name: str, noise: float) -> Group:
     if name == "tempo":
         return Tempo(noise)
     moved = np.zeros((policy.basis.count, 3))
-    if name == "vigour":
+    if name == "amplitude":
         turned = policy.rotation_attractors - policy.rotation_attractors[0]
         return Direction(noise, name, policy.attractors - policy.attractors[0], turned)
     moved[:, KNOWN.index(name)] = np.arange(1, len(moved) + 1) / len(moved)
@@ -144,20 +145,20 @@ class RoughErrors:
 def predictor(
     errors: Sequence[Error],
     parametrization: Parametrization,
-    foresee: Callable[[Policy], Foreseen | None],
-    predicted: Callable[[Foreseen], Sequence[Mapping[str, float]]],
+    simulate: Simulate,
+    predicted: Callable[[SimulatedRollout], Sequence[Mapping[str, float]]],
 ) -> Callable[[np.ndarray], Prediction | None]:
     """`RoughErrors.predict` of what a task predicts, see `Task.predict`."""
 
     def predict(z: np.ndarray) -> Prediction | None:
-        if (foreseen := foresee(parametrization.policy(z, "predicted")[0])) is None:
+        if (simulated := simulate(parametrization.policy(z, "predicted")[0])) is None:
             return None
-        error, *others = (told(errors, each) for each in predicted(foreseen))
+        error, *others = (told(errors, each) for each in predicted(simulated))
         changes = [each - error for each in others]
         # A number that decides which parts have a value tells nothing of the others.
         known = [np.where(np.isfinite(each).all(), each, 0.0) for each in changes]
         uncertain = np.stack(known, axis=1) if known else np.empty((1, 0))
-        return Prediction(error, foreseen.excess, uncertain)
+        return Prediction(error, simulated.limit_excess, uncertain)
 
     return predict
 

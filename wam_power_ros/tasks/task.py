@@ -8,7 +8,7 @@ laboratory can keep its task in a package of its own.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from numbers import Real
@@ -25,7 +25,7 @@ from wam_power_ros.learning.learner import ErrorModel
 from wam_power_ros.learning.model_based import UNKNOWN_ERROR
 from wam_power_ros.learning.parametrization import Parametrization, parametrization_of
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.rollout import Foreseen, Rollout
+from wam_power_ros.learning.rollout import Rollout, SimulatedRollout
 from wam_power_ros.regions import Region
 from wam_power_ros.tasks.errors import KNOWN, Effect, Error, RoughErrors, learnt, predictor, told
 from wam_power_ros.tasks.heading import turned
@@ -34,6 +34,8 @@ from wam_power_ros.tasks.settings import FIT, TaskSettings
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from wam_power_ros.tasks.errors import Simulate
 
 UNSEEN_MAX = 0.25  # time at the end of a rollout in which the body must have been seen [s]
 MISSING_MAX = 0.05  # largest missing part at the end of a path that counts as complete [s]
@@ -320,7 +322,7 @@ class Task:
         late = rollout.tool.t[-1] - last > UNSEEN_MAX
         return f"the {self.body} was not seen at the end" if late else ""
 
-    def hindsight(
+    def error_correction(
         self, assessment: Assessment, parametrization: Parametrization
     ) -> Sequence[np.ndarray]:
         """Shifts of z that would have reduced the measured errors; a rollout is learnt from there.
@@ -334,10 +336,10 @@ class Task:
 
     @property
     def corrections(self) -> Sequence[str]:
-        """Measured errors that `hindsight` corrects under these settings, for the reports."""
+        """Measured errors that `error_correction` corrects with these settings, for the reports."""
         return [error.name for error in self.learnt_errors()] if self.gain else []
 
-    def margins(self, record: LoggedRollout) -> Sequence[float]:
+    def success_margins(self, record: LoggedRollout) -> Sequence[float]:
         """How far inside each of its limits a rollout was, for the stopping rule.
 
         It is also asked of rollouts that failed.
@@ -354,8 +356,8 @@ class Task:
         return [error.limit - abs(seen[error.name] - error.target) for error in limited]
 
     @property
-    def margin_scatter(self) -> Sequence[float]:
-        """Standard deviations of `margins` to be expected of one policy; empty if unknown.
+    def scatter(self) -> Sequence[float]:
+        """Standard deviations of `success_margins` to be expected of one policy; empty if unknown.
 
         In doubt larger ones: the stopping rule counts them as four observations.
         """
@@ -378,15 +380,12 @@ class Task:
         return None if measured is None else told(errors, measured)
 
     def error_model(
-        self, parametrization: Parametrization, foresee: Callable[[Policy], Foreseen | None]
+        self, parametrization: Parametrization, simulate: Simulate
     ) -> ErrorModel | None:
-        """Model of the errors, for learners that plan on it; None if the task has none.
-
-        `foresee` simulates the execution of a policy: None if it ends in a fault.
-        """
+        """Model of the errors, for learners that plan on it; None if the task has none."""
         model = self.rough_errors(parametrization)
         if model is not None and type(self).predict is not Task.predict:
-            model.predict = predictor(model.errors, parametrization, foresee, self.predict)
+            model.predict = predictor(model.errors, parametrization, simulate, self.predict)
         return model
 
     def rough_errors(self, parametrization: Parametrization) -> RoughErrors | None:
@@ -396,7 +395,7 @@ class Task:
             return None
         return RoughErrors(errors, self.effects, parametrization)
 
-    def predict(self, foreseen: Foreseen) -> Sequence[Mapping[str, float]]:
+    def predict(self, simulated: SimulatedRollout) -> Sequence[Mapping[str, float]]:
         """Errors of a simulated execution; a task that has none is planned by its effects alone.
 
         Returns:

@@ -60,9 +60,9 @@ class View(Node):
         self._feedback = Feedback(link)
         self._robot = Robot(link, controller["state_topic"], body=body)
         self._scene, _ = self._robot.scene_reset, self._robot.demonstrator  # early: discovery
-        self._newest = [(link.newest(JointState, controller["state_topic"]), self._on_joints)]
+        self._newest = [(link.poll_latest(JointState, controller["state_topic"]), self._on_joints)]
         if body:
-            states = link.newest(Odometry, interface.body_topic(body, "state"))
+            states = link.poll_latest(Odometry, interface.body_topic(body, "state"))
             self._newest.append((states, self._on_body))
         read = lambda it: policies.from_json(it.text)  # noqa: E731
         self._policy = link.last(PolicyMessage, interface.POLICY, read)

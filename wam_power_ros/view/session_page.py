@@ -214,7 +214,7 @@ class SessionPage:
             self._notify(label, "the session is not running", good=False)
             return
         answer = node.give(kind, value)
-        self._notify(label, answer.said, answer.success)
+        self._notify(label, answer.message, answer.success)
 
     def _teach(self) -> None:
         if self._teaching is None and self._node is not None:

@@ -24,7 +24,7 @@ SETTLE = 1.0  # [s]
 @pytest.fixture(scope="module")
 def environment() -> Environment:
     setup = overlay.setup(task="ball_in_cup").changed({"wam_sim": {"seed": 3000}})
-    return Environment.of(setup)
+    return Environment.from_setup(setup)
 
 
 def guided(environment: Environment, script: SwingScript) -> tuple[Truth, np.ndarray, np.ndarray]:

@@ -16,7 +16,7 @@ from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.ball_in_cup.settings import CUP_FIT
 from wam_power_ros.tasks.ball_in_cup.swing import GRAVITY, PLANE, STRING, Swing
-from wam_power_ros.tasks.ball_in_cup.task import MISS_OF_SHIFT, MISS_OF_VIGOUR, BallInCup
+from wam_power_ros.tasks.ball_in_cup.task import MISS_OF_AMPLITUDE, MISS_OF_SHIFT, BallInCup
 from wam_power_ros.tasks.task import Assessment, Pose
 
 SETTINGS = preset("ball_in_cup").task_settings
@@ -148,20 +148,20 @@ def corrected(swing: Swing, **changes: float) -> dict[str, float]:
     """Sum of the corrections of each parameter, in its unit."""
     practised = task(**changes)
     parametrization = practised.parametrization(POLICY)
-    shifts = practised.hindsight(Assessment(0.5, {}, swing.to_json()), parametrization)
+    shifts = practised.error_correction(Assessment(0.5, {}, swing.to_json()), parametrization)
     total = parametrization.scale * sum(shifts, np.zeros(parametrization.size))
     assert not total[parametrization.groups["attractors"]].any()
-    return {n: float(total[parametrization.groups[n]][0]) for n in ("vigour", "sideways")}
+    return {n: float(total[parametrization.groups[n]][0]) for n in ("amplitude", "sideways")}
 
 
 def test_a_fall_beside_the_cup_is_corrected_by_what_would_have_moved_it_back() -> None:
     short = corrected(Swing(0.1, 2.0, (0.02, -0.01), False), gain=1.0)
-    assert short["vigour"] * MISS_OF_VIGOUR == pytest.approx(-0.02)
-    assert short["vigour"] > 0.0  # it fell short
+    assert short["amplitude"] * MISS_OF_AMPLITUDE == pytest.approx(-0.02)
+    assert short["amplitude"] > 0.0  # it fell short
     assert short["sideways"] * MISS_OF_SHIFT == pytest.approx(0.01)
     half = corrected(Swing(0.1, 2.0, (0.02, -0.01), False), gain=0.5)
     assert half == pytest.approx({name: 0.5 * value for name, value in short.items()})
-    assert corrected(Swing(0.1, 2.0, (-0.02, 0.0), False))["vigour"] < 0.0
+    assert corrected(Swing(0.1, 2.0, (-0.02, 0.0), False))["amplitude"] < 0.0
 
 
 def record(**changes: object) -> SimpleNamespace:

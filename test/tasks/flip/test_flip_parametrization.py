@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Vigour, flick, catch shift and tempo of a toss."""
+"""Amplitude, wrist amplitude, catch shift and tempo of a toss."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,12 @@ from wam_power_ros.learning.policy import Policy, to_json
 from wam_power_ros.tasks.flip.parametrization import FlipNoise, flip_parametrization
 
 NOISE = FlipNoise(
-    stiffness=0.1, attractor=0.01, rotation=0.05, vigour=0.04, flick=0.03, catch_shift=0.02
+    stiffness=0.1,
+    attractor=0.01,
+    rotation=0.05,
+    amplitude=0.04,
+    wrist_amplitude=0.03,
+    catch_shift=0.02,
 )
 
 
@@ -44,7 +49,7 @@ def test_what_moves_the_catch_moves_the_last_three_attractors_along_one_axis(
 
 
 def test_the_flick_enlarges_the_demonstrated_turn() -> None:
-    before, after = moved("flick", 5.0)  # 0.15
+    before, after = moved("wrist_amplitude", 5.0)  # 0.15
     old, new = before.rotation_attractors, after.rotation_attractors
     np.testing.assert_allclose(new[:, 1] - new[0, 1], 1.15 * (old[:, 1] - old[0, 1]))
     np.testing.assert_array_equal(new[0], old[0])
@@ -62,7 +67,7 @@ def test_only_the_planar_variant_has_a_tempo_and_parameters_of_its_own() -> None
         same = [q.policy(np.ones(q.size), "a")[0] for q in (p, plain)]
         assert to_json(same[0]) == to_json(same[1])
     p = flip_parametrization(policy, "planar", NOISE)
-    own = ["side_shift", "catch_pitch", "vigour", "flick", "catch_shift", "tempo"]
+    own = ["side_shift", "catch_pitch", "amplitude", "wrist_amplitude", "catch_shift", "tempo"]
     assert list(p.groups) == ["stiffness", "attractors", "rotation", *own]
     assert p.size == 6 * policy.basis.count + len(own)
     unchanged = p.policy(np.zeros(p.size), policy.id)[0]

@@ -52,7 +52,7 @@ def test_a_rollout_begins_when_the_pancake_rests_in_the_tilted_pan(
 @pytest.mark.parametrize("single_marker", [True, False])
 def test_a_rollout_does_not_begin_with_one_marker_on_the_pancake(single_marker: bool) -> None:
     made = overlay.setup().changed({"pancake_tracker": {"single_marker": single_marker}})
-    tracker, rng = Tracker(BodyTrackerParams.of_setup(made)), np.random.default_rng(0)
+    tracker, rng = Tracker(BodyTrackerParams.from_setup(made)), np.random.default_rng(0)
     rest = PAN.position + PAN.rotation @ np.array([0.0, 0.0, 0.0025])
     for number in range(12):
         place, turn = rest + rng.normal(0.0, 0.00025, 3), rng.normal(0.0, 0.0035, 3)

@@ -21,7 +21,7 @@ from wam_power_ros.tracking.tracker import Tracker
 
 POLICY = demonstrated_policy("trial-0001")
 SETTINGS = preset("flip").task_settings
-TRACKER = BodyTrackerParams.of_setup(overlay.setup())
+TRACKER = BodyTrackerParams.from_setup(overlay.setup())
 START = 10**9
 OVER = np.array([1.0, 0.0, 0.0, 0.0])  # half a turn
 KINDS = {

@@ -12,7 +12,7 @@ import pytest
 from toss_task import demonstrated_policy
 
 from wam_power_ros import rotations
-from wam_power_ros.learning.rollout import EndEffectorPath, Foreseen
+from wam_power_ros.learning.rollout import EndEffectorPath, SimulatedRollout
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.errors import told
 from wam_power_ros.tasks.flip.ballistic_fit import GRAVITY
@@ -175,21 +175,21 @@ def test_a_flip_is_inside_its_limits_as_far_as_turn_miss_and_climb_are(
     flight |= {"landing_error": [0.6 * miss, -0.8 * miss, 0.2], "catch_pitch": 0.3}
     record = SimpleNamespace(observation=flight)
     inside = [math.radians(20.0), 0.08 - miss, 0.025 - climb]
-    assert Flip(SETTINGS, {}).margins(record) == pytest.approx(inside)
-    assert list(Flip(preset("flip", "paper").task_settings, {}).margins(record)) == []
+    assert Flip(SETTINGS, {}).success_margins(record) == pytest.approx(inside)
+    assert list(Flip(preset("flip", "paper").task_settings, {}).success_margins(record)) == []
     for unknown in (None, {name: it for name, it in flight.items() if name != "climb"}):
-        assert list(Flip(SETTINGS, {}).margins(SimpleNamespace(observation=unknown))) == []
+        assert list(Flip(SETTINGS, {}).success_margins(SimpleNamespace(observation=unknown))) == []
 
 
 def test_the_model_of_the_task_predicts_the_toss_of_the_foreseen_path_and_its_excess() -> None:
     task = Flip(SETTINGS, {})
     parametrization = task.parametrization(demonstrated_policy())
-    pan, excess = thrown(2.5, rate=4.0), np.array([-0.3, 0.2])
-    model = task.error_model(parametrization, lambda policy: Foreseen(pan, excess))
+    pan, limit_excess = thrown(2.5, rate=4.0), np.array([-0.3, 0.2])
+    model = task.error_model(parametrization, lambda policy: SimulatedRollout(pan, limit_excess))
     prediction = model.predict(np.zeros(parametrization.size))
     np.testing.assert_allclose(prediction.error, told(task.learnt_errors(), predict_toss(pan)))
     assert np.isfinite(prediction.error).all()
-    np.testing.assert_array_equal(prediction.excess, excess)
+    np.testing.assert_array_equal(prediction.limit_excess, limit_excess)
     assert prediction.uncertain.shape == (4, 2)
     for pancake, uncertain in zip((SLOWED, SLIPPERY), prediction.uncertain.T, strict=True):
         other = told(task.learnt_errors(), predict_toss(pan, pancake=pancake))

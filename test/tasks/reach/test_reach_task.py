@@ -83,9 +83,9 @@ def test_a_path_around_the_obstacle_is_worth_equation_4_and_a_success() -> None:
 def test_the_margins_of_a_reach_are_its_distance_from_the_goal_and_its_clearance() -> None:
     seen = {"goal_distance": 0.03, "clearance": 0.01}
     row = SimpleNamespace(observation=seen)
-    assert task().margins(row) == pytest.approx((SETTINGS.goal_tolerance - 0.03, 0.01))
-    assert task([*OBSTACLE[:3], 0.0]).margins(row) == pytest.approx((0.02,))
-    assert task().margins(SimpleNamespace(observation=None)) == ()
+    assert task().success_margins(row) == pytest.approx((SETTINGS.goal_tolerance - 0.03, 0.01))
+    assert task([*OBSTACLE[:3], 0.0]).success_margins(row) == pytest.approx((0.02,))
+    assert task().success_margins(SimpleNamespace(observation=None)) == ()
 
 
 def test_a_path_into_the_obstacle_is_worth_what_it_is_when_it_stays_there() -> None:

@@ -28,7 +28,7 @@ CUP_FIT = FitSettings(
 class CupNoise(NoiseScales):
     """Standard deviation of the exploration noise of a swing."""
 
-    vigour: float = Field(default=0.01, gt=0.0, le=1.0)  # [1]
+    amplitude: float = Field(default=0.01, gt=0.0, le=1.0)  # [1]
     sideways: float = Field(default=0.005, gt=0.0, le=1.0)  # [m]
 
 
@@ -65,7 +65,7 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
     "cup": _CUP,
     # For comparison: what the return, or the corrections, reach alone. Without corrections the
     # exploration must be as wide as demonstrations differ.
-    "return_only": {**_CUP, "gain": 0.0, "noise": {**_COMMON["noise"], "vigour": 0.03}},
+    "return_only": {**_CUP, "gain": 0.0, "noise": {**_COMMON["noise"], "amplitude": 0.03}},
     "corrections_only": {**_CUP, "learner": {"name": "corrections_only"}, "mean_every": 1},
     # What Kober and Peters learnt with: the return alone, and attractors alone.
     "kober": {**_COMMON, "variant": "attractors"},

@@ -22,7 +22,7 @@ from wam_power_ros.learning.parametrization import (
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.regions import Region
-from wam_power_ros.tasks.ball_in_cup.put_back import emptying, stilling, swing_phasor, swing_rate
+from wam_power_ros.tasks.ball_in_cup import reset_body
 from wam_power_ros.tasks.ball_in_cup.settings import CUP_FIT, PRESETS, CupSettings
 from wam_power_ros.tasks.ball_in_cup.swing import (
     CUP_RADIUS,
@@ -53,9 +53,9 @@ TAUT = 0.03  # [m] by which a ball on a taut string may be nearer or farther tha
 SWING_MIN = 0.005  # [m] amplitude of a swing that is stilled; a smaller one is noise
 SWING_MAX = 0.3  # [m] the same; a larger one loses height by itself
 # Effect of the corrected parameters, measured on demonstrated swings. The ball swings up on the far
-# side: with too little vigour it falls short, which is outward, with too much beyond the cup.
-MISS_OF_VIGOUR = -2.5  # [m] change of the miss along x per unit of vigour
-APEX_OF_VIGOUR = 1.0  # [m] change of the apex per unit of vigour
+# side: with too little amplitude it falls short, which is outward, with too much beyond the cup.
+MISS_OF_AMPLITUDE = -2.5  # [m] change of the miss along x per unit of amplitude
+APEX_OF_AMPLITUDE = 1.0  # [m] change of the apex per unit of amplitude
 MISS_OF_SHIFT = -0.9  # change of the miss along y per shift [1]
 
 
@@ -80,7 +80,7 @@ class BallInCup(Task):
         Error("distance", "m", 0.015, limit=CUP_RADIUS),
     )
     effects = (
-        Effect("vigour", 0.05, {"miss_x": MISS_OF_VIGOUR}),
+        Effect("amplitude", 0.05, {"miss_x": MISS_OF_AMPLITUDE}),
         Effect("sideways", 0.05, {"miss_y": MISS_OF_SHIFT}),
     )
     targets = MappingProxyType({"string": STRING})
@@ -99,7 +99,7 @@ class BallInCup(Task):
         self.string = self.targets["string"]
         if not STRINGS[0] <= self.string <= STRINGS[1]:
             raise ValueError(f"string = {self.string} m must be {STRINGS[0]} to {STRINGS[1]} m")
-        self.rest_time = math.pi / swing_rate(self.string)  # half a swing: the ball is slow there
+        self.rest_time = math.pi / reset_body.swing_rate(self.string)  # half a swing
 
     @classmethod
     def context_of(
@@ -127,7 +127,7 @@ class BallInCup(Task):
         """Learnt parameters of a policy; see `Task`.
 
         The variant "swing" has the attractors mu_x and mu_z, in the plane of the swing, and
-            vigour: Scales the demonstrated movement, mu_i - mu_1 and r_i - r_1, by 1 + vigour [1].
+            amplitude: Scales the demonstrated movement, mu_i - mu_1 and r_i - r_1, by 1 + this [1].
             sideways: Moves the last attractors along y, out of the plane of the swing [m]. A shift
                 in the plane would throw the ball as far again.
 
@@ -148,7 +148,7 @@ class BallInCup(Task):
         turn = seen.rotation_attractors - seen.rotation_attractors[0]
         groups = (
             Attractors(noise.attractor, SWING_PLANE),
-            Direction(noise.vigour, "vigour", attractors=swing, rotation=turn),
+            Direction(noise.amplitude, "amplitude", attractors=swing, rotation=turn),
             Direction(noise.sideways, "sideways", attractors=sideways, rotation=still),
         )
         return Parametrization(policy, groups, self.heading)
@@ -175,14 +175,14 @@ class BallInCup(Task):
         tool = Pose(*arm.tool_pose(q_start))
         offset = body.position - tool.position
         if in_cup(tool.rotation.T @ offset):
-            return emptying(q_start)
+            return reset_body.empty_cup(q_start)
         taut = abs(float(np.linalg.norm(offset)) - self.string) < TAUT and offset[2] < 0.0
         if not taut:
             return "person"
-        rate = swing_rate(self.string)
-        swing = swing_phasor(offset[:2], body.velocity[:2], rate)
+        rate = reset_body.swing_rate(self.string)
+        swing = reset_body.swing_phasor(offset[:2], body.velocity[:2], rate)
         stills = SWING_MIN < np.abs(swing).max() < SWING_MAX
-        return stilling(arm, q_start, swing, rate) if stills else "wait"
+        return reset_body.damp_swing(arm, q_start, swing, rate) if stills else "wait"
 
     def assess(self, policy: Policy, rollout: Rollout) -> Assessment:
         """Return and success of a rollout of `policy`."""
@@ -205,7 +205,7 @@ class BallInCup(Task):
     def measure(self, observation: Mapping[str, Any]) -> Mapping[str, float]:
         """Where the ball fell; one that stayed low: as if a string's length short, straight."""
         swing = swing_of(observation)
-        x, y = swing.miss or (self.string + MISS_OF_VIGOUR / APEX_OF_VIGOUR * swing.apex, 0.0)
+        x, y = swing.miss or (self.string + MISS_OF_AMPLITUDE / APEX_OF_AMPLITUDE * swing.apex, 0.0)
         return {"miss_x": x, "miss_y": y, "distance": swing.distance}
 
     def outcome(self, record: LoggedRollout) -> str:

@@ -22,7 +22,7 @@ _STD_MAX = 0.0015  # with a larger one the movement is too slow to tell [s]
 _SLIP = 0.001  # standard deviation of the height of a pancake that is carried [m]
 _HOP = 0.006  # change of height beyond which it was not carried in this frame [m]
 _LEAVES = 0.01  # before the pan is seen fastest it may have left it [s]
-_NEAR = 0.03  # height of a frame in which it may be carried [m]
+_CARRIED_HEIGHT = 0.03  # height of a frame in which it may be carried [m]
 _CARRIED_MIN = 0.8  # share of the frames before the release in which it is, unless it hops
 _LEAD_MIN = 3.0  # by how many frames an offset must be better than others if it does
 
@@ -45,8 +45,8 @@ def clock_offset(pan: EndEffectorPath, pancake: BodyPath, before: BodyPath | Non
     share = np.mean(_off(height[best, carried[best]]) < 1.0) if carried[best].any() else 0.0
     used = carried[best]
     if share < _CARRIED_MIN:  # it hops: whatever the pan carries, after the flight too
-        best, lead = _steadiest(height, np.abs(height) < _NEAR, 1.0)
-        used = (np.abs(height[best]) < _NEAR) & (lead * len(stamps) > _LEAD_MIN)
+        best, lead = _steadiest(height, np.abs(height) < _CARRIED_HEIGHT, 1.0)
+        used = (np.abs(height[best]) < _CARRIED_HEIGHT) & (lead * len(stamps) > _LEAD_MIN)
     seen = float(np.linalg.norm(np.interp(t[best, used], pan.t, speed)))
     late = float(offsets[best])
     return late if abs(late) > _UNCORRECTED and _SLIP < seen * _STD_MAX else 0.0

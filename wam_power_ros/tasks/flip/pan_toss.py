@@ -28,8 +28,8 @@ RIM_HEIGHT = 0.035  # [m]
 RIM_FLARE = 0.6  # outward, from the pan's normal [rad]
 RIM_TOP = PAN_RADIUS + RIM_HEIGHT * math.tan(RIM_FLARE)  # along the floor [m]
 FOOT = 0.0025  # height up to which the pancake's side meets the foot of the rim [m]
-NEAR = 0.015  # gap below which a contact may come within a step [m]
-DEEP = 0.03  # depth beyond which a body is on the other side of a surface [m]
+CONTACT_GAP = 0.015  # gap below which a contact may come within a step [m]
+CONTACT_DEPTH = 0.03  # depth beyond which a body is on the other side of a surface [m]
 SWEEPS = 6
 
 _Name = tuple[str, int]  # of a contact: surface of the pan, and end of the pancake or side
@@ -138,19 +138,19 @@ def _touches(
     for end in (1, -1):
         lx, lz = end * radius * cos, end * radius * sin
         along, height = (dx + lx) * c + (dz + lz) * s, (dz + lz) * c - (dx + lx) * s
-        if -DEEP < height < NEAR and abs(along) < PAN_RADIUS + NEAR:
+        if -CONTACT_DEPTH < height < CONTACT_GAP and abs(along) < PAN_RADIUS + CONTACT_GAP:
             yield ("floor", end), height, lx, lz, -s, c
         side = 1 if along > 0.0 else -1
         gap, inward = (PAN_RADIUS - side * along) * wall + height * flare, -side * wall
         nx, nz = inward * c - flare * s, inward * s + flare * c
         if height < FOOT:
             gap, nx, nz = PAN_RADIUS - side * along, -end * cos, -end * sin
-        if -DEEP < height < RIM_HEIGHT and -DEEP < gap < NEAR:
+        if -CONTACT_DEPTH < height < RIM_HEIGHT and -CONTACT_DEPTH < gap < CONTACT_GAP:
             yield ("wall", end), gap, lx, lz, nx, nz
     up = 1.0 if cos * c + sin * s > 0.0 else -1.0  # the face above
     for side in (1, -1):
         along = side * RIM_TOP
         lx, lz = along * c - RIM_HEIGHT * s - dx, along * s + RIM_HEIGHT * c - dz
         gap = up * (lx * sin - lz * cos)
-        if abs(lx * cos + lz * sin) < radius and -NEAR < gap < NEAR:
+        if abs(lx * cos + lz * sin) < radius and -CONTACT_GAP < gap < CONTACT_GAP:
             yield ("top", side), gap, lx, lz, -up * sin, up * cos

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parametrization of a toss: its policy, vigour, tempo, flick and catch shift."""
+"""Parametrization of a toss: its policy, amplitude, tempo, wrist amplitude and catch shift."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ PLANE = (0, 2)  # axes of the movement
 # Share of a shift or pitch that an attractor gets, by its place in the movement [1]. With the 8 of
 # the paper the last three get 0.5, 1 and 1.
 CATCH = ((4.0 / 7.0, 6.0 / 7.0), (0.0, 1.0))
-TURN_OF_FLICK = 2.0  # additional rotation per unit of flick, measured on wrist flicks [rad]
-TURN_OF_VIGOUR = 3.0  # additional rotation per unit of vigour [rad]
+TURN_OF_WRIST = 2.0  # additional rotation per unit, measured on wrist flicks [rad]
+TURN_OF_AMPLITUDE = 3.0  # additional rotation per unit of amplitude [rad]
 # Additional rotation per unit of log tempo [rad]: both spin and time of flight, whose product is a
 # rotation of pi, are proportional to the tempo.
 TURN_OF_TEMPO = 6.0
@@ -33,9 +33,9 @@ TURN_OF_TEMPO = 6.0
 class FlipNoise(NoiseScales):
     """Standard deviation of the exploration noise of a toss."""
 
-    vigour: float = Field(default=0.05, gt=0.0, le=1.0)  # [1]
+    amplitude: float = Field(default=0.05, gt=0.0, le=1.0)  # [1]
     tempo: float = Field(default=0.03, gt=0.0, le=1.0)  # of its logarithm [1]
-    flick: float = Field(default=0.05, gt=0.0, le=1.0)  # [1]
+    wrist_amplitude: float = Field(default=0.05, gt=0.0, le=1.0)  # [1]
     catch_shift: float = Field(gt=0.0, le=1.0)  # [m]
 
 
@@ -47,10 +47,10 @@ def flip_parametrization(
     The variant "planar" is of a movement in the x-z plane of axes that are turned about the
     vertical by a heading [rad]: K_xx, K_zz and K_xz, mu_x and mu_z, the
     rotation attractor about y (pitch), the tempo, and five more parameters:
-        vigour: Scales the demonstrated movement in the plane, mu_i - mu_1 and r_i - r_1, by
-            1 + vigour [1]. Eq. 1 is linear in its attractors, so all speeds and accelerations grow
-            by the same factor, in the same time.
-        flick: Scales the demonstrated rotation of the pan about y, r_i - r_1, by 1 + flick [1].
+        amplitude: Scales the demonstrated movement in the plane, mu_i - mu_1 and r_i - r_1, by
+            1 + amplitude [1]. Eq. 1 is linear in its attractors, so all speeds and accelerations
+            grow by the same factor, in the same time.
+        wrist_amplitude: Scales the demonstrated rotation about y, r_i - r_1, by 1 + this [1].
         catch_shift: Moves mu_x of the attractors of the catch by this [m], see `CATCH`.
         catch_pitch: Turns their r_i about y in the same way [rad]: the pan that catches is lower in
             front.
@@ -76,8 +76,8 @@ def flip_parametrization(
         Rotation(noise.rotation, (1,)),
         Direction(noise.catch_shift, "side_shift", attractors=side, rotation=zeros),
         Direction(noise.rotation, "catch_pitch", attractors=zeros, rotation=level),
-        Direction(noise.vigour, "vigour", attractors=swing, rotation=turn),
-        Direction(noise.flick, "flick", attractors=zeros, rotation=turn),
+        Direction(noise.amplitude, "amplitude", attractors=swing, rotation=turn),
+        Direction(noise.wrist_amplitude, "wrist_amplitude", attractors=zeros, rotation=turn),
         Direction(noise.catch_shift, "catch_shift", attractors=shift, rotation=zeros),
         Tempo(noise.tempo),
     )

@@ -14,7 +14,7 @@ import numpy as np
 from wam_power_ros.learning.demonstration import Demonstration
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.rollout import Foreseen, Rollout
+from wam_power_ros.learning.rollout import Rollout, SimulatedRollout
 from wam_power_ros.regions import Region
 from wam_power_ros.tasks.flip import assessment as flip_assessment
 from wam_power_ros.tasks.flip.frames import DELTA_H, REST_HEIGHT_MAX
@@ -101,20 +101,20 @@ class Flip(Task):
         terms = {name: share * term for name, term in found.terms.items()}
         return replace(found, ret=share * found.ret, terms=terms, success=success)
 
-    def margins(self, record: LoggedRollout) -> Sequence[float]:
+    def success_margins(self, record: LoggedRollout) -> Sequence[float]:
         """Those of the errors, unless another rotation is a success, or none is needed."""
         low, high = self.settings.success_angle, self.settings.success_angle_max
         least, most = math.pi - ERRORS[0].limit, math.pi + ERRORS[0].limit
         within = 0.0 < low <= least + 1e-9 and most <= high + 1e-9
-        return super().margins(record) if within else ()
+        return super().success_margins(record) if within else ()
 
     def measure(self, observation: Mapping[str, Any]) -> Mapping[str, float] | None:
         """Errors of rotation, landing and catch; see `Task`."""
         return measured_errors(observation)
 
-    def predict(self, foreseen: Foreseen) -> Sequence[Mapping[str, float]]:
+    def predict(self, simulated: SimulatedRollout) -> Sequence[Mapping[str, float]]:
         """Toss along the simulated path, with more drag of the spin, and with less friction."""
-        pan = turned_path(foreseen.tool, self.heading)
+        pan = turned_path(simulated.tool, self.heading)
         return [predict_toss(pan, pancake) for pancake in (PANCAKE, SLOWED, SLIPPERY)]
 
     def outcome(self, record: LoggedRollout) -> str:

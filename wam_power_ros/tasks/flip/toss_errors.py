@@ -9,7 +9,7 @@ from typing import Any
 
 from wam_power_ros.tasks.errors import Effect, Error
 from wam_power_ros.tasks.flip.pan_toss import PANCAKE
-from wam_power_ros.tasks.flip.parametrization import TURN_OF_FLICK, TURN_OF_TEMPO, TURN_OF_VIGOUR
+from wam_power_ros.tasks.flip.parametrization import TURN_OF_AMPLITUDE, TURN_OF_TEMPO, TURN_OF_WRIST
 
 ERRORS = (
     Error("rotation", "rad", math.radians(15.0), math.radians(30.0), math.radians(5.0)),
@@ -24,11 +24,11 @@ ERRORS = (
     Error("climb", "m", 0.01, limit=0.025, scatter=0.004),
     Error("apex", "m", 0.025, limit=0.05, scatter=0.012),  # counts if a goal asks for one
 )
-APEX_OF_VIGOUR = 0.7  # [m] per unit of vigour, or of log tempo, measured on tosses of tuning seeds
+APEX_OF_AMPLITUDE = 0.7  # [m] per unit, or per log tempo, measured on tosses of tuning seeds
 EFFECTS = (
-    Effect("vigour", 0.3, {"rotation": TURN_OF_VIGOUR, "apex": APEX_OF_VIGOUR}),
-    Effect("tempo", 0.15, {"rotation": TURN_OF_TEMPO, "apex": APEX_OF_VIGOUR}),
-    Effect("flick", 0.3, {"rotation": TURN_OF_FLICK}),
+    Effect("amplitude", 0.3, {"rotation": TURN_OF_AMPLITUDE, "apex": APEX_OF_AMPLITUDE}),
+    Effect("tempo", 0.15, {"rotation": TURN_OF_TEMPO, "apex": APEX_OF_AMPLITUDE}),
+    Effect("wrist_amplitude", 0.3, {"rotation": TURN_OF_WRIST}),
     Effect("catch_shift", 0.25, {"landing_x": -1.0}),
     Effect("side_shift", 0.25, {"landing_y": -1.0}),
     Effect("catch_pitch", 0.25, {"catch_pitch": -1.0}),

@@ -114,7 +114,7 @@ class Reach(Task):
             return None
         return dict(zip(AXES, observation["end"], strict=True))
 
-    def margins(self, record: LoggedRollout) -> Sequence[float]:
+    def success_margins(self, record: LoggedRollout) -> Sequence[float]:
         """Distance from the goal within its tolerance, and clearance of the obstacle [m]."""
         seen = record.observation
         if seen is None:

@@ -11,7 +11,7 @@ class Puck(Task):
     presets = {"puck": {"budget": 20, "retests": 1}}
     goal = Goal(achieved="stopped the puck at the mark")
     errors = (Error("beside", "m", 0.01, limit=0.03), Error("beyond", "m", 0.01, limit=0.03))
-    effects = (Effect("shift_x", 0.05, {"beside": 1.0}), Effect("vigour", 0.2, {"beyond": 0.5}))
+    effects = (Effect("shift_x", 0.05, {"beside": 1.0}), Effect("amplitude", 0.2, {"beyond": 0.5}))
 
     def observe(self, rollout):
         x, y, _ = rollout.body.position[-1]

@@ -6,10 +6,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.control.feasibility import foresee, simulate_policy, speed_margin
+from wam_power_ros.control.feasibility import simulate, simulate_policy, speed_margin
 from wam_power_ros.faults import Fault
 from wam_power_ros.learning.policy import Policy, to_json, with_id
-from wam_power_ros.learning.rollout import Foreseen
+from wam_power_ros.learning.rollout import SimulatedRollout
 from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import robot_description, share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
@@ -39,8 +39,8 @@ class SimulatedArm:
         Later files of the controller are over earlier ones; a ValueError if a value is not valid.
         """
         urdf = robot_description(urdf)
-        setup = overlay.of_files([share(file) for file in controller])
-        params = TorqueControllerParams.of_setup(setup)
+        setup = overlay.from_files([share(file) for file in controller])
+        params = TorqueControllerParams.from_setup(setup)
         own = TorqueControllerParams.model_fields.keys() - ELSEWHERE
         self.parameters = {name: setup["torque_controller"][name] for name in sorted(own)}
         parts = params.corrections, params.base_frame, params.position_limits
@@ -48,19 +48,19 @@ class SimulatedArm:
         self.identity = self.kinematics.identity()
         self._controller, self.region = params.controller(urdf), params.region
         self._report = report
-        # movement and number of overruns -> fault that ends it, None if it is feasible
+        # movement and unpredicted limit stops -> fault that ends it, None if it is feasible
         self._verdicts: dict[tuple[str, int], Fault | None] = {}
 
-    def infeasible(self, policy: Policy, overruns: int = 0) -> Fault | None:
+    def infeasible(self, policy: Policy, limit_stops: int = 0) -> Fault | None:
         """See `practice.ArmModel`."""
-        key = to_json(with_id(policy, "movement")), overruns
+        key = to_json(with_id(policy, "movement")), limit_stops
         if key not in self._verdicts:
             arm, settings = self._controller.arm, self._controller.settings
-            simulated = simulate_policy(arm, settings, policy, speed_margin(overruns))
+            simulated = simulate_policy(arm, settings, policy, speed_margin(limit_stops))
             self._report(f"{policy.id} simulated: {simulated}")
             self._verdicts[key] = simulated.fault
         return self._verdicts[key]
 
-    def foresee(self, policy: Policy) -> Foreseen | None:
+    def simulate(self, policy: Policy) -> SimulatedRollout | None:
         """See `practice.ArmModel`."""
-        return foresee(self._controller.arm, self._controller.settings, policy)
+        return simulate(self._controller.arm, self._controller.settings, policy)

@@ -15,11 +15,11 @@ from hardware_sim.scenes.ball_in_cup import HOME
 from hardware_sim.wam import JOINTS
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.params.resources import robot_description
-from wam_power_ros.tasks.ball_in_cup.put_back import (
+from wam_power_ros.tasks.ball_in_cup.reset_body import (
     REQUEST_TIME,
     VELOCITY_LAG,
-    emptying,
-    stilling,
+    damp_swing,
+    empty_cup,
     swing_phasor,
     swing_rate,
 )
@@ -65,13 +65,13 @@ def test_a_movement_stills_most_of_a_swing_whatever_its_phase_and_direction(
     x: float, phase_x: float, y: float, phase_y: float
 ) -> None:
     swing = np.array([x, y]) * np.exp(1j * np.array([phase_x, phase_y]))
-    move = stilling(ARM, HOME, swing, SWING_RATE)
+    move = damp_swing(ARM, HOME, swing, SWING_RATE)
     assert left(move, swing).max() <= 0.25 * np.abs(swing).max() + 0.003
 
 
 def test_movements_begin_and_end_at_the_start_at_rest_with_an_upright_cup_on_its_way() -> None:
-    still = stilling(ARM, HOME, np.array([0.1 + 0.05j, -0.1j]), SWING_RATE)
-    for move in (still, emptying(HOME)):
+    still = damp_swing(ARM, HOME, np.array([0.1 + 0.05j, -0.1j]), SWING_RATE)
+    for move in (still, empty_cup(HOME)):
         np.testing.assert_allclose(move.q[[0, -1]], [HOME, HOME], atol=1e-9)
         assert (np.diff(move.t) > 0.0).all() and len(move.t) == len(move.q)
         speed = np.abs(np.diff(move.q, axis=0)).max(axis=0) / np.diff(move.t)[0]
@@ -84,6 +84,6 @@ def test_movements_begin_and_end_at_the_start_at_rest_with_an_upright_cup_on_its
 @pytest.mark.parametrize("roll", [-0.4, 0.4])  # more than the joint has beyond `ROLL`
 def test_an_emptied_cup_has_been_upside_down(roll: float) -> None:
     start = HOME + roll * np.eye(7)[-1]
-    move = emptying(start)
+    move = empty_cup(start)
     assert min(ARM.tool_pose(q)[1][2, 2] for q in move.q) < -0.7
     assert ((ARM.q_min < move.q) & (move.q < ARM.q_max)).all()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Improvement of one demonstration by a learner, with feasible sampling.
+"""Learning from one demonstration by a learner, with feasible sampling.
 
 Coordinates z (size,) are infeasible when the simulation of their policy on the rigid-body model
 ends in a fault; whether they are must be a function of z alone. Infeasible samples are rejected;
@@ -18,8 +18,8 @@ from wam_power_ros.faults import Fault
 from wam_power_ros.learning.learner import Learner, MeasuringLearner
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.rollout import Foreseen
-from wam_power_ros.practice.best_policy import best_without_fault, ended_by_fault, overruns
+from wam_power_ros.learning.rollout import SimulatedRollout
+from wam_power_ros.practice.best_policy import best_without_fault, ended_by_fault, limit_stops
 from wam_power_ros.practice.session_log import Record, Trial
 from wam_power_ros.practice.settings import SessionSettings
 from wam_power_ros.practice.stopping_rule import StoppingRule
@@ -35,27 +35,24 @@ class ArmModel(Protocol):
     Both methods must be functions of their arguments: a replay depends on it.
     """
 
-    def infeasible(self, policy: Policy, overruns: int = 0) -> Fault | None:
+    def infeasible(self, policy: Policy, limit_stops: int = 0) -> Fault | None:
         """Fault in which a simulated execution of a policy ends, None if it is feasible.
 
-        `overruns` is the number of rollouts in which the arm exceeded a limit that its model kept.
+        `limit_stops` counts the rollouts in which the arm exceeded a limit that its model kept.
         """
 
-    def foresee(self, policy: Policy) -> Foreseen | None:
+    def simulate(self, policy: Policy) -> SimulatedRollout | None:
         """Simulated execution of a policy; None if it ends in a fault."""
 
 
 def feasibility(
-    parametrization: Parametrization, arm: ArmModel, overruns: int, name: str
+    parametrization: Parametrization, arm: ArmModel, limit_stops: int, name: str
 ) -> Callable[[np.ndarray], bool]:
-    """Function of z (size,): whether its policy, simulated under a name, is feasible.
-
-    For `overruns` see `ArmModel.infeasible`.
-    """
+    """Function of z (size,): whether its policy, simulated under a name, is feasible."""
 
     def is_feasible(z: np.ndarray) -> bool:
         policy, _ = parametrization.policy(z, name)
-        return arm.infeasible(policy, overruns) is None
+        return arm.infeasible(policy, limit_stops) is None
 
     return is_feasible
 
@@ -109,7 +106,7 @@ def _first(
     return z, count
 
 
-class Improvement:
+class LearningRun:
     """Selects trials around one demonstration and learns from their records.
 
     Attributes:
@@ -132,9 +129,10 @@ class Improvement:
         self.practised = practised
         self._settings, self._task, self._arm, self._rng = settings, task, arm, rng
         self._records = records
-        margins = task.margins if task.declares("errors", "margins") else lambda record: ()
-        self.rule = StoppingRule(settings.practice, margins, task.margin_scatter)
-        self._error_model = task.error_model(parametrization, arm.foresee)
+        known = task.declares("errors", "success_margins")
+        margins = task.success_margins if known else lambda record: ()
+        self.rule = StoppingRule(settings.practice, margins, task.scatter)
+        self._error_model = task.error_model(parametrization, arm.simulate)
         self.learn_again()
 
     @property
@@ -158,7 +156,7 @@ class Improvement:
         own, rule, settings = self.parametrization, self.rule, self._settings.practice
         if rule.z is not None:
             nth = f"{rule.count + 1} of at most {settings.confirm}"
-            return Trial.of(number, own, "mean", rule.z, f"confirms the mean policy, {nth}")
+            return Trial.at(number, own, "mean", rule.z, f"confirms the mean policy, {nth}")
         every = settings.mean_every
         if rule.mean_is_due or (every > 0 and (self.practised + 1) % every == 0):
             z, count, is_mean = *self.shrunk(self.learner.mean, rejections), True
@@ -167,8 +165,8 @@ class Improvement:
             is_mean = count == 0 and np.array_equal(z, self.learner.mean)  # without exploration
         if is_mean:
             purpose = "the mean policy, without exploration"
-            return Trial.of(number, own, "mean", z, purpose, count)
-        return Trial.of(number, own, "explore", z, "explores", count)
+            return Trial.at(number, own, "mean", z, purpose, count)
+        return Trial.at(number, own, "explore", z, "explores", count)
 
     def shrunk(self, z: np.ndarray, halvings: int | None) -> tuple[np.ndarray, int]:
         """Coordinates shrunk until they are feasible, and the number of halvings; see `shrink`."""
@@ -182,12 +180,12 @@ class Improvement:
 
     def _tell(self, record: Record) -> None:
         """Let the learner learn from a record, if it is learnt from."""
-        if record.learnt_as is None:
+        if record.z_corrected is None:
             return
         learner, error = self.learner, self._task.error(record.observation)
         if isinstance(learner, MeasuringLearner) and error is not None:
             learner.measure(np.array(record.z), error)
-        self.learner.tell(np.array(record.learnt_as), float(record.rated_return or 0.0))
+        self.learner.tell(np.array(record.z_corrected), float(record.rated_return or 0.0))
 
     def _ran(self) -> np.ndarray:
         """Coordinates of the best policy that ran without a fault, else 0. Shape (size,)."""
@@ -199,5 +197,5 @@ class Improvement:
         # The arm may exceed a limit that its model keeps, whatever margin is left there.
         if z.tolist() in ended_by_fault(self._records, self.demonstration):
             return False
-        exceeded = overruns(self._records)
+        exceeded = limit_stops(self._records)
         return feasibility(self.parametrization, self._arm, exceeded, "sample")(z)

@@ -26,7 +26,7 @@ KNOT = 0.02  # [s] between two postures of a movement
 NUDGE = 1e-4  # [rad] by which a joint is turned to see what that does to the tool
 
 
-def emptying(q_start: np.ndarray) -> Move:
+def empty_cup(q_start: np.ndarray) -> Move:
     """Roll the cup over and back. Shape of `q_start` (n,) [rad]."""
     t = np.arange(0.0, 2.0 * ROLL_TIME + KNOT, KNOT)
     q = np.tile(q_start, (len(t), 1))
@@ -53,7 +53,7 @@ def swing_phasor(beside: np.ndarray, velocity: np.ndarray, rate: float) -> np.nd
     return beside - 1j * velocity / rate
 
 
-def stilling(arm: ToolPose, q_start: np.ndarray, swing: np.ndarray, rate: float) -> Move:
+def damp_swing(arm: ToolPose, q_start: np.ndarray, swing: np.ndarray, rate: float) -> Move:
     """Step the cup along x and y so that a swing is stilled, as far as `STEP_MAX` allows.
 
     Args:

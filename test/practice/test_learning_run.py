@@ -11,7 +11,7 @@ from toss_task import AnyArm, demonstrated_policy
 
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.power import Power
-from wam_power_ros.practice.improvement import (
+from wam_power_ros.practice.learning_run import (
     HALVINGS_MAX,
     REJECTIONS_MAX,
     feasibility,
