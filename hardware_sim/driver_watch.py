@@ -108,7 +108,8 @@ class DriverWatch:
                 name = other.node_name
                 itself = (name, other.node_namespace) == (node.get_name(), node.get_namespace())
                 if name not in OWN_NODES and not itself and not name.startswith(self._listeners):
-                    return name, f"receives {topic}"
+                    told = "(if it is no driver, name it in `listeners` of wam_sim)"
+                    return name, f"receives {topic} {told}"
         return "", ""
 
     def _is_stand_in_elsewhere(self, other: TopicEndpointInfo) -> bool:

@@ -102,6 +102,13 @@ def test_each_mode_and_fault_and_its_reset_are_logged_once(
         assert beside.take() == logged
 
 
+def test_a_node_that_was_shut_down_waits_for_its_end_alone(
+    report: ControllerReport, beside: Preparation
+) -> None:
+    report.log_changes(replace(active(), active=False, finalized=True))
+    assert beside.take()[-1] == ("info", "waiting for its end (Ctrl-C): it was shut down")
+
+
 def test_refusals_are_counted_a_warning_for_one_second_and_remembered(
     report: ControllerReport, beside: Preparation
 ) -> None:

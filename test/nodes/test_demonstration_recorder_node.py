@@ -28,6 +28,7 @@ from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool
 
 from wam_power_interfaces.msg import Policy as PolicyMessage
+from wam_power_interfaces.msg import RolloutEnd
 from wam_power_ros.bags import layout, reader
 from wam_power_ros.bags.bag import Bag
 from wam_power_ros.bags.recovery import recover
@@ -307,6 +308,31 @@ def test_a_rollout_is_named_after_the_policy_that_came_for_it(bench: Bench) -> N
     assert [name[:5] for name in names[2:]] == ["demo_"] * 2
     with Reader(bench.folder / names[0]) as bag:
         assert bag.topics["/policy"].msgcount == 1  # the message latched at the start
+
+
+def test_a_demonstration_after_a_rollout_is_no_rollout(bench: Bench) -> None:
+    probe = bench.probe
+    policies = probe.publisher(PolicyMessage, interface.POLICY, interface.LATCHED)
+    ends = probe.publisher(RolloutEnd, interface.ROLLOUT_END, interface.LATCHED)
+
+    def publish(id: str) -> None:
+        policies.publish(PolicyMessage(id=id, text=to_json(lift(id))))
+        probe.spin(0.5)
+
+    names = []
+    for recorded in (True, False):  # and the second rollout is not recorded
+        publish("moved")  # to its start
+        if recorded:
+            bench.start()
+            publish("moved")  # executed
+            names.append(bench.stop().name)
+        ends.publish(RolloutEnd(policy_id="moved"))
+        probe.spin(0.5)
+        bench.start()
+        bench.send(20)
+        names.append(bench.stop().name)
+    assert names[0] == "rollout_moved"
+    assert [name[:5] for name in names[1:]] == ["demo_"] * 2
 
 
 def test_the_path_of_a_body_is_waited_for_when_its_rollout_has_finished(bench: Bench) -> None:

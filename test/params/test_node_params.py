@@ -70,6 +70,13 @@ def test_an_unknown_key_or_a_bad_value_is_named(
         Oven.from_node(node_with(**(GOOD | {name: value})))
 
 
+def test_a_mistyped_parameter_is_answered_with_the_one_that_is_meant(
+    node_with: Callable[..., Node],
+) -> None:
+    with pytest.raises(ValueError, match="heatt is no parameter; did you mean 'heat'"):
+        Oven.from_node(node_with(**GOOD, heatt=1.0))
+
+
 @pytest.mark.requirement("S-18")
 def test_a_parameter_that_was_read_cannot_be_changed(node_with: Callable[..., Node]) -> None:
     node = node_with(**GOOD)

@@ -48,6 +48,15 @@ def values(probe: Probe, name: str, names: list[str]) -> dict[str, object]:
     return dict(zip(names, lists, strict=True))
 
 
+@pytest.mark.parametrize("node", ["torque_controller", "learner"])
+def test_words_that_no_node_reads_are_refused(node: str, processes: Processes) -> None:
+    command = [sys.executable, "-m", "wam_power_ros.entry", node, "-p", "move_speed:=0.1"]
+    refused = processes.start(command)
+    assert refused.wait(30.0) == 2
+    text = "-p move_speed:=0.1: a node reads only what follows --ros-args"
+    assert text in processes.output(refused)
+
+
 @pytest.mark.parametrize("node", ["demonstration_recorder", "pancake_tracker"])
 def test_a_node_takes_from_its_defaults_what_no_file_and_no_argument_says(
     node: str, probe: Probe, processes: Processes, tmp_path: Path

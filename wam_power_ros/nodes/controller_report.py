@@ -36,6 +36,7 @@ class Condition:
     missing_state: str | None  # why the joint states do not suffice to hold the arm, else None
     granted: Granted
     last_stop: str = ""  # id of the last stop by a person
+    finalized: bool = False  # shut down: only its process is left
 
     @property
     def mode(self) -> str:
@@ -97,6 +98,8 @@ class ControllerReport:
         """What the node waits for before it can be active, as text; empty if nothing."""
         if now.active:
             return ""
+        if now.finalized:
+            return "its end (Ctrl-C): it was shut down"
         node = self._node.get_fully_qualified_name()
         if now.description_missing is not None:
             topic = self._node.resolve_topic_name(interface.ROBOT_DESCRIPTION)

@@ -2,7 +2,7 @@
 """Demonstration recorder: `recorder/record` true begins a bag, false ends it.
 
 Messages are received serialised and written by another thread, never decoded. A bag is named
-`rollout_<id>` if a policy has come since the last recording began, else `<stem>_<date>_<time>`.
+`rollout_<id>` if the rollout of a policy is to come, else `<stem>_<date>_<time>`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from std_srvs.srv import SetBool
 
-from wam_power_interfaces.msg import Policy
+from wam_power_interfaces.msg import Policy, RolloutEnd
 from wam_power_ros import __version__, arm_identity
 from wam_power_ros.bags import layout
 from wam_power_ros.bags.background_writer import Recording
@@ -90,7 +90,7 @@ class DemonstrationRecorder(Node):
         self._directory = Path(params.directory).expanduser().absolute()
         self._recording: Recording | None = None
         self._latched_messages: dict[str, bytes] = {}  # by topic
-        self._policy_id = ""  # of a policy that came since the last recording began
+        self._policy_id = ""  # of a policy whose rollout is to be recorded
         self._error = ""  # why a recording ended early
         self._warning = ""  # about the last bag
 
@@ -115,7 +115,9 @@ class DemonstrationRecorder(Node):
         if self._sim_time:
             topics[interface.CLOCK] = ()
         self._topics = RawTopics(self, topics, self._on_message)
-        self.create_subscription(Policy, interface.POLICY, self._on_policy, interface.LATCHED)
+        subscribe, latched = self.create_subscription, interface.LATCHED
+        subscribe(Policy, interface.POLICY, self._on_policy, latched)
+        subscribe(RolloutEnd, interface.ROLLOUT_END, self._on_end, latched)
         self._diagnostics = Diagnostics(self, "bag", "disk")
         self.create_service(SetBool, interface.RECORD, self._on_record)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -155,9 +157,14 @@ class DemonstrationRecorder(Node):
     def _on_policy(self, message: Policy) -> None:
         try:
             check_id(message.id)  # will be the name of a file
-            self._policy_id = message.id
+            if self._recording is None:  # else it is executed in this one, not in the next
+                self._policy_id = message.id
         except ValueError as error:
             self.get_logger().warning(f"policy refused: {error}", throttle_duration_sec=1.0)
+
+    def _on_end(self, message: RolloutEnd) -> None:
+        if message.policy_id == self._policy_id:  # nobody recorded it
+            self._policy_id = ""
 
     def _on_record(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         try:

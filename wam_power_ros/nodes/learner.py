@@ -44,7 +44,7 @@ from wam_power_ros.practice.session_log import KIND_NAMES, Event, Pause, Record,
 from wam_power_ros.practice.settings import of_parameters
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.diagnostics import LEARNER_STATE, Diagnostics
-from wam_power_ros.ros.node_runner import end, init, interrupt_on_signals
+from wam_power_ros.ros.node_runner import check_arguments, end, init, interrupt_on_signals
 from wam_power_ros.ros.outcomes import Answer, Code, ServiceError, fill
 from wam_power_ros.tasks.rated import assessed
 from wam_power_ros.tasks.task import Assessment, Pose, Task
@@ -410,6 +410,7 @@ def main() -> int:
     interrupt_on_signals()
     try:
         init()
+        check_arguments()
         node = Learner()
         node.practise()
     except (SessionFailed, ServiceError, ValueError, OSError) as error:

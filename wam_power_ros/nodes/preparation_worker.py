@@ -217,10 +217,10 @@ class PreparationWorker(Node):
 def followed(answer: Answer, **_: object) -> FollowJointTrajectory.Result:
     """Result of a FollowJointTrajectory that ended with an answer."""
     result = FollowJointTrajectory.Result(error_string=answer.text)
-    if answer.code in (Code.REFUSED, Code.TOO_FAST):
-        result.error_code = result.INVALID_GOAL
-    elif not answer.success:
+    if answer.code in (Code.FAULT, Code.STOPPED):  # all others before it moved
         result.error_code = result.PATH_TOLERANCE_VIOLATED
+    elif not answer.success:
+        result.error_code = result.INVALID_GOAL
     return result
 
 

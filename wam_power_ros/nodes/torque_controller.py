@@ -71,7 +71,7 @@ class TorqueController(LifecycleNode):
         self._autostart = params.autostart
         self._urdf = robot_description(params.urdf) if params.urdf else ""
         self._controller: Controller | None = None
-        self._active = False
+        self._active = self._finalized = False
         self._qd: np.ndarray | None = None  # from the velocity topic [rad/s]
         self._qd_ns = 0  # when it came, steady clock
         self._refused_ns, self._refusal = -STATE_AGE_MAX_NS, ""  # the last refused joint state
@@ -209,6 +209,7 @@ class TorqueController(LifecycleNode):
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop the arm and send a last torque, as for deactivation."""
         self.close()
+        self._finalized = True
         return SUCCESS
 
     def close(self) -> None:
@@ -554,6 +555,7 @@ class TorqueController(LifecycleNode):
             missing_state=self._missing_state(),
             granted=self._granted,
             last_stop=self._requests.last_stop,
+            finalized=self._finalized,
         )
 
 

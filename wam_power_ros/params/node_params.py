@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from wam_power_ros import installed
 from wam_power_ros.params import overlay, parameter_file
 from wam_power_ros.params.resources import share
 
@@ -185,6 +186,8 @@ class Params(BaseModel):
         rule = error["msg"].removeprefix("Value error, ")
         if not key:
             return rule
+        if error["type"] == "extra_forbidden":
+            return f"{key} is no parameter{installed.did_you_mean(key, [*cls.model_fields])}"
         shown = repr(error["input"])
         shown = shown if len(shown) <= SHOWN_LENGTH_MAX else f"{shown[:SHOWN_LENGTH_MAX]}..."
         field = cls.model_fields.get(str(error["loc"][0]))

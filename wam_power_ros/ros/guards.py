@@ -76,7 +76,8 @@ class CommandGuard:
         self._unsubscribe_if_alone()
         if others <= before:
             return None
-        return f"{others} other publishers on the command topic {self._publisher.topic_name}"
+        count = f"{others} other publisher{'s' * (others > 1)}"
+        return f"{count} on the command topic {self._publisher.topic_name}"
 
     def _unsubscribe_if_alone(self) -> None:
         if self._others == 0 and self._subscription is not None:

@@ -24,6 +24,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
 from wam_power_ros.durable_files import explained
 from wam_power_ros.entry import INTERRUPTED, REFUSED, SIGNALS
@@ -91,6 +92,12 @@ def spin(
             on_error(error)
 
 
+def check_arguments() -> None:
+    """Raise a ValueError if the command line has words that no node reads."""
+    if unread := remove_ros_args(sys.argv)[1:]:
+        raise ValueError(f"{' '.join(unread)}: a node reads only what follows --ros-args")
+
+
 def run(
     make_node: Callable[[], Node], spin: Callable[[Node, Callable[[], bool]], None] = spin
 ) -> int:
@@ -106,6 +113,7 @@ def run(
     node = None
     try:
         init()
+        check_arguments()
         node = make_node()
         spin(node, lambda: bool(received))
     except (ValueError, RCLError) as error:
