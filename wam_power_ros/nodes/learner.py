@@ -286,7 +286,7 @@ class Learner(Node):
         if isinstance(line, Record):
             ret = f"return {'-' if line.ret is None else f'{line.ret:.3f}'}"
             name = f"{line.id} {KIND_NAMES[line.kind]}"
-            self.get_logger().info(f"{name}: {ret} {line.why} {line.note}")
+            self.get_logger().info(f"{name}: {ret} {line.why} {line.note}".rstrip())
         if practice.paused:
             self.get_logger().warning(practice.paused)
         elif practice.unusable_in_a_row >= self.params.unusable_max:
