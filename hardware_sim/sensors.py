@@ -9,8 +9,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
-from typing_extensions import Self
+from pydantic import BaseModel, ConfigDict, Field
 
 from hardware_sim.motors import joint_motion, motor_motion
 from hardware_sim.wam import ENCODER_COUNTS, VELOCITY_CUTOFF
@@ -83,12 +82,7 @@ class MocapSettings(BaseModel):
     lost: Literal["omit", "repeat", "zero"] = "omit"
     single_marker: bool = False
     camera: bool = False
-
-    @model_validator(mode="after")
-    def _tags_or_marker(self) -> Self:
-        if self.camera and self.single_marker:
-            raise ValueError("camera = True films tags on a flat body: single_marker must be false")
-        return self
+    ball_radius: float = Field(0.018, ge=0.005, le=0.2, description="in m: in the hand")
 
 
 class MocapFrame(NamedTuple):
@@ -125,7 +119,8 @@ class Mocap:
         if self._settings.camera:
             from hardware_sim.tag_film import Camera  # needs OpenCV
 
-            self._camera = Camera(place)
+            ball = self._settings.ball_radius if self._settings.single_marker else 0.0
+            self._camera = Camera(place, ball)
 
     def restart(self, now_ns: int, rng: np.random.Generator) -> None:
         """Restart the frame clock: from now on, phase and noise depend on `rng` alone."""
@@ -159,7 +154,8 @@ class Mocap:
             with contextlib.suppress(ValueError):
                 place, turned = self._camera.pose(now_ns, position, rotation, twist, self._rng)
                 quat_xyzw = rotations.quat_xyzw(turned)
-                self._waiting.append(MocapFrame(now_ns, place, quat_xyzw, np.empty((0, 3))))
+                seen = place[np.newaxis] if self._settings.single_marker else np.empty((0, 3))
+                self._waiting.append(MocapFrame(now_ns, place, quat_xyzw, seen))
             return
         settings, rng = self._settings, self._rng
         count = len(self._layout)

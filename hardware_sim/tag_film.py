@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A camera that films AprilTags: lens, exposure and noise; no pose passes by its images.
+"""A camera that films AprilTags or a ball: lens, exposure and noise; no pose passes by its images.
 
-Only the window of the image around the tags is drawn, and nothing else is in view.
+Only the window of the image around them is drawn, and nothing else is in view.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from wam_power_ros import rotations
+from wam_power_ros.tracking.ball_detector import BallDetector
 from wam_power_ros.tracking.tag_detector import TagDetector
 
 WIDTH, HEIGHT = 1280, 720  # [px]
@@ -28,25 +29,35 @@ TAGS = "36h11", (0, 1), 0.09, (0.0, 0.0, 0.004, 0.0, 0.0, 0.0, 1.0,
                                 0.0, 0.0, -0.004, 1.0, 0.0, 0.0, 0.0)  # fmt: skip
 VIEW = np.array([0.35, 0.3, 1.2])  # [m] of the camera from where it looks
 ABOVE = np.array([0.0, 0.0, 0.25])  # [m] of that place above the tool
+BESIDE = np.array([0.2, -1.4, 0.1])  # [m] of a camera that films a ball from the tool
+ORANGE, HUE = np.array([30.0, 95.0, 225.0], np.float32), 20.0  # BGR; hue [degrees]
+LIGHT, SHADE = (
+    np.array([0.3, -0.8, -0.52]),
+    0.45,
+)  # direction of the lamp; share of light without it
 
 
 class Camera:
-    """A calibrated camera beside the arm, and the detector that sees the tags in its images.
+    """A calibrated camera beside the arm, and the detector that sees the body in its images.
 
-    It looks above a place [m], where the body is at rest. Shape (3,).
+    It looks above a place (3,) [m], where the body with its tags is at rest; or at it, from where a
+    ball with this radius [m] hangs.
     """
 
-    def __init__(self, place: np.ndarray) -> None:
-        self._film, self._detector = Film(*TAGS), TagDetector(*TAGS)
-        away = VIEW / np.linalg.norm(VIEW)
+    def __init__(self, place: np.ndarray, ball: float = 0.0) -> None:
+        self._ball, self._film = ball, BallFilm(ball) if ball else Film(*TAGS)
+        self.forget()
+        view = BESIDE if ball else VIEW
+        away = view / np.linalg.norm(view)
         right = np.cross([0.0, 0.0, 1.0], away)
         right /= np.linalg.norm(right)
         self._turn = np.column_stack([right, np.cross(right, away), -away])  # optical axes
-        self._place = place + ABOVE + VIEW
+        self._place = place + view + (not ball) * ABOVE
 
     def forget(self) -> None:
         """Forget the last pose, which else tells which of two is true."""
-        self._detector = TagDetector(*TAGS)
+        ball = self._ball
+        self._detector = BallDetector(ball, HUE) if ball else TagDetector(*TAGS)
 
     def pose(
         self,
@@ -64,11 +75,68 @@ class Camera:
         turn = self._turn.T
         seen = turn @ (position - self._place), turn @ rotation
         moving = None if twist is None else np.concatenate([turn @ twist[:3], turn @ twist[3:]])
-        grey, corner = self._film.window(*seen, rng, moving)
+        image, corner = self._film.window(*seen, rng, moving)
         k = K.copy()
         k[:2, 2] -= corner
-        place, turned = self._detector.pose(stamp_ns, grey, k, D)
+        place, turned = self._detector.pose(stamp_ns, image, k, D)
         return self._place + self._turn @ place, self._turn @ turned
+
+
+class BallFilm:
+    """Draws an orange ball with this radius [m] in lamplight as the camera sees it."""
+
+    def __init__(self, radius: float) -> None:
+        self._radius, self._rays = radius, _rays()
+
+    def window(
+        self,
+        place: np.ndarray,
+        rotation: np.ndarray,
+        rng: np.random.Generator,
+        twist: np.ndarray | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Part of the image around the ball, colours (h, w, 3) in BGR; see `Film.window`."""
+        ends = [place] if twist is None else [place + moment * twist[:3] for moment in MOMENTS]
+        found = [
+            cv2.projectPoints(each, np.zeros(3), np.zeros(3), K, D)[0].ravel() for each in ends
+        ]
+        size = K[0, 0] * self._radius / place[2] + MARGIN
+        low = np.maximum(np.min(found, axis=0) - size, 0).astype(int)
+        high = np.minimum(np.max(found, axis=0) + size, [WIDTH, HEIGHT]).astype(int)
+        if place[2] < 0.05 or np.any(high - low < 2 * MARGIN):
+            return np.empty((0, 0, 3), np.uint8), np.zeros(2)
+        fine = _finer(self._rays[low[1] : high[1], low[0] : high[0]])
+        seen = np.mean([self._drawn(fine, each) for each in ends], axis=0)
+        return _taken(seen, rng), low.astype(float)
+
+    def _drawn(self, rays: np.ndarray, place: np.ndarray) -> np.ndarray:
+        """Colours (h, w, 3) along rays (h, w, 2): of the ball where they meet it."""
+        u = np.concatenate([rays, np.ones((*rays.shape[:2], 1), np.float32)], axis=2)
+        u /= np.linalg.norm(u, axis=2, keepdims=True)
+        middle = u @ place
+        depth = middle**2 - place @ place + self._radius**2  # squared half chord
+        normal = (u * (middle - np.sqrt(np.maximum(depth, 0.0)))[..., None] - place) / self._radius
+        lit = SHADE + (1.0 - SHADE) * np.maximum(normal @ LIGHT, 0.0)
+        return np.where(depth[..., None] > 0.0, lit[..., None] * ORANGE, np.float32(BACKGROUND))
+
+
+def _rays() -> np.ndarray:
+    """Rays of the pixels (HEIGHT, WIDTH, 2), at a depth of 1."""
+    pixels = np.stack(np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT)), axis=-1)
+    rays = cv2.undistortPoints(pixels.reshape(-1, 1, 2).astype(float), K, D)
+    return rays.reshape(HEIGHT, WIDTH, 2).astype(np.float32)
+
+
+def _finer(rays: np.ndarray) -> np.ndarray:
+    """Rays twice as dense in both directions."""
+    return cv2.resize(rays, None, fx=2, fy=2, interpolation=cv2.INTER_LINEAR)
+
+
+def _taken(light: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Image of light that was drawn twice as fine: lens and noise."""
+    seen = cv2.resize(light, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    seen = cv2.GaussianBlur(seen, (0, 0), SHARPNESS) + NOISE * rng.standard_normal(seen.shape)
+    return np.clip(seen, 0, 255).astype(np.uint8)
 
 
 class Film:
@@ -87,9 +155,7 @@ class Film:
         scale, middle = 8 * CELL / size, 0.5 * (10 * CELL - 1)
         self._to_texture = np.array([[scale, 0.0, middle], [0.0, -scale, middle], [0.0, 0.0, 1.0]])
         self._corners = 0.625 * size * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
-        pixels = np.stack(np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT)), axis=-1)
-        rays = cv2.undistortPoints(pixels.reshape(-1, 1, 2).astype(float), K, D)
-        self._rays = rays.reshape(HEIGHT, WIDTH, 2).astype(np.float32)
+        self._rays = _rays()
 
     def window(
         self,
@@ -118,17 +184,14 @@ class Film:
         high = np.minimum(pixels.max(axis=0) + MARGIN, [WIDTH, HEIGHT]).astype(int)
         if np.any(high - low < 2 * MARGIN):
             return np.empty((0, 0), np.uint8), np.zeros(2)
-        rays = self._rays[low[1] : high[1], low[0] : high[0]]
-        fine = cv2.resize(rays, None, fx=2, fy=2, interpolation=cv2.INTER_LINEAR)
+        fine = _finer(self._rays[low[1] : high[1], low[0] : high[0]])
         light = np.zeros(fine.shape[:2], np.float32)
         moments = MOMENTS if twist is not None and twist.any() else np.zeros(1)
         for moment in moments:
             moved = np.zeros(6) if twist is None else moment * twist
             turned = rotations.exp(moved[3:]) @ rotation
             light += self._drawn(fine, shown, place + moved[:3], turned)
-        seen = cv2.resize(light / len(moments), None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-        seen = cv2.GaussianBlur(seen, (0, 0), SHARPNESS) + NOISE * rng.standard_normal(seen.shape)
-        return np.clip(seen, 0, 255).astype(np.uint8), low.astype(float)
+        return _taken(light / len(moments), rng), low.astype(float)
 
     def image(
         self, place: np.ndarray, rotation: np.ndarray, rng: np.random.Generator

@@ -26,9 +26,10 @@ NEAR_MISS = 0.05  # [m] beside the middle of the cup, from where a ball usually 
 HELD_OUT = range(18000, 18020)  # seeds not used for tuning
 
 
-DEMONSTRATORS: Mapping[str, Mapping[str, float]] = {  # arguments of `session`
+DEMONSTRATORS: Mapping[str, Mapping[str, Any]] = {  # arguments of `session`
     "novice": {},
     "practised": {"spread": 1.0},
+    "camera": {"camera": True},
     **{f"joint 1 at {angle} degrees": {"joint_1": angle} for angle in (-90, -45, 30, 90)},
 }
 LEARNERS = {
@@ -50,6 +51,7 @@ def session(
     changes: Mapping[str, Any],
     spread: float | None = None,
     joint_1: float = 0.0,
+    camera: bool = False,
 ) -> dict[str, Any]:
     """Run a session from its demonstration to its re-tests; return plain data.
 
@@ -61,9 +63,12 @@ def session(
         changes: Changes to the preset.
         spread: Spread of the demonstrations; None for that of the task's set-up.
         joint_1: Its angle at the begin [degrees].
+        camera: Whether the ball is seen in images.
     """
     own = {"seed": seed} if spread is None else {"seed": seed, "spread": spread}
-    environment = Environment.from_setup(overlay.setup(task=TASK).changed({"wam_sim": own}))
+    seen = {"camera": camera}
+    setup = overlay.setup(task=TASK).changed({"wam_sim": own, "optitrack_sim": seen})
+    environment = Environment.from_setup(setup)
     scene = environment.world.scene
     scene.home = np.array([np.radians(joint_1), *scene.home[1:]])
     script = scene.script(np.random.default_rng([seed, 0]))

@@ -89,8 +89,6 @@ def test_frames_and_markers_are_lost_at_the_configured_rates() -> None:
 
 def test_a_camera_sees_either_side_of_a_disc_and_nothing_of_one_that_is_edge_on() -> None:
     pytest.importorskip("cv2")
-    with pytest.raises(ValueError, match="single_marker must be false"):
-        MocapSettings(camera=True, single_marker=True)
     mocap = Mocap(MocapSettings(camera=True, latency=0.0))
     mocap.aim(np.array([0.8, -0.2, 0.5]))
     mocap.restart(1, np.random.default_rng(0))
@@ -108,3 +106,19 @@ def test_a_camera_sees_either_side_of_a_disc_and_nothing_of_one_that_is_edge_on(
     assert 9 <= len(off) < 13
     assert np.median(off) < 1e-3 and max(off) < 5e-3
     assert max(turned) < np.deg2rad(2.0)
+
+
+def test_a_camera_sees_a_ball_that_swings_and_tells_a_marker_of_it() -> None:
+    pytest.importorskip("cv2")
+    mocap = Mocap(MocapSettings(camera=True, single_marker=True, latency=0.0))
+    mocap.aim(np.array([0.8, -0.2, 0.5]))
+    mocap.restart(1, np.random.default_rng(0))
+    rng, off = np.random.default_rng(1), []
+    for number in range(20):
+        now_ns = (number + 1) * 1_000_000_000
+        place = np.array([0.8, -0.2, 0.5]) + rng.uniform(-0.3, 0.3, 3)
+        mocap.expose(now_ns, place, np.eye(3), np.array([*rng.uniform(-1.0, 1.0, 3), 0, 0, 0]))
+        (frame,) = mocap.delivered(now_ns)
+        assert frame.markers.tolist() == [frame.position.tolist()]
+        off.append(np.abs(frame.position - place))
+    assert (np.median(off, axis=0) < [0.02, 0.05, 0.02]).all()  # least along the view, y

@@ -17,11 +17,13 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import CameraInfo, Image
 
 from hardware_sim import body_messages
+from hardware_sim.tag_film import HUE, BallFilm
 from wam_power_ros import rotations
-from wam_power_ros.nodes.tag_camera import grey_image
+from wam_power_ros.nodes.tag_camera import COLOURS, GREY, pixels
 from wam_power_ros.params import overlay
 from wam_power_ros.ros import body_sources, interface, pose_messages
 from wam_power_ros.ros.stamps import time_message
+from wam_power_ros.tracking.ball_detector import BallDetector
 from wam_power_ros.tracking.tag_detector import TagDetector
 
 K = np.array([[600.0, 0.0, 320.0], [0.0, 600.0, 240.0], [0.0, 0.0, 1.0]])
@@ -116,17 +118,19 @@ def test_images_of_every_encoding_are_read_and_others_named() -> None:
     wanted = cv2.cvtColor(colours, cv2.COLOR_RGB2GRAY)
     shapes = {"rgb8": colours, "bgr8": colours[..., ::-1], "mono8": wanted[..., None]}
     shapes["rgba8"] = np.concatenate([colours, colours[..., :1]], axis=2)
-    for encoding, pixels in shapes.items():
-        padded = np.pad(pixels.reshape(4, -1), ((0, 0), (0, 5)))
+    for encoding, values in shapes.items():
+        padded = np.pad(values.reshape(4, -1), ((0, 0), (0, 5)))
         message = Image(height=4, width=6, step=padded.shape[1], encoding=encoding)
         message.data = padded.tobytes()
-        np.testing.assert_array_equal(grey_image(message), wanted)
+        np.testing.assert_array_equal(pixels(message, GREY), wanted)
+        if encoding in COLOURS:
+            np.testing.assert_array_equal(pixels(message, COLOURS), colours[..., ::-1])
     message.encoding = "16UC1"
     with pytest.raises(ValueError, match="encoding '16UC1' is none of"):
-        grey_image(message)
+        pixels(message, GREY)
     message.encoding, message.height = "mono8", 7
     with pytest.raises(ValueError, match="are no 7 rows"):
-        grey_image(message)
+        pixels(message, GREY)
 
 
 def test_a_tag_is_measured_to_a_millimetre_through_a_distorting_lens() -> None:
@@ -135,6 +139,46 @@ def test_a_tag_is_measured_to_a_millimetre_through_a_distorting_lens() -> None:
     assert len(errors) >= 57, found["lost"]
     assert (np.median(errors, axis=0) < [0.5, 0.15]).all()
     assert (np.percentile(errors, 95, axis=0) < [2.0, 1.0]).all()
+
+
+def test_a_ball_is_found_by_its_outline_whatever_lights_it_and_hides_a_part() -> None:
+    film, detector, rng = BallFilm(0.018), BallDetector(0.018, HUE), np.random.default_rng(1)
+    errors = []
+    for number in range(60):
+        depth = rng.uniform(0.6, 1.6)
+        place = depth * np.array([*rng.uniform(-0.2, 0.2, 2), 1.0])
+        twist = np.array([*rng.uniform(-0.5, 0.5, 3), 0.0, 0.0, 0.0])
+        image, corner = film.window(place, np.eye(3), rng, twist)
+        if number % 3 == 0:  # a string, or the rim of a cup
+            image[:, image.shape[1] // 2 : image.shape[1] // 2 + 3] = 128
+        k = shown_tags.K.copy()
+        k[:2, 2] -= corner
+        found, turned = detector.pose(1, image, k, shown_tags.D)
+        along = place / np.linalg.norm(place)
+        off = found - place
+        errors.append([np.linalg.norm(off - (off @ along) * along), abs(off @ along) / depth])
+        assert (turned == np.eye(3)).all()
+    assert (np.percentile(errors, 90, axis=0) < [1e-3, 0.03]).all()
+
+
+def test_where_no_ball_is_seen_whole_there_is_no_position() -> None:
+    film, rng = BallFilm(0.018), np.random.default_rng(1)
+    image, _ = film.window(np.array([0.0, 0.0, 1.0]), np.eye(3), rng)
+    find = lambda hue, image: BallDetector(0.018, hue).pose(1, image, shown_tags.K, NO_DISTORTION)  # noqa: E731
+    for hue, shown, text in (
+        (120.0, image, "no ball with a hue of 120 degrees"),
+        (HUE, image[:, : image.shape[1] // 2], "edge of the image"),
+        (HUE, image[:0], "no image"),
+        (HUE, np.full_like(image, 128), "no ball"),
+    ):
+        with pytest.raises(ValueError, match=text):
+            find(hue, shown)
+    cut, box = image.copy(), np.full_like(image, 128)
+    cut[:, image.shape[1] // 2 :] = 128  # half of it is hidden
+    box[30:70, 30:60] = image[image.shape[0] // 2, image.shape[1] // 2]
+    for shown in (cut, box):
+        with pytest.raises(ValueError, match="no ball's"):
+            find(HUE, shown)
 
 
 def test_images_become_states_of_the_tracker(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Camera with tags: images and their calibration in, pose of a body out, stamped as the image.
+"""Camera with tags or a ball: images, their calibration in, pose out, stamped as the image.
 
 The pose is in the optical frame of the camera.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Mapping
 
 import cv2
 import numpy as np
@@ -21,37 +22,45 @@ from wam_power_ros.params.driver_params import TagCameraParams
 from wam_power_ros.ros import interface, node_runner, pose_messages
 from wam_power_ros.ros.diagnostics import Diagnostics
 from wam_power_ros.ros.stamps import sensor_stamp
+from wam_power_ros.tracking.ball_detector import BallDetector
 from wam_power_ros.tracking.tag_detector import TagDetector
 
 GREY = {"rgb8": cv2.COLOR_RGB2GRAY, "bgr8": cv2.COLOR_BGR2GRAY, "mono8": None}
 GREY |= {"rgba8": cv2.COLOR_RGBA2GRAY, "bgra8": cv2.COLOR_BGRA2GRAY}
+COLOURS = {"rgb8": cv2.COLOR_RGB2BGR, "bgr8": None}
+COLOURS |= {"rgba8": cv2.COLOR_RGBA2BGR, "bgra8": cv2.COLOR_BGRA2BGR}
 MODELS = ("", "plumb_bob", "rational_polynomial")  # of the distortion
 
 
-def grey_image(message: Image) -> np.ndarray:
-    """Grey values (h, w) of an image; a ValueError names another encoding."""
-    if message.encoding not in GREY:
-        raise ValueError(f"encoding {message.encoding!r} is none of {list(GREY)}")
+def pixels(message: Image, codes: Mapping[str, int | None]) -> np.ndarray:
+    """Grey values (h, w) or colours (h, w, 3) in BGR; a ValueError names another encoding."""
+    if message.encoding not in codes:
+        raise ValueError(f"encoding {message.encoding!r} is none of {list(codes)}")
     channels = {"mono8": 1, "rgb8": 3, "bgr8": 3}.get(message.encoding, 4)
     rows, width = np.frombuffer(message.data, np.uint8), message.width * channels
     if message.step < width or len(rows) != message.step * message.height or not len(rows):
         raise ValueError(f"{len(rows)} bytes are no {message.height} rows of {message.step} bytes")
     image = rows.reshape(message.height, message.step)[:, :width]
-    code = GREY[message.encoding]
-    if code is None:
-        return np.ascontiguousarray(image)
-    return cv2.cvtColor(image.reshape(message.height, message.width, channels), code)
+    image = image.reshape(message.height, message.width, channels).squeeze()
+    code = codes[message.encoding]
+    return np.ascontiguousarray(image) if code is None else cv2.cvtColor(image, code)
 
 
 class TagCamera(Node):
-    """Publishes a pose for each image in which tags of the body are seen."""
+    """Publishes a pose for each image in which tags of the body, or a ball, are seen."""
 
     def __init__(self) -> None:
         super().__init__("tag_camera", automatically_declare_parameters_from_overrides=True)
         self._params = params = TagCameraParams.from_node(self)
         cv2.setNumThreads(1)  # the controller's machine has other things to do
-        given = params.family, params.tags, params.tag_size, params.tag_poses
-        self._detector, self._problem = TagDetector(*given), "no image yet"
+        self._detector: BallDetector | TagDetector
+        if params.ball_radius:
+            self._detector = BallDetector(params.ball_radius, params.ball_hue)
+        else:
+            given = params.family, params.tags, params.tag_size, params.tag_poses
+            self._detector = TagDetector(*given)
+        self._codes = COLOURS if params.ball_radius else GREY
+        self._problem = "no image yet"
         self._camera: tuple[np.ndarray, np.ndarray] | None = None
         self._recent: deque[tuple[float, float, bool]] = deque(maxlen=100)
         topic = interface.body_topic(params.body, "pose")
@@ -75,7 +84,8 @@ class TagCamera(Node):
             stamp_ns = sensor_stamp(message)
             if self._camera is None:
                 raise ValueError(f"no usable calibration on {self._params.info_topic}")
-            place, turned = self._detector.pose(stamp_ns, grey_image(message), *self._camera)
+            image = pixels(message, self._codes)
+            place, turned = self._detector.pose(stamp_ns, image, *self._camera)
             quat, frame = rotations.quat_xyzw(turned), message.header.frame_id
             self._poses.publish(pose_messages.pose_message(stamp_ns, frame, place, quat))
             age = 1e-9 * (self.get_clock().now().nanoseconds - stamp_ns)

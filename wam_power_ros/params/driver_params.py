@@ -27,6 +27,8 @@ class TagCameraParams(Params):
     tags: tuple[int, ...] = Field(min_length=1, max_length=64)
     tag_size: float = Field(ge=0.005, le=2.0, description="in m: a print, up to a poster")
     tag_poses: tuple[float, ...] = Field(max_length=64 * 7)
+    ball_radius: float = Field(ge=0.0, le=0.2, description="in m: 0 for tags")
+    ball_hue: float = Field(ge=0.0, lt=360.0, description="in degrees")
 
     @model_validator(mode="after")
     def _one_pose_each(self) -> Self:
