@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import rclpy
 from conftest import ROOT, Probe, Processes, lift, python_path
+from control_msgs.action import FollowJointTrajectory
 from played_arm import HOME, NAMES, PlayedArm
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
@@ -31,6 +32,7 @@ from wam_power_ros.control.safety import limits_of
 from wam_power_ros.learning.policy import COUNT_MAX, DURATION_MAX, Basis, Policy, to_json
 from wam_power_ros.nodes import preparation
 from wam_power_ros.nodes.preparation import Preparation, settings_of, settings_values
+from wam_power_ros.nodes.preparation_worker import followed
 from wam_power_ros.regions import Region
 from wam_power_ros.ros import interface, joint_messages, process_channel
 from wam_power_ros.ros.outcomes import Answer, Code
@@ -268,6 +270,14 @@ def test_settings_arrive_as_they_were() -> None:
     assert json.dumps(settings_values(settings_of(values))) == text
     assert settings_of(values).arm == settings.arm and settings_of(values).region == region
     assert settings_of(values).limits.q_max.tolist() == settings.limits.q_max.tolist()
+
+
+def test_a_trajectory_that_never_began_is_an_invalid_goal_and_one_that_ended_early_is_not() -> None:
+    invalid, early = FollowJointTrajectory.Result.INVALID_GOAL, {Code.FAULT, Code.STOPPED}
+    for code in Code:
+        result = followed(Answer(code, "why"))
+        expected = -4 if code in early else 0 if code is Code.DONE else invalid
+        assert (result.error_code, result.error_string) == (expected, "why")
 
 
 def _never(*values: object) -> None:
