@@ -40,7 +40,7 @@ class Session:
         """Wait for a moment, so that answers are not used up before a timeout."""
         time.sleep(min(seconds, 1e-3))
 
-    def teach(self, lead: Callable[[], object] | None) -> Path:
+    def teach(self, wait_for_end: Callable[[], object] | None) -> Path:
         """Note that the arm is set free and guided."""
         self.asked.append(TAUGHT)
         return Path("/bags/demo_1")

@@ -41,15 +41,15 @@ def test_the_stand_in_demonstrates_where_there_is_one_and_else_a_person(
         if simulated:
             Action(node, ResetScene, interface.RESET_SCENE, lambda id, goal: Answer(Code.DONE))
         found = page.count_publishers  # of the status of the action
-        lead = lambda: None  # noqa: E731
+        wait_for_end = lambda: None  # noqa: E731
         given: list[object] = []
-        feedback = SimpleNamespace(teach=lambda _, lead, notify: given.append(lead))
+        feedback = SimpleNamespace(teach=lambda _, wait_for_end, notify: given.append(wait_for_end))
         monkeypatch.setattr(page, "_feedback", feedback)
         with page.link as link:
             status = f"{interface.RESET_SCENE}/_action/status"
             assert link.until(lambda: found(status) == simulated, timeout=20.0)
             link.sleep(0.5)
-            page.teach(lead, str)  # nobody has asked before whether there is one
-        assert given == [None if simulated else lead]
+            page.teach(wait_for_end, str)  # nobody has asked before whether there is one
+        assert given == [None if simulated else wait_for_end]
     finally:
         rclpy.shutdown()

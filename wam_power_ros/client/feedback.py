@@ -50,7 +50,7 @@ class Feedback:
         return self._link.answer(name, data)
 
     def teach(
-        self, robot: Robot, lead: Callable[[], object] | None, notify: Callable[[str], object]
+        self, robot: Robot, wait: Callable[[], object] | None, notify: Callable[[str], object]
     ) -> Answer:
         """Pause the learner, record a demonstration, hand it over and let the learner continue.
 
@@ -66,7 +66,7 @@ class Feedback:
                 raise ServiceError(f"no trial ended in {TIMEOUT:.0f} s; the learner is paused")
             self._link.sleep(RETRY_PERIOD)
             answer = self.give("pause")
-        answer = self.give("demonstration", robot.teach(lead))
+        answer = self.give("demonstration", robot.teach(wait))
         self.give("continue")
         return answer
 

@@ -214,25 +214,25 @@ class Robot:
 
     # Demonstrations
 
-    def teach(self, lead: Callable[[], object] | None = None) -> Path:
+    def teach(self, wait_for_end: Callable[[], object] | None = None) -> Path:
         """Record a demonstration under gravity compensation; the arm holds afterwards.
 
-        `lead` returns when the person has finished guiding the arm by hand, such as
+        `wait_for_end` returns when the person has finished guiding the arm by hand, such as
         `lambda: input("Enter")`; None for the simulated demonstrator.
         """
         self.await_recorder()
         with self.guided():
-            return self.take(lead)
+            return self.take(wait_for_end)
 
-    def take(self, lead: Callable[[], object] | None = None) -> Path:
+    def take(self, wait_for_end: Callable[[], object] | None = None) -> Path:
         """Record a demonstration of an arm that is `guided` already; see `teach`."""
-        if lead is None:
+        if wait_for_end is None:
             self.scene_reset.send().done()
         with self.record() as bag:
-            if lead is None:
+            if wait_for_end is None:
                 self.demonstrator.send().done(MOVE_TIMEOUT)
             else:
-                lead()
+                wait_for_end()
         return bag
 
     def await_recorder(self) -> None:

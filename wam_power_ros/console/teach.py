@@ -29,14 +29,14 @@ def record_series(robot: Robot, file: Path, wanted: int, *, person: bool, review
         ServiceError: A service does not appear, does not answer in time, or refuses.
     """
     bags, number = series.read(file), 1
-    lead = partial(confirm, "press Enter when the movement is over ") if person else None
+    wait_for_end = partial(confirm, "press Enter when the movement is over ") if person else None
     with robot.guided():
         if not person:  # who is slower than the start of any node
             robot.await_recorder()
         while number <= wanted:
             if person:
                 confirm(f"demonstration {number}: press Enter, then guide the arm by hand ")
-            bag = robot.take(lead)
+            bag = robot.take(wait_for_end)
             bags.append(bag)
             series.write(file, bags)  # at once: kept even if interrupted
             show(f"  {number} of {wanted}: {bag}")

@@ -94,15 +94,15 @@ class View(Node):
         """Give feedback, see `Feedback.give`; the answer says why if it could not be given."""
         return answered(lambda: self._feedback.give(kind, value=value))
 
-    def teach(self, lead: Callable[[], object], notify: Callable[[str], object]) -> Answer:
+    def teach(self, wait_for_end: Callable[[], object], notify: Callable[[str], object]) -> Answer:
         """Add a demonstration to the session, see `Feedback.teach`.
 
-        `lead` returns when the person has finished; it is not called if the stand-in demonstrates.
+        `wait_for_end` returns when the person has finished; a stand-in needs no such call.
         """
 
         def teach() -> Answer:
             simulated = self.link.until(lambda: self._scene.offered, timeout=2.0 * DISCOVERY)
-            return self._feedback.teach(self._robot, None if simulated else lead, notify)
+            return self._feedback.teach(self._robot, None if simulated else wait_for_end, notify)
 
         return answered(teach)
 

@@ -223,12 +223,12 @@ class SessionPage:
             threading.Thread(target=self._run_teaching, args=given, daemon=True).start()
 
     def _run_teaching(self, node: View, ended: threading.Event) -> None:
-        def lead() -> None:
+        def wait_for_end() -> None:
             self._notify(TEACH, "guide the arm by hand, then press End of movement")
             self._leading = True
             ended.wait()
 
-        answer = node.teach(lead, partial(self._notify, TEACH))
+        answer = node.teach(wait_for_end, partial(self._notify, TEACH))
         self._teaching, self._leading = None, False
         self._notify(TEACH, answer.text, answer.success)
 
