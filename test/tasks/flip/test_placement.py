@@ -97,3 +97,19 @@ def test_one_marker_is_named() -> None:
         for each in seen(truth, rng)
     )
     assert "as of one marker" in judged(truth.pan, path, before).why
+
+
+@pytest.mark.parametrize("axis", [0, 2])
+@pytest.mark.parametrize("degrees", [-40.0, -15.0, -5.0, 5.0, 15.0, 40.0])
+def test_a_frame_that_is_turned_is_refused_by_the_axis_about_which_the_pancake_turns(
+    axis: int, degrees: float
+) -> None:
+    rng = np.random.default_rng(abs(int(degrees)))
+    truth = toss(rng, half_turns=1.0)
+    turn = rotations.exp(np.deg2rad(degrees) * np.eye(3)[axis])
+    offset = truth.position[0] - turn @ truth.position[0]  # it rests in the pan all the same
+    why = judged(truth.pan, *(moved(each, offset, turn) for each in seen(truth, rng))).why
+    assert ("frame is turned" in why) == (abs(degrees) > 10.0)
+    if abs(degrees) > 10.0:
+        told = float(why.split(" degrees off")[0].rsplit(" ", 1)[1])
+        assert told == pytest.approx(abs(degrees), abs=3.0)

@@ -38,6 +38,8 @@ def assess(policy: Policy, rollout: Rollout, settings: FlipSettings) -> Assessme
     if abs(late) > CORRECTED_MAX:
         return Assessment(None, observation={"stamps_late": late}, why=stamps_off(late))
     pancake, before = shifted(pancake, rollout.before, late)
+    if why := placement.turned(pan, pancake, before):
+        return Assessment(None, why=why)
     pancake, before, off = placement.on_floor(pan, pancake, before)
     flight, doubt = observe_flight(pan, pancake, before)
     observation = dataclasses.asdict(flight)

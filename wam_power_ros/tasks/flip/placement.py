@@ -23,6 +23,10 @@ _HEIGHT = 0.0025  # of the centre at rest [m]
 _HEIGHT_KNOWN = 0.006  # errors up to which it depends on the pancake and its markers [m]
 _MOVED_MIN = 0.03  # movement of the pan that a pancake in it must follow [m]
 _FOLLOWED_MIN = 0.5  # share of it by which it moves at least
+_TURN_MIN = 0.1  # turn of the pan that a pancake in it must follow [rad]
+_TURN_ALIKE = 0.15  # largest share by which the turn of one that lies in the pan differs
+_AXIS_OFF_MAX = math.radians(12.0)  # between the axes of both turns; tosses had up to 7 degrees
+_LEAVES = 0.01  # before the pan is seen fastest the pancake may have left it [s]
 CAUSES = "a joint's zero, the mounting of the tool or the cameras' frame is wrong"
 ONE_MARKER = (
     "the pancake's orientation is never measured, as of one marker, so a flip cannot be seen: give "
@@ -73,6 +77,35 @@ def doubt(pan: EndEffectorPath, pancake: BodyPath, before: BodyPath | None) -> s
             f"{seen * 1e3:.0f} mm: the markers are those of another body"
         )
     return ""
+
+
+def turned(pan: EndEffectorPath, pancake: BodyPath, before: BodyPath | None) -> str:
+    """Why the cameras' frame must be turned against that of the arm; "" if it need not be.
+
+    While the pan carries the pancake both turn about one axis.
+    """
+    if before is None or not len(before.t):
+        return ""
+    matrix = rotations.matrix(pan.quat_xyzw)
+    height = np.sum(matrix[:, :, 2] * (pan.position - pan.position[0]), axis=1)
+    carried = pancake.t < pan.t[int(np.argmax(np.gradient(height)))] - _LEAVES
+    rows = np.minimum(np.searchsorted(pan.t, pancake.t[carried]), len(pan.t) - 1)
+    turns = [rotations.log(matrix[row] @ matrix[0].T) for row in rows]
+    if not turns or np.linalg.norm(turns, axis=1).max() < _TURN_MIN:
+        return ""
+    most = int(np.argmax(np.linalg.norm(turns, axis=1)))
+    first = rotations.matrix(before.quat_xyzw[-1])
+    seen = rotations.log(rotations.matrix(pancake.quat_xyzw[most]) @ first.T)
+    size, wanted = float(np.linalg.norm(seen)), float(np.linalg.norm(turns[most]))
+    if abs(size - wanted) > _TURN_ALIKE * wanted:
+        return ""  # it slides or hops
+    off = math.acos(min(float(seen @ turns[most]) / (size * wanted), 1.0))
+    if off < _AXIS_OFF_MAX:
+        return ""
+    return (
+        f"the pancake turns with the pan about an axis that is {math.degrees(off):.0f} degrees off: "
+        "the cameras' frame is turned; measure it with wam-power commission"
+    )
 
 
 def on_floor(
