@@ -103,8 +103,8 @@ def turned(pan: EndEffectorPath, pancake: BodyPath, before: BodyPath | None) -> 
     if off < _AXIS_OFF_MAX:
         return ""
     return (
-        f"the pancake turns with the pan about an axis that is {math.degrees(off):.0f} degrees off: "
-        "the cameras' frame is turned; measure it with wam-power commission"
+        f"the pancake turns with the pan about an axis {math.degrees(off):.0f} degrees off: the "
+        "cameras' frame is turned; measure it with wam-power commission"
     )
 
 
