@@ -47,6 +47,8 @@ def assess(policy: Policy, rollout: Rollout, settings: FlipSettings) -> Assessme
         observation["height_off"] = off
     if late:
         observation["stamps_late"] = late
+    if doubt:
+        doubt = placement.turned(pan, pancake, before, placement.AXIS_OFF_IN_DOUBT) or doubt
     if why := _lost_from_view(pan, pancake, flight) or doubt:
         return Assessment(None, observation=observation, why=why)
     terms = (pancake_return if settings.ret == "eq5" else landing_return)(flight)

@@ -25,7 +25,8 @@ _MOVED_MIN = 0.03  # movement of the pan that a pancake in it must follow [m]
 _FOLLOWED_MIN = 0.5  # share of it by which it moves at least
 _TURN_MIN = 0.1  # turn of the pan that a pancake in it must follow [rad]
 _TURN_ALIKE = 0.15  # largest share by which the turn of one that lies in the pan differs
-_AXIS_OFF_MAX = math.radians(12.0)  # between the axes of both turns; tosses had up to 7 degrees
+AXIS_OFF = math.radians(12.0)  # between the axes of both turns: tosses had up to 7 degrees
+AXIS_OFF_IN_DOUBT = math.radians(4.0)  # and 1 degree in the median
 _LEAVES = 0.01  # before the pan is seen fastest the pancake may have left it [s]
 CAUSES = "a joint's zero, the mounting of the tool or the cameras' frame is wrong"
 ONE_MARKER = (
@@ -79,10 +80,12 @@ def doubt(pan: EndEffectorPath, pancake: BodyPath, before: BodyPath | None) -> s
     return ""
 
 
-def turned(pan: EndEffectorPath, pancake: BodyPath, before: BodyPath | None) -> str:
+def turned(
+    pan: EndEffectorPath, pancake: BodyPath, before: BodyPath | None, axis_off: float = AXIS_OFF
+) -> str:
     """Why the cameras' frame must be turned against that of the arm; "" if it need not be.
 
-    While the pan carries the pancake both turn about one axis.
+    While the pan carries the pancake both turn about one axis, but for less than `axis_off` [rad].
     """
     if before is None or not len(before.t):
         return ""
@@ -100,7 +103,7 @@ def turned(pan: EndEffectorPath, pancake: BodyPath, before: BodyPath | None) -> 
     if abs(size - wanted) > _TURN_ALIKE * wanted:
         return ""  # it slides or hops
     off = math.acos(min(float(seen @ turns[most]) / (size * wanted), 1.0))
-    if off < _AXIS_OFF_MAX:
+    if off < axis_off:
         return ""
     return (
         f"the pancake turns with the pan about an axis {math.degrees(off):.0f} degrees off: the "
