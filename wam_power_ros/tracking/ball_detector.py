@@ -35,7 +35,10 @@ class BallDetector:
         Raises:
             ValueError: The ball is not seen, or not whole.
         """
-        pixels = self._outline(image)
+        if not image.size:
+            raise ValueError("no image")
+        colour = (image.max(axis=2) - image.min(axis=2)).astype(np.float32)
+        pixels = _outline(colour, *self._spot(image, colour))
         rays = np.ones((len(pixels), 3))
         rays[:, :2] = cv2.undistortPoints(pixels[:, np.newaxis], k, d)[:, 0]
         rays /= np.linalg.norm(rays, axis=1)[:, np.newaxis]
@@ -50,12 +53,9 @@ class BallDetector:
             raise ValueError("the outline is no ball's")
         return normal * (self._radius / np.sqrt(width) / length), np.eye(3)
 
-    def _outline(self, image: np.ndarray) -> np.ndarray:
-        """Points (DIRECTIONS, 2) [px] at which the colour falls."""
-        if not image.size:
-            raise ValueError("no image")
+    def _spot(self, image: np.ndarray, colour: np.ndarray) -> tuple[np.ndarray, float]:
+        """Middle (2,) and about the radius [px] of the largest spot with the hue of the ball."""
         hue = cv2.cvtColor(image, cv2.COLOR_BGR2HSV)[..., 0] * 2.0
-        colour = (image.max(axis=2) - image.min(axis=2)).astype(np.float32)
         alike = np.abs((hue - self._hue + 180.0) % 360.0 - 180.0) < HUE_RANGE
         found = ((colour > COLOUR_MIN) & alike).astype(np.uint8)
         found = cv2.morphologyEx(found, cv2.MORPH_CLOSE, STRING)
@@ -63,21 +63,22 @@ class BallDetector:
         areas = boxes[1:, cv2.CC_STAT_AREA]
         if not len(areas) or areas.max() < AREA_MIN:
             raise ValueError(f"no ball with a hue of {self._hue:g} degrees in view")
-        middle, radius = middles[1 + areas.argmax()], np.sqrt(areas.max() / np.pi)
-        reach = REACH + 0.25 * radius
-        if np.any(np.abs(middle - (np.array(image.shape[1::-1]) - 1) / 2) + radius + reach
-                  > np.array(image.shape[1::-1]) / 2):  # fmt: skip
-            raise ValueError("the ball is at the edge of the image")
-        angle = np.linspace(0.0, 2.0 * np.pi, DIRECTIONS, endpoint=False)
-        along = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        way = np.arange(max(radius - reach, 0.0), radius + reach, 1.0 / STEPS)
-        x, y = (
-            (middle + along[:, np.newaxis] * way[:, np.newaxis])
-            .astype(np.float32)
-            .transpose(2, 0, 1)
-        )
-        share = cv2.remap(colour, x, y, cv2.INTER_LINEAR)
-        fall = share[:, :-STEPS] - share[:, STEPS:]  # over a pixel
-        fall *= fall > 0.5 * fall.max(axis=1, keepdims=True)
-        edge = fall @ (way[:-STEPS] + 0.5) / np.maximum(fall.sum(axis=1), 1e-6)
-        return middle + along * edge[:, np.newaxis]
+        return middles[1 + areas.argmax()], float(np.sqrt(areas.max() / np.pi))
+
+
+def _outline(colour: np.ndarray, middle: np.ndarray, radius: float) -> np.ndarray:
+    """Points (DIRECTIONS, 2) [px] around a spot at which its colour (h, w) falls."""
+    reach = REACH + 0.25 * radius
+    far = np.array([middle - radius - reach, colour.shape[::-1] - middle - radius - reach])
+    if far.min() < 0.0:
+        raise ValueError("the ball is at the edge of the image")
+    angle = np.linspace(0.0, 2.0 * np.pi, DIRECTIONS, endpoint=False)
+    along = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    way = np.arange(max(radius - reach, 0.0), radius + reach, 1.0 / STEPS)
+    points = (middle + along[:, np.newaxis] * way[:, np.newaxis]).astype(np.float32)
+    strength = cv2.remap(colour, points[..., 0], points[..., 1], cv2.INTER_LINEAR)
+    fall = strength[:, :-STEPS] - strength[:, STEPS:]  # over a pixel
+    fall *= fall > 0.5 * fall.max(axis=1, keepdims=True)
+    edge = fall @ (way[:-STEPS] + 0.5) / np.maximum(fall.sum(axis=1), 1e-6)
+    outline: np.ndarray = middle + along * edge[:, np.newaxis]
+    return outline
