@@ -28,6 +28,7 @@ from wam_power_ros.learning.demonstration import Demonstration, from_joint_sampl
 from wam_power_ros.learning.dmp import activations
 from wam_power_ros.learning.policy import Policy, with_id
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
+from wam_power_ros.params import overlay
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session_log import Record
 from wam_power_ros.practice.settings import preset
@@ -60,6 +61,7 @@ def stand_in(
     *,
     believed_pan: float = 1.0,
     mocap: Mapping[str, Any] | None = None,
+    tracker: Mapping[str, Any] | None = None,
     home: Sequence[float] | None = None,
     **world: Any,  # noqa: ANN401 - checked by WorldSettings
 ) -> Environment:
@@ -67,13 +69,14 @@ def stand_in(
 
     The controller's model has `believed_pan` times the mass of the pan. Demonstrations begin at
     `home` [rad], None for that of the scene; `mocap` are fields of `MocapSettings`, `world` of
-    `WorldSettings`.
+    `WorldSettings`, `tracker` other parameters of the tracker.
     """
     eyes = MocapSettings(**(mocap or {}))
     world_ = World(scene_type("flip"), WorldSettings(**world), seed, eyes)
     if home is not None:
         world_.scene.home = np.array(home)
-    return Environment(world_, urdf=_with_pan(world_.urdf, believed_pan))
+    setup = overlay.setup().changed({"pancake_tracker": tracker or {}})
+    return Environment(world_, urdf=_with_pan(world_.urdf, believed_pan), setup=setup)
 
 
 def _with_pan(urdf: str, share: float) -> str:

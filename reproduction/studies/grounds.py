@@ -39,8 +39,18 @@ TURNED = {  # the arm stands turned about the vertical: joint 1 begins elsewhere
     f"joint 1 at {angle} degrees": {"condition": {"home": [math.radians(angle), *HOME[1:]]}}
     for angle in (-90, -45, 30, 90)
 }
-# Not on the usual grounds: seen by a camera with tags, and turned.
-OTHER = {"camera with tags": {"condition": {"mocap": {"camera": True}}}, **TURNED}
+WRONG = {  # cameras whose stamps or frame are other than the tracker believes
+    "stamps 20 ms early": {"latency_offset": 0.02},
+    "stamps 20 ms late": {"latency_offset": -0.02},
+    "stamps 40 ms late": {"latency_offset": -0.04},
+    "frame 2 cm off": {"world_to_base": (0.02, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)},
+}
+# Not on the usual grounds: seen by a camera with tags, or wrongly, and turned.
+OTHER = {
+    "camera with tags": {"condition": {"mocap": {"camera": True}}},
+    **{name: {"condition": {"tracker": wrong}} for name, wrong in WRONG.items()},
+    **TURNED,
+}
 # Arguments of `flip_sessions.session` by ground; one demonstration of a novice unless it says more.
 # The unknown world is drawn from the seed.
 _DIFFERENCES: Mapping[str, Mapping[str, Any]] = {
