@@ -80,6 +80,15 @@ def test_a_demonstration_without_a_movement_is_left_out_and_the_others_keep_thei
     assert not Session.exists(tmp_path / "none")
 
 
+def test_a_demonstration_in_which_the_arm_faults_is_left_out_with_the_reason(
+    tmp_path: Path,
+) -> None:
+    limit = {"torque_controller": {"teaching_tool_speed_max": 0.3}}
+    setup = overlay.setup(task="reach").changed(limit)
+    with pytest.raises(ValueError, match="no demonstration can be reproduced: hold refused: fault"):
+        next(learn.run(tmp_path, setup, preset("reach", budget=4), 0, 1))
+
+
 def test_a_demonstration_whose_reproduction_would_fault_is_not_learnt_from(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from wam_power_ros import installed
 from wam_power_ros.arm_identity import refusal
+from wam_power_ros.control.modes import ControllerError
 from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.learning.demonstration import Demonstration
 from wam_power_ros.learning.policy import Policy
@@ -81,10 +82,10 @@ def _taught(
     refused = []
     for number in range(count):  # as the stand-in of a graph of nodes draws them
         script = world.scene.script(np.random.default_rng((seed, number)))
-        recorded = environment.demonstrate(script, f"demonstration-{number}")
         try:
+            recorded = environment.demonstrate(script, f"demonstration-{number}")
             read[number + 1] = kind.demonstration_of(arm, *recorded)
-        except ValueError as error:
+        except (ControllerError, ValueError) as error:
             refused.append(str(error))
     identity = arm.identity()
     candidates, why = fitted(kind, settings, read, environment, identity, region)
