@@ -16,10 +16,11 @@ from hardware_sim.scenes import Scene
 from hardware_sim.settings import WorldSettings
 from hardware_sim.wam import JOINTS
 from wam_power_ros import rotations
-from wam_power_ros.control.urdf_checks import parsed
+from wam_power_ros.control.urdf_checks import MOMENTS, parsed
 
 TIMESTEP = 0.001  # [s] of the physics
 AIR_DENSITY = 1.2  # [kg/m^3]
+UNIT_MOMENTS = {name: str(float(name[1] == name[2])) for name in MOMENTS}  # [kg m^2]
 
 
 def build(
@@ -73,12 +74,18 @@ def arm(urdf: str, joints: Sequence[str] = JOINTS) -> mujoco.MjSpec:
     for other in tree.iterfind("./joint"):
         if other.get("name") not in joints:
             other.set("type", "fixed")
+    moved = _moved(tree)
     for link in tree.iterfind("./link"):
+        moments = link.find("inertial/inertia")
+        if moments is not None and link.get("name") not in moved:
+            moments.attrib.update(UNIT_MOMENTS)  # its own have no effect, and may be of no body
         for shape in [*link.iterfind("visual"), *link.iterfind("collision")]:
             if shape.find("./geometry/mesh") is not None:
                 link.remove(shape)
     extension = ElementTree.SubElement(tree, "mujoco")
-    ElementTree.SubElement(extension, "compiler", discardvisual="false", fusestatic="false")
+    # Inertias that `urdf_checks` accepts are made those of bodies, where they are not quite.
+    balanced = {"discardvisual": "false", "fusestatic": "false", "balanceinertia": "true"}
+    ElementTree.SubElement(extension, "compiler", balanced)
     spec = mujoco.MjSpec.from_string(ElementTree.tostring(tree, encoding="unicode"))
     for joint in spec.joints:  # MuJoCo reads no armature from a URDF
         dynamics = tree.find(f"./joint[@name='{joint.name}']/dynamics")
@@ -91,6 +98,18 @@ def arm(urdf: str, joints: Sequence[str] = JOINTS) -> mujoco.MjSpec:
         geom.mass = 0.0  # a link has the mass of its <inertial> element alone
         geom.group = 1
     return spec
+
+
+def _moved(tree: ElementTree.Element) -> set[str | None]:
+    """Names of the links that a joint moves."""
+    joints = [
+        (each.find("parent").get("link"), each.find("child").get("link"), each.get("type"))  # type: ignore[union-attr]
+        for each in tree.iterfind("./joint")
+    ]
+    moved: set[str | None] = set()
+    while found := {c for p, c, kind in joints if kind != "fixed" or p in moved} - moved:
+        moved |= found
+    return moved
 
 
 def _place(spec: mujoco.MjSpec, position: np.ndarray, rotation: np.ndarray) -> None:

@@ -58,6 +58,16 @@ def test_a_gripper_is_locked_and_meshes_are_left_out() -> None:
     assert model.body("finger").mass == pytest.approx(0.1)
 
 
+def test_an_inertia_that_is_only_nearly_a_body_and_one_that_never_moves_are_no_obstacle() -> None:
+    link = """<link name="{0}"><inertial><mass value="0.1"/>
+        <inertia ixx="{1}" iyy="1e-4" izz="2.2e-4" ixy="0" ixz="0" iyz="0"/></inertial></link>
+        <joint name="{0}_joint" type="fixed"><parent link="{2}"/><child link="{0}"/></joint>"""
+    added = link.format("nearly", "1e-4", "pan") + link.format("antenna", "-1e-4", "wam_base")
+    model = scene.arm(URDF.replace("</robot>", f"{added}</robot>")).compile()
+    assert model.body("nearly").mass == pytest.approx(0.1)
+    assert model.body("antenna").mass == pytest.approx(0.1)
+
+
 def test_the_arm_keeps_its_properties_in_the_scene(arm: Arm, world: World) -> None:
     model = world.model
     assert model.body_mass[1 : model.body("pancake").id].sum() == pytest.approx(

@@ -26,7 +26,7 @@ ROUNDING = 1e-12  # [kg m^2] of the sums over links that are fixed to each other
 # 40 real robots, below 1e-12 for a point mass on a joint's axis.
 EIGENVALUE_MIN = 1e-9
 _POSTURES = 8  # at which the mass matrix is checked
-_MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 _LIMITED = ("revolute", "prismatic")
 
 
@@ -232,7 +232,7 @@ def _require_numbers(link: str, inertial: ElementTree.Element) -> None:
     mass, moments, origin = (inertial.find(name) for name in ("mass", "inertia", "origin"))
     if mass is None or moments is None:
         raise ValueError(f"<inertial> of link {link!r} must have <mass> and <inertia>")
-    texts = [mass.get("value", ""), *(moments.get(name, "") for name in _MOMENTS)]
+    texts = [mass.get("value", ""), *(moments.get(name, "") for name in MOMENTS)]
     texts += ("0 0 0" if origin is None else origin.get("xyz", "0 0 0")).split()
     numbers = list(map(number, texts))
     if not all(map(math.isfinite, numbers)):
