@@ -17,6 +17,7 @@ STIFFNESS = 3000.0  # [N/m]
 DAMPING = 120.0  # [N s/m]
 ROTATION_STIFFNESS = 60.0  # [N m/rad]
 ROTATION_DAMPING = 3.0  # [N m s/rad]
+GRIP_DAMPING = np.repeat((DAMPING, ROTATION_DAMPING), 3)  # of velocity and angular velocity
 FORCE_MAX = 150.0  # [N] of a person's arm
 MOMENT_MAX = 15.0  # [N m]
 PAUSE = 0.25  # [s] at rest before a movement

@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 
 from hardware_sim import scene
-from hardware_sim.demonstrator import Demonstrator
+from hardware_sim.demonstrator import GRIP_DAMPING, ROTATION_DAMPING, Demonstrator
 from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth, rotation_of
 from hardware_sim.hidden_arm import HiddenArm, drawn
 from hardware_sim.motors import DirectDrives, Motors
@@ -415,10 +415,27 @@ class World:
                 self._demonstrator = None
                 applied[:] = 0.0
             else:  # MuJoCo applies it at the centre of mass
+                if self.n < 6:  # such an arm turns its tool as it must
+                    wrench[3:] = -ROTATION_DAMPING * self._velocity[:3]
+                if not self.arm.armature.any():
+                    wrench = self._yielding(wrench)
                 applied[:3] = wrench[:3]
                 lever = self._tool_position - data.xipos[self._tool]
                 applied[3:] = wrench[3:] + np.cross(lever, wrench[:3])
         mujoco.mj_step2(model, data)
+
+    def _yielding(self, wrench: np.ndarray) -> np.ndarray:
+        """Wrench (6,) of a hand whose damping acts within the step of the physics, not after it.
+
+        Else it shakes a wrist without rotor inertia.
+        """
+        jacobian = np.zeros((6, self.model.nv))
+        position, tool = self._tool_position, self._tool
+        mujoco.mj_jac(self.model, self.data, jacobian[:3], jacobian[3:], position, tool)
+        mobile = np.zeros_like(jacobian)  # rows of M^-1 J^T
+        mujoco.mj_solveM(self.model, self.data, mobile, jacobian)
+        slowed = scene.TIMESTEP * GRIP_DAMPING[:, np.newaxis] * (jacobian @ mobile.T)
+        return np.linalg.solve(np.eye(6) + slowed, wrench)
 
     def _restart_log(self) -> None:
         self._log.restart(Snapshot(self._body.copy(), *self.tool_pose))

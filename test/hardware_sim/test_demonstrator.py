@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +14,11 @@ from hardware_sim.demonstrator import FORCE_MAX, MOMENT_MAX, Demonstrator, Scrip
 from hardware_sim.scenes.ball_in_cup import swing
 from hardware_sim.scenes.flip import wrist_flick
 from hardware_sim.scenes.reach import reach
+from hardware_sim.settings import ArmSimParams
+from hardware_sim.world import World
 from wam_power_ros import rotations
+from wam_power_ros.params import overlay
+from wam_power_ros.params.resources import share
 
 POSITION, ROTATION = np.array([0.8, 0.0, 0.6]), rotations.exp(np.array([0.0, 0.4, 0.0]))
 STILL = np.zeros(6)
@@ -52,3 +58,28 @@ def test_the_demonstrator_pulls_towards_its_target_and_no_harder_than_a_person()
     torn = hand.wrench(0.0, POSITION + 1.0, rotations.exp(np.ones(3)) @ ROTATION, STILL)
     assert np.linalg.norm(torn[:3]) == pytest.approx(FORCE_MAX)
     assert np.linalg.norm(torn[3:]) == pytest.approx(MOMENT_MAX)
+
+
+@pytest.mark.parametrize("joints", [6, 5])
+def test_a_guided_wrist_without_rotor_inertia_is_not_shaken_nor_turned_as_it_cannot(
+    joints: int, tmp_path: Path
+) -> None:
+    text = re.sub(r' armature="[^"]*"', "", share("urdf/ur5e.urdf").read_text())
+    (urdf := tmp_path / "ur5e.urdf").write_text(text)
+    setup = overlay.setup(["ur", "position"], task="reach", simulated=True)
+    names = setup["torque_controller"]["model_joint_names"][:joints]
+    home = setup["wam_sim"]["home"][:joints]
+    changed = {"joint_names": names, "model_joint_names": names, "urdf": str(urdf)}
+    setup = setup.changed({"torque_controller": changed, "wam_sim": {**changed, "home": home}})
+    world = World.from_params(ArmSimParams.from_setup(setup), None)
+    world.guided = True
+    world.attach(
+        Demonstrator(reach(np.random.default_rng(0), world.settings.goal), *world.tool_pose)
+    )
+    fastest = 0.0
+    while world.pulled:
+        world.guided = True
+        world.step(np.array(home))
+        fastest = max(fastest, float(np.abs(world.joint_state().qd).max()))
+    assert fastest < 2.0
+    assert np.linalg.norm(world.tool_pose[0] - world.settings.goal) < 0.05
