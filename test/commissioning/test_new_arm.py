@@ -11,7 +11,8 @@ import pytest
 
 from wam_power_ros.cli import main
 from wam_power_ros.cli.set_up_checks import mistakes
-from wam_power_ros.commissioning.new_arm import chain
+from wam_power_ros.commissioning.new_arm import SPEED_SHARE, chain, reach_of, room_of, way_of
+from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.urdf_checks import parsed
 from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.params import overlay
@@ -71,3 +72,48 @@ def test_the_tool_is_moved_by_the_most_joints_and_no_finger() -> None:
     for tool, said in (("gripper", "no link 'gripper'"), ("base", "no joint moves")):
         with pytest.raises(ValueError, match=said):
             chain(tree, tool)
+
+
+def test_a_joint_of_a_gripper_is_no_joint_of_the_arm() -> None:
+    joint = '<joint name="{0}" type="revolute"><parent link="{1}"/><child link="{0}_l"/>{2}</joint>'
+    for jaw, follower in (("left_jaw", ""), ("drive", '<mimic joint="drive"/>')):
+        joints = [("j1", "base", ""), ("j2", "j1_l", ""), (jaw, "j2_l", "")]
+        joints += [("other_finger", f"{jaw}_l", follower)]
+        links = ["base", *(f"{name}_l" for name, *_ in joints)]
+        text = "".join([f'<link name="{link}"/>' for link in links])
+        text += "".join(joint.format(*each) for each in joints)
+        tree = parsed(f"<robot>{text}</robot>")
+        assert chain(tree)[0] == ["j1", "j2"]
+        assert chain(tree, f"{jaw}_l")[0] == ["j1", "j2", jaw]  # asked for by name
+
+
+@pytest.mark.parametrize("slow", [1.0, 0.5])
+def test_a_proposed_reach_keeps_speed_limits_of_slow_arms_too(slow: float) -> None:
+    arm = arm_of("ur5e.urdf", "pan")
+    arm.qd_max *= slow
+    home, _, way = reach_of(arm, 0.5, np.random.default_rng(0))
+    path = way_of(arm, home, way)
+    assert path is not None and 0.0 < room_of(arm, path, 0.5)
+    assert np.all(np.abs(np.diff(path, axis=0)) / 0.2 < SPEED_SHARE * arm.qd_max)
+    assert all(arm.tool_pose(q)[0][2] > 0.0 for q in path)
+
+
+def test_an_arm_of_five_joints_which_cannot_hold_its_orientation_has_a_reach_as_well() -> None:
+    arm = arm_of("ur5e.urdf", "pan", joints=5)
+    home, _, way = reach_of(arm, 0.5, np.random.default_rng(0))
+    path = way_of(arm, home, way)
+    assert path is not None
+    assert arm.tool_pose(path[-1])[0] == pytest.approx(arm.tool_pose(home)[0] + way, abs=2e-3)
+
+
+def test_an_arm_that_cannot_move_fast_enough_is_refused_with_the_reason() -> None:
+    arm = arm_of("ur5e.urdf", "pan")
+    arm.qd_max *= 0.01
+    with pytest.raises(ValueError, match="was found above"):
+        reach_of(arm, 0.5, np.random.default_rng(0))
+
+
+def arm_of(urdf: str, tool: str, joints: int = 6) -> Arm:
+    text = share(f"urdf/{urdf}").read_text()
+    names = chain(parsed(text), tool)[0][:joints]
+    return Arm(text, names, tool, ())

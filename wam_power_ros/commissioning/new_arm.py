@@ -4,21 +4,26 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from wam_power_ros.control.arm import Arm
+from wam_power_ros.control.arm import Arm, GuardedPoint
 from wam_power_ros.control.inverse_kinematics import damped_step
 from wam_power_ros.control.urdf_checks import parsed
 
 MOVABLE = ("revolute", "prismatic", "continuous")
+GRIPPER = re.compile("grip|finger|jaw", re.IGNORECASE)  # in the name of a joint that is no arm's
 MARGIN = 0.15  # [rad] from the limits of the joints
-TRIES = 60  # postures from which a home is sought
+TRIES = 100  # postures from which a home is sought
 SHARE = 0.18  # radius of the obstacle over the way, see config/reach.yaml
 ARC = np.array([0.0, 0.0, 0.06])  # [m] of a demonstrated reach
+SPEED_SHARE = 0.5  # of the speed limits: a person and an exploration are quicker than planned
+TABLE = 0.05  # [m] least height of tool and guarded points
+DURATION, STEPS = 2.0, 10  # [s] of a demonstrated reach; in which it is tried
 
 
 class Proposal(NamedTuple):
@@ -41,8 +46,8 @@ def limits_of_turning(tree: Element, names: list[str]) -> list[float]:
 def chain(tree: Element, tool: str = "") -> tuple[list[str], list[str], str]:
     """Joints base to tip, links base to tip and the tool of a URDF.
 
-    The tool is the link that is moved by the most joints, of these by the fewest slides, farthest
-    out.
+    The tool is the link that is moved by no joint of a gripper and else by the most joints, of
+    these by the fewest slides, farthest out.
 
     Raises:
         ValueError: There is no such link, or no joint moves it.
@@ -56,10 +61,18 @@ def chain(tree: Element, tool: str = "") -> tuple[list[str], list[str], str]:
             link = joint.find("parent").get("link")  # type: ignore[union-attr, assignment]
         return joints
 
-    def rank(link: str) -> tuple[int, int, int]:
+    mimicked = {mimic.get("joint") for mimic in tree.iterfind("joint/mimic")}
+
+    def is_of_gripper(joint: Element) -> bool:
+        name = str(joint.get("name"))
+        coupled = joint.find("mimic") is not None or name in mimicked
+        return joint.get("type") in MOVABLE and (coupled or GRIPPER.search(name) is not None)
+
+    def rank(link: str) -> tuple[bool, int, int, int]:
         kinds = [joint.get("type") for joint in path(link)]
         turning = kinds.count("revolute") + kinds.count("continuous")
-        return turning, -kinds.count("prismatic"), len(kinds)
+        free = not any(map(is_of_gripper, path(link)))
+        return free, turning, -kinds.count("prismatic"), len(kinds)
 
     links = [str(each.get("name")) for each in tree.iterfind("link")]
     if tool and tool not in links:
@@ -77,53 +90,92 @@ def chain(tree: Element, tool: str = "") -> tuple[list[str], list[str], str]:
 def solved(
     arm: Arm, q: np.ndarray, position: np.ndarray, rotation: np.ndarray | None = None
 ) -> np.ndarray | None:
-    """Posture with the tool at a position (3,) [m], level or with a rotation (3, 3); else None."""
+    """Posture with the tool at a position (3,) [m], level or with a rotation (3, 3); else None.
+
+    Light joints move most, as those of an arm that is guided or follows a policy. An arm of fewer
+    than six joints is asked for the position alone.
+    """
     low, high = arm.q_min + MARGIN, arm.q_max - MARGIN
+    rows = 6 if arm.n >= 6 else 3
     for _ in range(80):
         now, turned = arm.tool_pose(q)
         axes = np.cross(turned[:, 2], [0.0, 0.0, 1.0])
         if rotation is not None:
             axes = 0.5 * np.cross(turned.T, rotation.T).sum(axis=0)
-        error = np.concatenate([position - now, axes])
-        if np.abs(error).max() < 1e-3 and (rotation is not None or turned[2, 2] > 0.999):
+        error = np.concatenate([position - now, axes])[:rows]
+        upright = rows < 6 or rotation is not None or turned[2, 2] > 0.999
+        if np.abs(error).max() < 1e-3 and upright:
             return q
-        q = np.clip(q + 0.5 * damped_step(arm.jacobian(q), error), low, high)
+        light = np.linalg.cholesky(np.linalg.inv(arm.mass_matrix(q)))
+        step = light @ damped_step(arm.jacobian(q)[:rows] @ light, error)
+        q = np.clip(q + 0.5 * step, low, high)
     return None
 
 
-def reach_of(arm: Arm, rng: np.random.Generator) -> tuple[np.ndarray, float, float, np.ndarray]:
-    """Home (n,) [rad], reach and way to the goal [m], and goal (3,) [m].
+def way_of(arm: Arm, home: np.ndarray, way: np.ndarray) -> np.ndarray | None:
+    """Postures (K, n) [rad] at even times of a reach from the home by a way (3,) [m], or None.
+
+    It keeps the tool's orientation and has the arc and the speed of a demonstrated one.
+    """
+    (start, rotation), postures = arm.tool_pose(home), [home]
+    for u in np.linspace(0.0, 1.0, STEPS + 1)[1:]:
+        share = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+        place = start + share * way + np.sin(np.pi * share) * ARC
+        if (found := solved(arm, postures[-1], place, rotation)) is None:
+            return None
+        postures.append(found)
+    return np.array(postures)
+
+
+def room_of(arm: Arm, postures: np.ndarray, torque_share: float) -> float:
+    """Least distance of a reach from a position limit [rad], or share left of speeds or torques.
+
+    It is negative if a limit is exceeded or the arm comes down to the table.
+    """
+    near = np.minimum(postures - arm.q_min, arm.q_max - postures) - MARGIN
+    speeds = np.abs(np.diff(postures, axis=0)) * STEPS / DURATION
+    slow = 1.0 - float((speeds / (SPEED_SHARE * arm.qd_max)).max())
+    torques = np.array([np.abs(arm.gravity(q)) for q in postures])
+    held = 1.0 - float((torques / (torque_share * arm.tau_max)).max())
+    motions = [arm.motion(q, np.zeros(arm.n)) for q in postures]
+    points = np.array([[each.position.tolist(), *each.guarded_positions] for each in motions])
+    return min(float(near.min()), slow, held) if points[:, :, 2].min() > TABLE else -1.0
+
+
+def reach_of(
+    arm: Arm, torque_share: float, rng: np.random.Generator
+) -> tuple[np.ndarray, float, np.ndarray]:
+    """Home (n,) [rad], farthest place of the tool [m], and way to the goal (3,) [m].
+
+    The tool is level if that is possible. A long way counts as much as room about it.
 
     Raises:
-        ValueError: No posture with a level tool, from which a straight reach is possible, was
-            found within the limits.
+        ValueError: No reach within the limits of position and speed, above the table, was found.
     """
-    low, high = arm.q_min + MARGIN, arm.q_max - MARGIN
-    random = rng.uniform(low, high, (TRIES * 20, arm.n))
-    tools = np.array([arm.tool_pose(q)[0] for q in random])
-    reach = float(np.linalg.norm(tools[:, :2], axis=1).max())
-    best: tuple[float, np.ndarray, float, np.ndarray] | None = None
-    for q in random[:TRIES]:
-        far, side = rng.uniform(0.45, 0.75) * reach, rng.uniform(0.15, 0.35) * reach
-        start = np.array([far, -side, rng.uniform(0.2, 0.7) * reach])
-        if (home := solved(arm, q, start)) is None:
-            continue
-        rotation = arm.tool_pose(home)[1]
-        postures = [home]
-        for share in np.linspace(0.1, 1.0, 10):
-            place = start + share * np.array([0.0, 2.0 * side, 0.0]) + np.sin(np.pi * share) * ARC
-            if (found := solved(arm, postures[-1], place, rotation)) is None:
-                break
-            postures.append(found)
-        room = min(float(np.minimum(q - low, high - q).min()) for q in postures)
-        if len(postures) == 11 and (best is None or room > best[0]):
-            best = room, home, 2.0 * side, start + np.array([0.0, 2.0 * side, 0.0])
-    if best is None:
-        raise ValueError(
-            "no posture with a level tool (z up) and a reach to its left was found: is z the axis "
-            "out of the tool? Give a link that is, with --tool, or home and goal by hand"
-        )
-    return best[1], reach, best[2], best[3]
+    postures = rng.uniform(arm.q_min + MARGIN, arm.q_max - MARGIN, (TRIES * 20, arm.n))
+    poses = [arm.tool_pose(q) for q in postures]
+    tools, upright = np.array([p for p, _ in poses]), np.array([r[2, 2] for _, r in poses])
+    middle = tools.mean(axis=0)
+    reach = float(np.linalg.norm((tools - middle)[:, :2], axis=1).max())
+    ahead = np.flatnonzero((tools[:, 0] > middle[0]) & (tools[:, 2] > TABLE))
+    ways = np.outer(rng.uniform(0.1, 0.7, TRIES) * reach, [0.0, 1.0, 0.0])
+    farthest = float(np.linalg.norm(tools[:, :2], axis=1).max())
+    for level in (True, False):
+        tried = ahead[upright[ahead].argsort()[::-1]] if level else ahead
+        most, best = 0.0, None
+        for q, start, way in zip(postures[tried], tools[tried], ways, strict=False):
+            home = solved(arm, q, start) if level else q
+            path = None if home is None else way_of(arm, home, way)
+            if path is not None and (worth := way[1] * room_of(arm, path, torque_share)) > most:
+                most, best = worth, (path[0], farthest, way)
+        if best is not None:
+            return best
+    raise ValueError(
+        f"no reach of the tool to its left was found above the height of 0, {MARGIN} rad from the "
+        f"position limits, with {SPEED_SHARE:g} of the speed and {torque_share:g} of the torque "
+        "limits: are they those of its maker? Give another link, with --tool, or home and goal by "
+        "hand"
+    )
 
 
 def proposals(urdf: str, file: str, tool: str, output: str) -> Iterator[Proposal]:
@@ -134,10 +186,13 @@ def proposals(urdf: str, file: str, tool: str, output: str) -> Iterator[Proposal
     """
     names, links, tool = chain(tree := parsed(urdf), tool)
     limits = limits_of_turning(tree, names)
-    arm = Arm(urdf, names, tool, (), position_limits=limits)
-    home, reach, way, goal = reach_of(arm, np.random.default_rng(0))
-    start = arm.tool_pose(home)[0]
     elbow, wrist = links[(len(names) + 1) // 2], links[max(len(names) - 2, 1)]
+    guarded = [GuardedPoint(link, link, (0.0, 0.0, 0.0)) for link in (elbow, wrist)]
+    arm = Arm(urdf, names, tool, guarded, position_limits=limits)
+    share = 0.5 if output == "torque" else 1.0
+    home, reach, way = reach_of(arm, share, np.random.default_rng(0))
+    start = arm.tool_pose(home)[0]
+    goal = start + way
     node = "torque_controller"
     reason = "all that move the tool, base to tip; those of the driver, if it names them otherwise"
     yield Proposal(node, "joint_names", names, reason)
@@ -155,15 +210,18 @@ def proposals(urdf: str, file: str, tool: str, output: str) -> Iterator[Proposal
     yield Proposal(node, "workspace_min", [-box, -box, 0.0], "[m] 1.2 times its reach, above floor")
     yield Proposal(node, "workspace_max", [box, box, 2.0 * box], "[m]")
     yield Proposal(node, "plane", [0.0, 0.0, 1.0, 0.0], "it stands on a table at the height of 0")
-    yield Proposal(node, "torque_share", 0.5, "of the URDF's limits, for the first runs")
+    reason = "of the URDF's limits, for the first runs" if share < 1.0 else "of the model alone"
+    yield Proposal(node, "torque_share", share, reason)
     yield Proposal(node, "guarded_speed_max", 1.0, "[m/s] for the first runs")
     yield Proposal(node, "idle_service", "", "none is known")
     yield Proposal(node, "output", output, "what the driver takes")
-    middle = [*((start + goal) / 2.0 + ARC).round(3).tolist(), round(SHARE * way, 3)]
+    middle = [*((start + goal) / 2.0 + ARC).round(3).tolist(), round(SHARE * float(way[1]), 3)]
     yield Proposal(node, "guarded_region", middle, "[m] obstacle of task reach, half-way")
     yield Proposal("wam_sim", "drives", "direct", "one motor a joint, limits of the URDF")
-    yield Proposal("wam_sim", "home", home.round(3).tolist(), "[rad] tool level, limits far")
-    yield Proposal("wam_sim", "goal", goal.round(3).tolist(), "[m] as far to the left as the home")
+    yield Proposal(
+        "wam_sim", "home", home.round(3).tolist(), "[rad] tool level if it can be, limits far"
+    )
+    yield Proposal("wam_sim", "goal", goal.round(3).tolist(), "[m] to the left of the home")
 
 
 def text(values: list[Proposal]) -> str:
