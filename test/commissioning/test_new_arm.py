@@ -98,6 +98,14 @@ def test_a_proposed_reach_keeps_speed_limits_of_slow_arms_too(slow: float) -> No
     assert all(arm.tool_pose(q)[0][2] > 0.0 for q in path)
 
 
+def test_a_proposed_reach_is_far_from_singularities() -> None:
+    arm = arm_of("ur5e.urdf", "pan")
+    home, _, way = reach_of(arm, 1.0, np.random.default_rng(0))
+    path = way_of(arm, home, way)
+    assert path is not None
+    assert min(np.linalg.svd(arm.jacobian(q))[1][-1] for q in path) > 0.05
+
+
 def test_an_arm_of_five_joints_which_cannot_hold_its_orientation_has_a_reach_as_well() -> None:
     arm = arm_of("ur5e.urdf", "pan", joints=5)
     home, _, way = reach_of(arm, 0.5, np.random.default_rng(0))

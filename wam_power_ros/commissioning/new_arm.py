@@ -21,7 +21,7 @@ MARGIN = 0.15  # [rad] from the limits of the joints
 TRIES = 100  # postures from which a home is sought
 SHARE = 0.18  # radius of the obstacle over the way, see config/reach.yaml
 ARC = np.array([0.0, 0.0, 0.06])  # [m] of a demonstrated reach
-SPEED_SHARE = 0.5  # of the speed limits: a person and an exploration are quicker than planned
+SPEED_SHARE = 0.4  # of the speed limits: a reproduction is up to twice as fast as planned
 TABLE = 0.05  # [m] least height of tool and guarded points
 DURATION, STEPS = 2.0, 10  # [s] of a demonstrated reach; in which it is tried
 
@@ -87,16 +87,19 @@ def chain(tree: Element, tool: str = "") -> tuple[list[str], list[str], str]:
     return [str(joint.get("name")) for joint in moving], [str(root), *moved], tool
 
 
+def rows_of(arm: Arm) -> int:
+    """Coordinates of the tool's pose that an arm can hold: below six joints its position alone."""
+    return 6 if arm.n >= 6 else 3
+
+
 def solved(
     arm: Arm, q: np.ndarray, position: np.ndarray, rotation: np.ndarray | None = None
 ) -> np.ndarray | None:
     """Posture with the tool at a position (3,) [m], level or with a rotation (3, 3); else None.
 
-    Light joints move most, as those of an arm that is guided or follows a policy. An arm of fewer
-    than six joints is asked for the position alone.
+    Light joints move most, as those of an arm that is guided or follows a policy.
     """
-    low, high = arm.q_min + MARGIN, arm.q_max - MARGIN
-    rows = 6 if arm.n >= 6 else 3
+    low, high, rows = arm.q_min + MARGIN, arm.q_max - MARGIN, rows_of(arm)
     for _ in range(80):
         now, turned = arm.tool_pose(q)
         axes = np.cross(turned[:, 2], [0.0, 0.0, 1.0])
@@ -128,18 +131,20 @@ def way_of(arm: Arm, home: np.ndarray, way: np.ndarray) -> np.ndarray | None:
 
 
 def room_of(arm: Arm, postures: np.ndarray, torque_share: float) -> float:
-    """Least distance of a reach from a position limit [rad], or share left of speeds or torques.
+    """How far a reach stays from limits and singularities; negative beyond a limit or at the table.
 
-    It is negative if a limit is exceeded or the arm comes down to the table.
+    The least of distances [rad], shares left of speeds and torques, and singular values.
     """
     near = np.minimum(postures - arm.q_min, arm.q_max - postures) - MARGIN
     speeds = np.abs(np.diff(postures, axis=0)) * STEPS / DURATION
     slow = 1.0 - float((speeds / (SPEED_SHARE * arm.qd_max)).max())
     torques = np.array([np.abs(arm.gravity(q)) for q in postures])
     held = 1.0 - float((torques / (torque_share * arm.tau_max)).max())
+    jacobians = np.array([arm.jacobian(q)[: rows_of(arm)] for q in postures])
+    nimble = float(np.linalg.svd(jacobians, compute_uv=False).min())
     motions = [arm.motion(q, np.zeros(arm.n)) for q in postures]
     points = np.array([[each.position.tolist(), *each.guarded_positions] for each in motions])
-    return min(float(near.min()), slow, held) if points[:, :, 2].min() > TABLE else -1.0
+    return min(float(near.min()), slow, held, nimble) if points[:, :, 2].min() > TABLE else -1.0
 
 
 def reach_of(
