@@ -91,9 +91,9 @@ def test_a_node_can_still_send_when_a_signal_ends_it(probe: Probe, processes: Pr
 
 
 LAST = """
-import os, sys
+import os, signal, sys
 class Last:  # deleted after the interpreter has removed its handlers
-    def __del__(self, kill=os.kill, me=os.getpid(), number=int(sys.argv[1])):
+    def __del__(self, kill=os.kill, me=os.getpid(), number=signal.SIGINT):
         kill(me, number)
 sys.last = Last()
 """
@@ -103,7 +103,7 @@ def test_a_second_signal_while_the_interpreter_ends_does_not_change_the_exit_sta
     probe: Probe, processes: Processes
 ) -> None:
     words = probe.listen(String, "/words", interface.LATCHED)
-    process = processes.script(f"{LAST}{NODE}", str(int(signal.SIGINT)))
+    process = processes.script(f"{LAST}{NODE}")
     probe.until(lambda: words, "the first message")
     assert processes.end(process) == 0
 

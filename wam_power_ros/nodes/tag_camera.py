@@ -41,7 +41,8 @@ def pixels(message: Image, codes: Mapping[str, int | None]) -> np.ndarray:
     if message.step < width or len(rows) != message.step * message.height or not len(rows):
         raise ValueError(f"{len(rows)} bytes are no {message.height} rows of {message.step} bytes")
     image = rows.reshape(message.height, message.step)[:, :width]
-    image = image.reshape(message.height, message.width, channels).squeeze()
+    image = image.reshape(message.height, message.width, channels)
+    image = image[..., 0] if channels == 1 else image
     code = codes[message.encoding]
     return np.ascontiguousarray(image) if code is None else cv2.cvtColor(image, code)
 
