@@ -157,13 +157,12 @@ class DemonstrationRecorder(Node):
     def _on_policy(self, message: Policy) -> None:
         try:
             check_id(message.id)  # will be the name of a file
-            if self._recording is None:  # else it is executed in this one, not in the next
-                self._policy_id = message.id
+            self._policy_id = message.id
         except ValueError as error:
             self.get_logger().warning(f"policy refused: {error}", throttle_duration_sec=1.0)
 
     def _on_end(self, message: RolloutEnd) -> None:
-        if message.policy_id == self._policy_id:  # nobody recorded it
+        if message.policy_id == self._policy_id:  # it comes at the move to the start and again
             self._policy_id = ""
 
     def _on_record(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
