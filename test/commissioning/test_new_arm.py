@@ -98,6 +98,15 @@ def test_a_proposed_reach_keeps_speed_limits_of_slow_arms_too(slow: float) -> No
     assert all(arm.tool_pose(q)[0][2] > 0.0 for q in path)
 
 
+def test_a_posture_that_is_singular_or_at_the_table_leaves_no_room() -> None:
+    arm = arm_of("ur5e.urdf", "pan")
+    bent = np.array([0.0, -1.6, 1.9, -1.9, -1.6, 0.0])
+    straight, low = bent.copy(), bent.copy()
+    straight[2], low[1] = 0.0, -0.1
+    rooms = [room_of(arm, np.array([q, q]), 1.0) for q in (bent, straight, low)]
+    assert rooms[0] > 0.05 > abs(rooms[1]) and rooms[2] == -1.0
+
+
 def test_a_proposed_reach_is_far_from_singularities() -> None:
     arm = arm_of("ur5e.urdf", "pan")
     home, _, way = reach_of(arm, 1.0, np.random.default_rng(0))

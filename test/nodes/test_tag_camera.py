@@ -161,6 +161,17 @@ def test_a_ball_is_found_by_its_outline_whatever_lights_it_and_hides_a_part() ->
     assert (np.percentile(errors, 90, axis=0) < [1e-3, 0.03]).all()
 
 
+def test_a_ball_of_which_a_fifth_of_the_outline_is_hidden_is_where_it_was() -> None:
+    place = np.array([0.0, 0.0, 0.8])
+    image, corner = BallFilm(0.018).window(place, np.eye(3), np.random.default_rng(1))
+    k = shown_tags.K.copy()
+    k[:2, 2] -= corner
+    whole, _ = BallDetector(0.018, HUE).pose(1, image, k, shown_tags.D)
+    image[:, round(k[0, 2] + 16.5) :] = 128  # of a radius of 20 pixels
+    found, _ = BallDetector(0.018, HUE).pose(1, image, k, shown_tags.D)
+    assert np.abs(found - whole).max() < 0.01
+
+
 def test_where_no_ball_is_seen_whole_there_is_no_position() -> None:
     film, rng = BallFilm(0.018), np.random.default_rng(1)
     image, _ = film.window(np.array([0.0, 0.0, 1.0]), np.eye(3), rng)

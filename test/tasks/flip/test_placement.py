@@ -16,7 +16,7 @@ from wam_power_ros import rotations
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.flip.assessment import assess
-from wam_power_ros.tasks.flip.placement import doubt
+from wam_power_ros.tasks.flip.placement import doubt, turned
 from wam_power_ros.tasks.task import Assessment
 
 POLICY = demonstrated_policy("trial-0001")
@@ -97,6 +97,16 @@ def test_one_marker_is_named() -> None:
         for each in seen(truth, rng)
     )
     assert "as of one marker" in judged(truth.pan, path, before).why
+
+
+def test_a_pancake_that_does_not_turn_with_the_pan_tells_nothing_of_the_frame() -> None:
+    rng = np.random.default_rng(3)
+    truth = toss(rng, half_turns=1.0)
+    body, before = seen(truth, rng)
+    still = BodyPath(
+        body.id, body.t, body.position, np.tile(before.quat_xyzw[-1], (len(body.t), 1))
+    )
+    assert turned(truth.pan, still, before) == ""
 
 
 @pytest.mark.parametrize("axis", [0, 2])
