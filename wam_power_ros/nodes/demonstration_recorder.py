@@ -162,7 +162,7 @@ class DemonstrationRecorder(Node):
             self.get_logger().warning(f"policy refused: {error}", throttle_duration_sec=1.0)
 
     def _on_end(self, message: RolloutEnd) -> None:
-        if message.policy_id == self._policy_id:  # it comes at the move to the start and again
+        if message.policy_id == self._policy_id:  # or the next recording would be named after it
             self._policy_id = ""
 
     def _on_record(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:

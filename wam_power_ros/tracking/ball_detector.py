@@ -10,6 +10,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from wam_power_ros.tracking.tag_detector import Pose
+
 HUE_RANGE = 15.0  # [degrees] to either side
 COLOUR_MIN = 40  # smallest difference of the largest and the smallest colour of a pixel
 STRING = np.ones((5, 5), np.uint8)  # [px] what may hide a part, but not cut it in two
@@ -20,7 +22,6 @@ STEPS = 8  # of a pixel along a direction
 STRAY = 3.0  # deviation from the cone of a point that is hidden, in medians
 SHARE_MIN = 0.7  # of the outline that must be seen
 ROUND = 0.05  # deviation from it of an outline that is round, as a share of its width
-Pose = tuple[np.ndarray, np.ndarray]  # position (3,) [m] and rotation (3, 3)
 
 
 class BallDetector:

@@ -107,6 +107,9 @@ def test_a_pancake_that_does_not_turn_with_the_pan_tells_nothing_of_the_frame() 
         body.id, body.t, body.position, np.tile(before.quat_xyzw[-1], (len(body.t), 1))
     )
     assert turned(truth.pan, still, before) == ""
+    pan = truth.pan
+    first = EndEffectorPath(pan.id, pan.t[:1], pan.position[:1], pan.quat_xyzw[:1])
+    assert turned(first, body, before) == ""
 
 
 @pytest.mark.parametrize("axis", [0, 2])

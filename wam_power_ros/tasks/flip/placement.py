@@ -87,7 +87,7 @@ def turned(
 
     While the pan carries the pancake both turn about one axis, but for less than `axis_off` [rad].
     """
-    if before is None or not len(before.t):
+    if before is None or not len(before.t) or len(pan.t) < 2:
         return ""
     matrix = rotations.matrix(pan.quat_xyzw)
     height = np.sum(matrix[:, :, 2] * (pan.position - pan.position[0]), axis=1)
