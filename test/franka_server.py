@@ -4,7 +4,8 @@
 `python franka_server.py ADDRESS` ends a motion as the robot does: after 20 lost cycles, a step of
 torque, a limit. Each line on its input is answered by one: `reflex NUMBER` provokes an error of
 libfranka, `stopped` and `released` are the person's switch, `freeze SECONDS` repeats the measured
-posture, `push JOINT TORQUE SECONDS` is a hand, `arm` asks for the true posture, speeds and mode.
+posture, `push JOINT TORQUE SECONDS` is a hand, `lead FILE` one that guides the arm along a file's
+rows of time and posture, `arm` asks for the true posture, speeds and mode.
 """
 
 from __future__ import annotations
@@ -23,6 +24,10 @@ from conftest import ROOT
 
 IDLE, USER_STOPPED = 1, 5  # modes of the protocol
 PRIORITY = 75  # a robot has a computer of its own
+HAND = (
+    np.array([300.0] * 4 + [60.0] * 3),
+    np.array([40.0] * 4 + [4.0] * 3),
+)  # [N m/rad], [N m s/rad]
 
 
 def model() -> str:
@@ -52,6 +57,7 @@ def main(address: str) -> None:
     arm = server.physics_sim
     measure, driven = arm.get_robot_state, arm.arm_control_torque
     frozen, frozen_until, hand, hand_until = {}, 0.0, np.zeros(7), 0.0
+    shown, shown_from = np.zeros((1, 8)), -1e9  # [s], [rad]: where a hand guides the arm
     switched = False  # the person's switch
 
     def measured() -> dict[str, object]:
@@ -61,7 +67,12 @@ def main(address: str) -> None:
         return {**state, **frozen} if time.monotonic() < frozen_until else state
 
     def driving() -> np.ndarray:
-        return driven() + (hand if time.monotonic() < hand_until else 0.0)
+        tau = driven() + (hand if time.monotonic() < hand_until else 0.0)
+        if (t := time.monotonic() - shown_from) < shown[-1, 0]:
+            state = measure()
+            wanted = np.array([np.interp(t, shown[:, 0], column) for column in shown.T[1:]])
+            tau = tau + HAND[0] * (wanted - state["q"]) - HAND[1] * np.array(state["dq"])
+        return tau
 
     arm.get_robot_state, arm.arm_control_torque = measured, driving
     threading.Thread(target=server.start, daemon=True).start()
@@ -84,6 +95,8 @@ def main(address: str) -> None:
         elif word == "push":
             hand[:] = 0.0
             hand[int(values[0])], hand_until = float(values[1]), time.monotonic() + float(values[2])
+        elif word == "lead":
+            shown, shown_from = np.load(values[0]), time.monotonic()
         state, robot = measure() if arm.model else None, server.robot_state.state
         answer = state and {
             "q": [*map(float, state["q"])],

@@ -28,6 +28,7 @@ class LinearModel:
     """An error model of a linear task, which counts its predictions."""
 
     directions = 5.0 * np.eye(3, SIZE)
+    modes = np.eye(SIZE)[-2:]
 
     def __init__(
         self,
@@ -225,7 +226,7 @@ def test_a_plan_keeps_away_from_where_what_a_prediction_assumes_decides() -> Non
     assert careful.mean[0] > 5.0, "a rollout there has shown what is true"
 
 
-def test_from_a_valley_without_a_way_on_draws_find_a_deeper_one() -> None:
+def test_from_a_valley_without_a_way_on_evolution_finds_a_deeper_one() -> None:
     """Steps end in the nearest valley, as of a movement that hardly throws."""
 
     def valleys(z: np.ndarray) -> np.ndarray:
@@ -237,15 +238,19 @@ def test_from_a_valley_without_a_way_on_draws_find_a_deeper_one() -> None:
     assert valleys(learner.mean)[0] < 1.0
 
 
-def test_where_the_directions_of_the_model_do_not_suffice_the_other_coordinates_are_searched() -> (
-    None
-):
+def test_where_the_directions_of_the_model_do_not_suffice_its_modes_are_searched() -> None:
     def bent(z: np.ndarray) -> np.ndarray:
         return np.array([4.0 - z[-1], 0.2 * z[0]])
 
     learner = learner_of(Landscape(lambda z: told(z, bent(z))))
     practise(learner, 1, bent)
     assert np.abs(bent(learner.mean)).max() < 1.0
+
+
+def test_a_mode_that_is_the_sum_of_directions_is_left_out() -> None:
+    model = LinearModel()
+    model.modes = np.vstack([model.directions.sum(axis=0), model.modes])
+    assert np.abs(practise(learner_of(model), 2)[-1]).max() < 0.5
 
 
 def test_a_plan_that_is_foreseen_to_be_worse_than_a_rollout_is_not_run() -> None:
@@ -275,7 +280,7 @@ def test_steps_lead_away_from_what_an_assumed_number_changes_much() -> None:
     assert abs(learner.mean[0]) < 1.5 and np.abs(error(learner.mean)).max() < 2.0
 
 
-def test_without_a_prediction_nothing_is_drawn() -> None:
+def test_without_a_prediction_nothing_evolves() -> None:
     model = LinearModel(slopes=0.0 * SLOPES)
     model.predict = None
     learner = learner_of(model)

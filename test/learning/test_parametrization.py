@@ -125,6 +125,28 @@ def test_each_parameter_moves_its_own_entry_to_its_value_and_no_other(variant: s
             np.testing.assert_array_equal(getattr(policy, other), getattr(p.policy0, other))
 
 
+@variants
+def test_a_mode_moves_one_axis_smoothly_by_a_standard_deviation(variant: str) -> None:
+    p = parametrization(variant)
+    _, axes, turned = ENTRIES[variant]
+    modes = p.modes()
+    assert len(modes) == 4 * (len(axes) + len(turned))
+    np.testing.assert_allclose(modes @ modes.T, 8.0 * np.eye(len(modes)), atol=1e-9)
+    for z in modes:
+        policy, _ = p.policy(z, "a")
+        np.testing.assert_array_equal(policy.stiffness, p.policy0.stiffness)
+        moved = np.hstack(
+            [
+                (policy.attractors - p.policy0.attractors) / 0.01,
+                (policy.rotation_attractors - p.policy0.rotation_attractors) / 0.05,
+            ]
+        )
+        rms = np.sqrt((moved**2).mean(axis=0))
+        np.testing.assert_allclose(np.sort(rms), [0.0] * 5 + [1.0], atol=1e-9)
+        signs = np.sign(moved[:, rms.argmax()])
+        assert np.count_nonzero(np.diff(signs)) <= 3
+
+
 def test_what_cannot_be_is_refused_with_its_reason() -> None:
     p = parametrization("full")
     for call, why in (

@@ -18,6 +18,7 @@ def a_model(predicts: bool = True) -> RoughErrors:
     """Two errors of five tolerances a step, of which the true slopes are 60 %."""
     model = object.__new__(RoughErrors)
     model.directions, model.slopes = DIRECTIONS, 5.0 * np.eye(2)
+    model.modes = np.empty((0, DIRECTIONS.shape[1]))
     if predicts:
         model.predict = lambda z: Prediction(3.0 * (z[:2] - TARGET), np.empty(0))
     return model

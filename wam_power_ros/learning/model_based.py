@@ -9,7 +9,7 @@ was predicted. See `ModelBased`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -22,10 +22,14 @@ UNKNOWN_ERROR = 8.0  # [tolerances] assumed of an error without a value
 MODEL_ERROR = 4.0  # [tolerances] standard deviation of an error from what is predicted
 ROLLOUT_NOISE = 0.5  # [tolerances] standard deviation of an error over rollouts of one policy
 EXCESS_UNIT = 0.02  # [share of a limit] beyond it that weighs as much as an error of a tolerance
-OTHER_STEP = 5.0  # [sd of the exploration] step along a direction that is none of the model's
+OTHER_STEP = 5.0  # [sd of the exploration] along what is neither direction nor mode
 PROBE_STEP = 0.15  # [steps] by which coordinates differ that tell slopes, and are not the same
 RADIUS_MIN = 0.5 * PROBE_STEP  # [steps] of a step that is given up
-DRAW = 0.7  # [sd of the exploration] of a draw where no step is better
+DESCENT = 120  # predictions for steps from one point
+MODE_STEP = 2.0  # [sd of the exploration] along a mode
+EVOLVED = 0.25  # [steps] standard deviation with which evolution starts
+POPULATION = 10  # of evolution
+LOST = 1e4  # [tolerances^2] loss of what cannot be executed, for evolution
 
 
 class _Point(NamedTuple):
@@ -52,6 +56,10 @@ class _Point(NamedTuple):
         return np.append(self.residuals, self.limit_excess)
 
 
+_Points = dict[bytes, _Point]  # by coordinates
+_Expected = Callable[[np.ndarray], _Point]
+
+
 class ModelBased(GaussianLearner):
     """Planning on the vector error. Not in the paper.
 
@@ -61,9 +69,10 @@ class ModelBased(GaussianLearner):
 
     A plan has a small expected error, within the limits. What the assumed numbers may change counts
     as an error: near an edge, as of a throw that hardly comes off, that is much. Predictions cost
-    nothing but time, so it is searched for by steps, among all coordinates if need be, and by draws
-    (see `_search`). It is executed without exploration. Between the best rollout and one of which
-    less was known, as one that a fault ended, is an edge, too: a plan is nearer to the former.
+    nothing but time, so it is searched for by steps, and where these do not suffice by evolution of
+    the whole movement (see `_search`). It is executed without exploration. Between the best rollout
+    and one of which less was known, as one that a fault ended, is an edge, too: a plan is nearer to
+    the former.
 
     PoWER learns from the same rollouts, as told. It decides when a part of the error was never
     measured and is not predicted; when no better plan is found than one that was run and is not
@@ -77,7 +86,7 @@ class ModelBased(GaussianLearner):
     class Settings(LearnerSettings):
         """Settings of model-based learning."""
 
-        simulations: int = Field(default=120, ge=1)  # largest number of predictions for a plan
+        simulations: int = Field(default=540, ge=1)  # largest number of predictions for a plan
         # Distance over which what is not predicted changes [sd of the exploration]
         length: float = Field(default=10.0, gt=0.0, allow_inf_nan=False)
         patience: int = Field(default=8, ge=1)  # rollouts without progress until PoWER decides
@@ -104,8 +113,12 @@ class ModelBased(GaussianLearner):
         self._z, self._errors = np.empty((0, size)), np.empty((0, self._m))
         self._latest: np.ndarray | None = None  # error of the rollout told next
         self._faults = 0  # rollouts without a measured error and with return 0
-        others = np.linalg.svd(self._model.directions)[2][self._d :]  # an orthonormal basis
-        self._axes = np.vstack([self._model.directions, OTHER_STEP * others])  # (size, size)
+        named = np.vstack([self._model.directions, MODE_STEP * self._model.modes])
+        new = np.abs(np.linalg.qr(named.T)[1].diagonal()) > 1e-6  # not what is before it
+        named = np.vstack([self._model.directions, named[: len(new)][new][self._d :]])
+        self._named = len(named)
+        others = np.linalg.svd(named)[2][len(named) :]  # an orthonormal basis
+        self._axes = np.vstack([named, OTHER_STEP * others])  # (size, size)
         self._inverse = np.linalg.inv(self._axes)
         self._plan: np.ndarray | None = None
         self._searched = self._rated = False  # for a plan since the last rollout; by a person
@@ -189,7 +202,7 @@ class ModelBased(GaussianLearner):
             self._known[z.tobytes()] = self._model.predict(z)
         return self._known[z.tobytes()]
 
-    def _expected(self) -> Callable[[np.ndarray], _Point]:
+    def _expected(self) -> _Expected:
         """Function of coordinates (size,): what is predicted, corrected by the rollouts."""
         rollouts = zip(self._z, self._errors, strict=True)
         known = [(z, e, p) for z, e in rollouts if (p := self._predicted(z)) is not None]
@@ -229,41 +242,64 @@ class ModelBased(GaussianLearner):
 
         return expected
 
-    def _search(self) -> dict[bytes, _Point]:
+    def _search(self) -> _Points:
         """Points on the way to a small expected error, from the best known, by coordinates.
 
-        Gauss-Newton steps, shorter after each that is no better: along the model's directions, then
-        among all coordinates. Then draws, as a landscape with edges has more than one valley.
+        Steps first. A landscape with edges has more than one valley: where they end in one that is
+        not good enough, CMA-ES [Hansen2016] moves directions and modes together, and steps go on.
         """
-        expected, radius, among_all = self._expected(), 1.0, False
+        expected = self._expected()
         starts = [np.zeros(self.size), *self._z, *map(np.frombuffer, self._known)]
         points = {z.tobytes(): expected(z) for z in starts}
-        # Not the session's generator, which only `ask` may draw from: a plan is a function of the
-        # rollouts.
-        rng = np.random.Generator(np.random.PCG64(len(points)))
-        for _ in range(self.settings.simulations):
-            known = list(points.values())
-            best = min(known, key=lambda point: point.loss)
-            if radius < RADIUS_MIN and not among_all:
-                radius, among_all = 1.0, True
-            valley = radius < RADIUS_MIN
-            enough = best.loss < (self._m if valley else ROLLOUT_NOISE**2)
-            if (enough and best.feasible) or (valley and self._model.predict is None):
-                break
-            probe = None if valley else self._probe(best, known, among_all)
-            if valley:
-                z = best.z + DRAW * rng.standard_normal(self.size)
-            else:
-                step = self._step(best, known, radius) if probe is None else probe
-                z = best.z + step @ self._axes
-            points[z.tobytes()] = found = expected(z)
-            if found.loss < best.loss:
-                radius = 1.0 if valley else min(2.0 * radius, 1.0)
-            elif probe is None:
-                radius *= 0.5
+        most = len(points) + self.settings.simulations
+        self._descend(points, expected, min(most, len(points) + DESCENT))
+        best = min(points.values(), key=lambda point: point.loss)
+        if not (best.feasible and best.loss < self._m) and self._model.predict is not None:
+            self._evolve(best, points, expected, most - DESCENT)
+            self._descend(points, expected, most)
         return points
 
-    def _new_plan(self, points: Mapping[bytes, _Point]) -> np.ndarray | None:
+    def _descend(self, points: _Points, expected: _Expected, most: int) -> None:
+        """Gauss-Newton steps from the best of the points, until there are so many.
+
+        They are shorter after each that is no better: along the model's directions, then also along
+        its modes.
+        """
+        radius, among_all = 1.0, False
+        while len(points) < most:
+            known = list(points.values())
+            best = min(known, key=lambda point: point.loss)
+            if radius < RADIUS_MIN:
+                if among_all:
+                    return
+                radius, among_all = 1.0, True
+            if best.loss < ROLLOUT_NOISE**2 and best.feasible:
+                return
+            probe = self._probe(best, known, among_all)
+            step = self._step(best, known, radius) if probe is None else probe
+            z = best.z + step @ self._axes
+            points[z.tobytes()] = found = expected(z)
+            if found.loss < best.loss:
+                radius = min(2.0 * radius, 1.0)
+            elif probe is None:
+                radius *= 0.5
+
+    def _evolve(self, best: _Point, points: _Points, expected: _Expected, most: int) -> None:
+        """Generations of points around the best, until there are so many."""
+        from cmaes import CMA  # imports SciPy: slow
+
+        # Not the session's generator, which only `ask` may draw from: a plan is a function of the
+        # rollouts.
+        options = {"population_size": POPULATION, "seed": len(points)}
+        search = CMA(mean=np.zeros(self._named), sigma=EVOLVED, **options)
+        while len(points) + POPULATION <= most:
+            moves = [search.ask() for _ in range(POPULATION)]
+            found = [expected(best.z + move @ self._axes[: self._named]) for move in moves]
+            points |= {point.z.tobytes(): point for point in found}
+            losses = [min(point.loss, LOST) for point in found]
+            search.tell([*zip(moves, losses, strict=True)])
+
+    def _new_plan(self, points: _Points) -> np.ndarray | None:
         """The best of the points that is a new plan and no worse than the best rollout, or None."""
         ascending = sorted(points.values(), key=lambda point: point.loss)
         new = next((p for p in ascending if p.feasible and not self._was_run(p.z)), None)
@@ -282,12 +318,12 @@ class ModelBased(GaussianLearner):
         return None if self._was_run(z) else z
 
     def _probe(self, best: _Point, points: list[_Point], among_all: bool) -> np.ndarray | None:
-        """Step in which the changes near the best point are unknown, `among_all` or the model's."""
+        """Step that shows changes near the best point, along directions or also along modes."""
         if self._model.predict is None or not np.isfinite(best.values).all():
             return None
         moved = np.stack([point.z - best.z for point in points]) @ self._inverse
         near = moved[np.linalg.norm(moved, axis=1) <= 2.0]
-        for unit in np.eye(self.size)[: None if among_all else self._d]:
+        for unit in np.eye(self.size)[: self._named if among_all else self._d]:
             if ((near @ unit) ** 2).sum() < 0.5 * PROBE_STEP**2:
                 return PROBE_STEP * unit
         return None

@@ -22,6 +22,7 @@ from wam_power_ros.learning.policy import Policy, at_tempo, read_only, symmetric
 
 # Smallest eigenvalue of a sampled K_i, as a fraction of the smallest one of the demonstration [1]
 EIGENVALUE_FLOOR = 0.1
+MODES = 4  # smooth changes of an axis, from a shift to one and a half waves
 FORMS = ("full", "symmetric", "diagonal")  # of the learnt part of a stiffness matrix
 
 
@@ -338,6 +339,24 @@ class Parametrization:
             scale = self.scale[self.groups[group.name]][0]
             block[bad] = difference.reshape(-1, block.shape[1]) / scale
         return z
+
+    def modes(self) -> np.ndarray:
+        """Smooth changes of the whole movement, each of one axis of attractors or rotation.
+
+        They are cosines over the springs, by which an attractor is moved by a standard deviation of
+        the exploration (root mean square). Shape (k, size), with no rows where none is learnt.
+        """
+        n = self.policy0.basis.count
+        waves = np.cos(np.pi * np.outer(range(min(MODES, n)), (np.arange(n) + 0.5) / n))
+        waves /= np.sqrt((waves**2).mean(axis=1, keepdims=True))
+        found = np.empty((0, self.size))
+        for group in self._members:
+            axes = len(group.axes) if isinstance(group, Attractors) else 0
+            for axis in range(axes):
+                rows = np.zeros((len(waves), self.size))
+                rows[:, self.groups[group.name]][:, axis::axes] = waves
+                found = np.vstack([found, rows])
+        return found
 
     def _checked(self, z: np.ndarray) -> np.ndarray:
         """Coordinates as floats; ValueError if the shape is wrong or a value is not finite."""

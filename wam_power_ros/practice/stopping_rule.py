@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stopping rule: when the runs of one mean show that it succeeds often enough.
 
-A number of successes in a row shows, with a confidence of 95 %, that a further rollout succeeds
-with at least some probability: 10 of 10 one of 0.74, 29 of 29 one of 0.9. Margins show the same
-with fewer. The model: a rollout succeeds if all its margins are positive and nothing fails that no
-margin shows. Margins of one mean are independent and normally distributed; the standard deviation
-that the task expects counts as `EXPECTED` observations. The share that fails for another reason is
-that of all means of the session after a success, with the prior `OTHER`. A mean is confirmed once
-the rate is exceeded with the probability `BELIEF`, given all its runs. So one may look after each.
+Successes in a row show a rate with a confidence of 95 %: 10 of 10 one of 0.74, 29 of 29 one of 0.9.
+Margins show it with fewer. The model: a rollout succeeds if all its margins are positive and
+nothing fails that no margin shows. Margins of one mean are independent and normally distributed;
+the standard deviation that the task expects counts as `EXPECTED` observations. The share that fails
+for another reason is that of all means of the session after a success, with the prior `OTHER`. A
+mean is confirmed once the rate is exceeded with the probability `BELIEF`, given all its runs. So
+one may look after each.
 """
 
 from __future__ import annotations
@@ -45,30 +45,17 @@ def inside(ratio: np.ndarray, count: int, freedom: int) -> np.ndarray:
     """
     rates = np.zeros(DRAWS)
     for k, value in enumerate(ratio):
-        shift = ndtri(_uniform(2 * k + 1)) / math.sqrt(count)
-        rates += log_ndtr(value * _deviations(freedom, 2 * k + 2) + shift)
+        shift = _draws(ndtri, 2 * k + 1) / math.sqrt(count)
+        deviation = np.sqrt(2.0 * _draws(gammaincinv, 2 * k + 2, 0.5 * freedom) / freedom)
+        rates += log_ndtr(value * deviation + shift)
     return rates
 
 
 @cache
-def _not_otherwise(failed: float, others: float) -> np.ndarray:
-    """Draws of the logarithm of the share that does not fail for another reason. Shape (DRAWS,)."""
-    draws: np.ndarray = np.log1p(-betaincinv(failed, others, _uniform(0)))
-    return draws
-
-
-@cache
-def _deviations(freedom: int, seed: int) -> np.ndarray:
-    """Draws of a sample's standard deviation over the true one. Shape (DRAWS,)."""
-    draws: np.ndarray = np.sqrt(2.0 * gammaincinv(0.5 * freedom, _uniform(seed)) / freedom)
-    return draws
-
-
-@cache
-def _uniform(seed: int) -> np.ndarray:
-    """Evenly spread numbers in (0, 1), in an order of the seed's. Shape (DRAWS,)."""
+def _draws(inverse: Callable[..., np.ndarray], seed: int, *parameters: float) -> np.ndarray:
+    """Evenly spread draws of a distribution, by its inverse, in an order of the seed's."""
     order = np.random.Generator(np.random.PCG64(seed)).permutation(DRAWS)
-    return (order + 0.5) / DRAWS
+    return inverse(*parameters, (order + 0.5) / DRAWS)
 
 
 class StoppingRule:
@@ -95,46 +82,41 @@ class StoppingRule:
         self.complete, self.mean_is_due = "", False
         self._begin([])
 
-    def add(self, record: Record) -> str:
-        """Judge a rollout of the practice; returns a remark for the log, may be empty."""
-        if self._settings.confirm == 0:
-            return ""
-        if record.kind == "mean":
-            return self._add_mean(record)
-        if record.success and (record.kind == "reproduction" or self._settings.mean_every == 0):
-            self.mean_is_due = True
-            return "a success: the mean policy is run to confirm it"
-        return ""
+    def _begin(self, mean: list[float]) -> None:
+        self._mean, self._runs = mean, list[Sequence[float]]()  # its margins
+        self._succeeded = self.count = 0
+        self.z: np.ndarray | None = None
 
     def forget(self, record: Record) -> None:
         """End the row if a rollout that is no success any more was part of it."""
         if record.kind == "mean" and record.z == self._mean:
             self._begin([])
 
-    def _begin(self, mean: list[float]) -> None:
-        self._mean, self._succeeded = mean, 0
-        self._runs: list[Sequence[float]] = []  # margins of the runs of this mean
-        self.z: np.ndarray | None = None
-        self.count = 0
-
-    def _add_mean(self, record: Record) -> str:
+    def add(self, record: Record) -> str:
+        """Judge a rollout of the practice; returns a remark for the log, may be empty."""
+        if self._settings.confirm == 0:
+            return ""
+        if record.kind != "mean":
+            due = record.kind == "reproduction" or self._settings.mean_every == 0
+            due = due and record.success
+            self.mean_is_due |= due
+            return "a success: the mean policy is run to confirm it" if due else ""
         if record.z != self._mean:
             self._begin(record.z)
-        margins, self.mean_is_due = tuple(self._margins(record)), False
+        margins, self.mean_is_due, before = tuple(self._margins(record)), False, self.count
         self._runs.append(margins)
         self._succeeded += record.success
-        before, other = self.count, not record.success and min(margins, default=0.0) > 0.0
         if before:  # a mean that has not succeeded may fail in ways that a good one does not
+            other = not record.success and min(margins, default=0.0) > 0.0
             self._other += (other, record.success)
+        self.z, self.count = (np.array(record.z), before + 1) if record.success else (None, 0)
         if record.success:
-            self.z, self.count = np.array(record.z), before + 1
-            return self._judge()
-        self.z, self.count = None, 0
+            return self._judged(len(margins))
         return f"ended after {before} successes in a row" if before else ""
 
-    def _judge(self) -> str:
+    def _judged(self, size: int) -> str:
         """Confirm the mean, end its row or go on; returns a remark for the log."""
-        enough, runs, size = self._settings.confirm, len(self._runs), len(self._runs[-1])
+        enough, runs = self._settings.confirm, len(self._runs)
         rate = rate_shown(enough)
         said = f"{self.count} {'success' if self.count == 1 else 'successes'} in a row"
         if self.count >= enough:
@@ -150,7 +132,7 @@ class StoppingRule:
         if not squares.all():  # equal margins, as of a reading in coarse steps, show no scatter
             return said
         ratio = np.mean(self._runs, axis=0) / np.sqrt(squares / freedom)
-        otherwise = _not_otherwise(*self._other)
+        otherwise = np.log1p(-_draws(betaincinv, 0, *self._other))
 
         def shown_by(more: int) -> bool:
             """Whether the rate is shown after so many more successes with margins like these."""
@@ -159,11 +141,11 @@ class StoppingRule:
 
         if shown_by(0):
             shown = f"at least {rate:.0%} will ({BELIEF:.0%} probable)"
-            of = f"{self._succeeded} of {runs} succeeded"
-            self.complete = f"{of}, well inside the limits: {shown}"
+            self.complete = (
+                f"{self._succeeded} of {runs} succeeded, well inside the limits: {shown}"
+            )
             return said
-        further = range(1, enough - self.count)
-        needed = 1 + bisect_left(further, True, key=shown_by)
+        needed = 1 + bisect_left(range(1, enough - self.count), True, key=shown_by)
         # By its margins it would more likely fail before; what else fails, fails any mean.
         if needed * np.median(inside(ratio, runs, freedom)) < math.log(0.5):
             self.z, self.count = None, 0

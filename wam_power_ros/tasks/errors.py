@@ -107,6 +107,7 @@ class RoughErrors:
     Attributes:
         errors: The errors, m of them.
         directions: A step along each effect, in coordinates z. Shape (d, size).
+        modes: See `Parametrization.modes`.
         slopes: Change of each error by it [tolerances]. Shape (m, d).
     """
 
@@ -119,6 +120,7 @@ class RoughErrors:
         names, tolerances = [e.name for e in errors], np.array([e.tolerance for e in errors])
         effects = [each for each in effects if set(names) & each.moves.keys()]
         self.directions = np.zeros((len(effects), parametrization.size))
+        self.modes = parametrization.modes()
         self.slopes = np.zeros((len(errors), len(effects)))
         for k, effect in enumerate(effects):
             group = range(parametrization.size)[parametrization.groups[effect.group]]

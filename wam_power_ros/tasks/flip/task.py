@@ -23,7 +23,14 @@ from wam_power_ros.tasks.flip.parametrization import flip_parametrization
 from wam_power_ros.tasks.flip.placement import ONE_MARKER, misplaced
 from wam_power_ros.tasks.flip.returns import pancake_return
 from wam_power_ros.tasks.flip.settings import FLIP_FIT, PRESETS, TRUE_TURN, FlipSettings
-from wam_power_ros.tasks.flip.toss_errors import EFFECTS, ERRORS, SLIPPERY, SLOWED, measured_errors
+from wam_power_ros.tasks.flip.toss_errors import (
+    EFFECTS,
+    ERRORS,
+    SLIPPERY,
+    SLOWED,
+    WIDER,
+    measured_errors,
+)
 from wam_power_ros.tasks.heading import forward_of_turn, heading, turned, turned_path
 from wam_power_ros.tasks.task import Assessment, BodyState, Goal, LoggedRollout, Pose, Task
 
@@ -113,9 +120,9 @@ class Flip(Task):
         return measured_errors(observation)
 
     def predict(self, simulated: SimulatedRollout) -> Sequence[Mapping[str, float]]:
-        """Toss along the simulated path, with more drag of the spin, and with less friction."""
+        """Toss along the simulated path, of one slowed more, more slippery, wider."""
         pan = turned_path(simulated.tool, self.heading)
-        return [predict_toss(pan, pancake) for pancake in (PANCAKE, SLOWED, SLIPPERY)]
+        return [predict_toss(pan, pancake) for pancake in (PANCAKE, SLOWED, SLIPPERY, WIDER)]
 
     def outcome(self, record: LoggedRollout) -> str:
         """Rotation and end state of the pancake, as tracked; see `Task`."""

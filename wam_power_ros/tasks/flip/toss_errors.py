@@ -35,6 +35,7 @@ EFFECTS = (
 )
 # By one standard deviation of what is known of them:
 SLOWED = PANCAKE._replace(spin_decay=PANCAKE.spin_decay + 0.3)
+WIDER = PANCAKE._replace(radius=PANCAKE.radius + 0.02)
 SLIPPERY = PANCAKE._replace(friction=PANCAKE.friction - 0.04)
 
 
