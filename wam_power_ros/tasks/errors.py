@@ -128,8 +128,7 @@ class RoughErrors:
                 raise ValueError(f"{effect}: the group has {len(group)} parameters")
             index = group[effect.place]
             self.directions[k, index] = effect.step / parametrization.scale[index]
-            moved = np.array([effect.moves.get(name, 0.0) for name in names])
-            self.slopes[:, k] = effect.step * moved / tolerances
+            self.slopes[:, k] = [effect.step * effect.moves.get(n, 0.0) for n in names] / tolerances
 
     def correction(self, error: np.ndarray, gain: float) -> list[np.ndarray]:
         """Shifts of z (size,), one for each effect, that would have reduced an error.

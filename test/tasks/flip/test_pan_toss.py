@@ -19,7 +19,7 @@ from wam_power_ros.tasks.flip.ballistic_fit import GRAVITY
 from wam_power_ros.tasks.flip.frames import DELTA_H, PAN_RADIUS, PANCAKE_RADIUS
 from wam_power_ros.tasks.flip.pan_toss import Pancake, predict_toss
 from wam_power_ros.tasks.flip.task import Flip
-from wam_power_ros.tasks.flip.toss_errors import ERRORS, SLIPPERY, SLOWED, WIDER
+from wam_power_ros.tasks.flip.toss_errors import ERRORS, PANCAKES
 
 RISE = 0.2  # [s]
 BRAKE = 60.0  # [m/s^2]
@@ -191,7 +191,7 @@ def test_the_model_of_the_task_predicts_the_toss_of_the_foreseen_path_and_its_ex
     assert np.isfinite(prediction.error).all()
     np.testing.assert_array_equal(prediction.limit_excess, limit_excess)
     assert prediction.uncertain.shape == (4, 3)
-    for pancake, uncertain in zip((SLOWED, SLIPPERY, WIDER), prediction.uncertain.T, strict=True):
+    for pancake, uncertain in zip(PANCAKES[1:], prediction.uncertain.T, strict=True):
         other = told(task.learnt_errors(), predict_toss(pan, pancake=pancake))
         np.testing.assert_allclose(uncertain, other - prediction.error)
     assert prediction.uncertain[0, 0] < 0.0, "drag slows the spin"

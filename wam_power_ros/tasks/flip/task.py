@@ -18,19 +18,12 @@ from wam_power_ros.learning.rollout import Rollout, SimulatedRollout
 from wam_power_ros.regions import Region
 from wam_power_ros.tasks.flip import assessment as flip_assessment
 from wam_power_ros.tasks.flip.frames import DELTA_H, REST_HEIGHT_MAX
-from wam_power_ros.tasks.flip.pan_toss import PANCAKE, predict_toss
+from wam_power_ros.tasks.flip.pan_toss import predict_toss
 from wam_power_ros.tasks.flip.parametrization import flip_parametrization
 from wam_power_ros.tasks.flip.placement import ONE_MARKER, misplaced
 from wam_power_ros.tasks.flip.returns import pancake_return
 from wam_power_ros.tasks.flip.settings import FLIP_FIT, PRESETS, TRUE_TURN, FlipSettings
-from wam_power_ros.tasks.flip.toss_errors import (
-    EFFECTS,
-    ERRORS,
-    SLIPPERY,
-    SLOWED,
-    WIDER,
-    measured_errors,
-)
+from wam_power_ros.tasks.flip.toss_errors import EFFECTS, ERRORS, PANCAKES, measured_errors
 from wam_power_ros.tasks.heading import forward_of_turn, heading, turned, turned_path
 from wam_power_ros.tasks.task import Assessment, BodyState, Goal, LoggedRollout, Pose, Task
 
@@ -120,9 +113,9 @@ class Flip(Task):
         return measured_errors(observation)
 
     def predict(self, simulated: SimulatedRollout) -> Sequence[Mapping[str, float]]:
-        """Toss along the simulated path, of one slowed more, more slippery, wider."""
+        """Tosses of the usual pancake, and of others that it may be, along the simulated path."""
         pan = turned_path(simulated.tool, self.heading)
-        return [predict_toss(pan, pancake) for pancake in (PANCAKE, SLOWED, SLIPPERY, WIDER)]
+        return [predict_toss(pan, pancake) for pancake in PANCAKES]
 
     def outcome(self, record: LoggedRollout) -> str:
         """Rotation and end state of the pancake, as tracked; see `Task`."""

@@ -33,10 +33,8 @@ EFFECTS = (
     Effect("side_shift", 0.25, {"landing_y": -1.0}),
     Effect("catch_pitch", 0.25, {"catch_pitch": -1.0}),
 )
-# By one standard deviation of what is known of them:
-SLOWED = PANCAKE._replace(spin_decay=PANCAKE.spin_decay + 0.3)
-WIDER = PANCAKE._replace(radius=PANCAKE.radius + 0.02)
-SLIPPERY = PANCAKE._replace(friction=PANCAKE.friction - 0.04)
+OFF = {"spin_decay": 0.3, "friction": -0.04, "radius": 0.02}  # sd of what is known of a pancake
+PANCAKES = (PANCAKE, *(PANCAKE._replace(**{k: getattr(PANCAKE, k) + v}) for k, v in OFF.items()))
 
 
 def measured_errors(flight: Mapping[str, Any]) -> dict[str, float] | None:
