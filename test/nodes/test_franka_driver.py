@@ -23,7 +23,7 @@ from rclpy.exceptions import InvalidHandle
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, Trigger
 
 from wam_power_ros.params import overlay
 from wam_power_ros.ros import interface, joint_messages, node_runner
@@ -149,6 +149,25 @@ def test_the_robot_is_held_and_follows_a_replay_at_1_khz(bench: Bench) -> None:
     assert {tuple(each.name) for each in bench.states} == {tuple(bench.names)}
     assert float(bench.until("franka_driver", "success rate", bool)) > 0.9
     assert bench.server.ask()["mode"] == MOVE
+
+
+def test_a_hand_guides_the_arm_which_then_stays_where_it_was_left(
+    bench: Bench, tmp_path: Path
+) -> None:
+    free = bench.probe.call(SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=True))
+    assert free.success, free
+    t, begin = np.linspace(0.0, 2.0, 101), np.array(bench.server.ask()["q"])
+    way = np.outer(np.sin(np.pi * t / 4.0) ** 2, [0.3, 0.2, 0.0, -0.3, 0.0, 0.3, 0.0])
+    np.save(tmp_path / "shown.npy", np.column_stack([t, begin + way]))
+    bench.server.ask(f"lead {tmp_path / 'shown.npy'}")
+    bench.probe.spin(2.5)
+    left = np.array(bench.server.ask()["q"])
+    assert np.abs(left - begin - way[-1]).max() < 0.03
+    assert bench.probe.call(
+        SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=False)
+    ).success
+    bench.taken()
+    assert np.abs(np.array(bench.server.ask()["q"]) - left).max() < 0.01
 
 
 @pytest.mark.parametrize(
