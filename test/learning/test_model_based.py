@@ -238,19 +238,15 @@ def test_from_a_valley_without_a_way_on_evolution_finds_a_deeper_one() -> None:
     assert valleys(learner.mean)[0] < 1.0
 
 
-def test_where_the_directions_of_the_model_do_not_suffice_its_modes_are_searched() -> None:
+def test_where_the_directions_of_the_model_do_not_suffice_the_other_coordinates_are_searched() -> (
+    None
+):
     def bent(z: np.ndarray) -> np.ndarray:
         return np.array([4.0 - z[-1], 0.2 * z[0]])
 
     learner = learner_of(Landscape(lambda z: told(z, bent(z))))
     practise(learner, 1, bent)
     assert np.abs(bent(learner.mean)).max() < 1.0
-
-
-def test_a_mode_that_is_the_sum_of_directions_is_left_out() -> None:
-    model = LinearModel()
-    model.modes = np.vstack([model.directions.sum(axis=0), model.modes])
-    assert np.abs(practise(learner_of(model), 2)[-1]).max() < 0.5
 
 
 def test_a_plan_that_is_foreseen_to_be_worse_than_a_rollout_is_not_run() -> None:

@@ -81,8 +81,8 @@ class ErrorModel(Protocol):
     Attributes:
         directions: Shifts of z that change the error, each as large as a large correction is; a
             learner searches along them first. Shape (d, size).
-        modes: Other changes of the movement, searched where these do not suffice, each by a
-            standard deviation of the exploration. Shape (k, size).
+        modes: Smooth changes of the whole movement, moved together with these where that does
+            not suffice, each by a standard deviation of the exploration. Shape (k, size).
         slopes: Rough change of the error by each. Shape (m, d).
     """
 

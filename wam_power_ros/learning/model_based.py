@@ -22,7 +22,7 @@ UNKNOWN_ERROR = 8.0  # [tolerances] assumed of an error without a value
 MODEL_ERROR = 4.0  # [tolerances] standard deviation of an error from what is predicted
 ROLLOUT_NOISE = 0.5  # [tolerances] standard deviation of an error over rollouts of one policy
 EXCESS_UNIT = 0.02  # [share of a limit] beyond it that weighs as much as an error of a tolerance
-OTHER_STEP = 5.0  # [sd of the exploration] along what is neither direction nor mode
+OTHER_STEP = 5.0  # [sd of the exploration] step along a direction that is none of the model's
 PROBE_STEP = 0.15  # [steps] by which coordinates differ that tell slopes, and are not the same
 RADIUS_MIN = 0.5 * PROBE_STEP  # [steps] of a step that is given up
 DESCENT = 120  # predictions for steps from one point
@@ -113,12 +113,9 @@ class ModelBased(GaussianLearner):
         self._z, self._errors = np.empty((0, size)), np.empty((0, self._m))
         self._latest: np.ndarray | None = None  # error of the rollout told next
         self._faults = 0  # rollouts without a measured error and with return 0
-        named = np.vstack([self._model.directions, MODE_STEP * self._model.modes])
-        new = np.abs(np.linalg.qr(named.T)[1].diagonal()) > 1e-6  # not what is before it
-        named = np.vstack([self._model.directions, named[: len(new)][new][self._d :]])
-        self._named = len(named)
-        others = np.linalg.svd(named)[2][len(named) :]  # an orthonormal basis
-        self._axes = np.vstack([named, OTHER_STEP * others])  # (size, size)
+        others = np.linalg.svd(self._model.directions)[2][self._d :]  # an orthonormal basis
+        self._axes = np.vstack([self._model.directions, OTHER_STEP * others])  # (size, size)
+        self._whole = np.vstack([self._model.directions, MODE_STEP * self._model.modes])
         self._inverse = np.linalg.inv(self._axes)
         self._plan: np.ndarray | None = None
         self._searched = self._rated = False  # for a plan since the last rollout; by a person
@@ -262,8 +259,8 @@ class ModelBased(GaussianLearner):
     def _descend(self, points: _Points, expected: _Expected, most: int) -> None:
         """Gauss-Newton steps from the best of the points, until there are so many.
 
-        They are shorter after each that is no better: along the model's directions, then also along
-        its modes.
+        They are shorter after each that is no better: along the model's directions, then among all
+        coordinates.
         """
         radius, among_all = 1.0, False
         while len(points) < most:
@@ -291,10 +288,10 @@ class ModelBased(GaussianLearner):
         # Not the session's generator, which only `ask` may draw from: a plan is a function of the
         # rollouts.
         options = {"population_size": POPULATION, "seed": len(points)}
-        search = CMA(mean=np.zeros(self._named), sigma=EVOLVED, **options)
+        search = CMA(mean=np.zeros(len(self._whole)), sigma=EVOLVED, **options)
         while len(points) + POPULATION <= most:
             moves = [search.ask() for _ in range(POPULATION)]
-            found = [expected(best.z + move @ self._axes[: self._named]) for move in moves]
+            found = [expected(best.z + move @ self._whole) for move in moves]
             points |= {point.z.tobytes(): point for point in found}
             losses = [min(point.loss, LOST) for point in found]
             search.tell([*zip(moves, losses, strict=True)])
@@ -318,12 +315,12 @@ class ModelBased(GaussianLearner):
         return None if self._was_run(z) else z
 
     def _probe(self, best: _Point, points: list[_Point], among_all: bool) -> np.ndarray | None:
-        """Step that shows changes near the best point, along directions or also along modes."""
+        """Step in which the changes near the best point are unknown, `among_all` or the model's."""
         if self._model.predict is None or not np.isfinite(best.values).all():
             return None
         moved = np.stack([point.z - best.z for point in points]) @ self._inverse
         near = moved[np.linalg.norm(moved, axis=1) <= 2.0]
-        for unit in np.eye(self.size)[: self._named if among_all else self._d]:
+        for unit in np.eye(self.size)[: None if among_all else self._d]:
             if ((near @ unit) ** 2).sum() < 0.5 * PROBE_STEP**2:
                 return PROBE_STEP * unit
         return None
