@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from conftest import ROOT, Processes
+from conftest import ROOT, Probe, Processes, diagnosis
 from toss_task import ANY_ARM, demonstrated_policy
 
 from hardware_sim.wam import JOINTS
@@ -16,9 +16,12 @@ from wam_power_ros.bags.reader import read_demonstration
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.demonstration import from_joint_samples
 from wam_power_ros.learning.policy import to_json
+from wam_power_ros.nodes.learner import Learner
 from wam_power_ros.params.resources import share
 from wam_power_ros.practice.session import Session, read
 from wam_power_ros.practice.settings import preset
+from wam_power_ros.ros import node_runner
+from wam_power_ros.ros.diagnostics import LEARNER_STATE
 from wam_power_ros.tasks.flip.task import Flip
 from wam_power_ros.tasks.reach.task import Reach
 from wam_power_ros.tasks.task import Assessment
@@ -70,6 +73,21 @@ def test_nodes_that_were_started_with_different_set_ups_notice_it_before_anythin
     said = processes.output(learner)
     assert "started with another set-up than this node: tool_speed_max 3.5, here 4.0. Give" in said
     assert read(tmp_path / "s").records == ()
+
+
+def test_a_learner_that_computes_a_plan_says_so(probe: Probe, domain_id: int) -> None:
+    reports = probe.diagnostics()
+
+    def told() -> str:
+        learner._report()
+        said = diagnosis(reports, "learner: session")
+        reports.clear()
+        return said.get(LEARNER_STATE, "")
+
+    with node_runner.participant(Learner, domain_id) as learner:
+        probe.until(lambda: told() == "practises", "practises")
+        with learner._lock:
+            probe.until(lambda: told() == "plans", "plans")
 
 
 @pytest.mark.requirement("S-31")

@@ -132,7 +132,7 @@ class Learner(Node):
         elif practice is not None and practice.paused and not self._under_way:
             state, text = "paused", practice.paused
         else:
-            state, text = "practises", "practises"
+            state = text = "plans" if self._lock.locked() else "practises"
         log = () if session is None else tuple(session.log)  # grows in the main thread
         records = [line for line in log if isinstance(line, Record)]
         resets = [record.clock.get("reset") or {} for record in records]

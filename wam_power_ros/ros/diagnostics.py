@@ -13,8 +13,8 @@ from wam_power_ros.ros import interface
 
 FAULT_KIND = "fault kind"  # key that only the status of a controller has
 LAST_STOP = "last stop by a person"  # key of its id, "" before the first
-# Key that only the status of a learner has: "practises", "paused", or what it waits for, the
-# states of `client.rollouts.Awaited`.
+# Key that only the status of a learner has: "plans", "practises", "paused", or what it waits for,
+# the states of `client.rollouts.Awaited`.
 LEARNER_STATE = "session state"
 
 
