@@ -257,13 +257,13 @@ class ModelBased(GaussianLearner):
         return points
 
     def _descend(self, points: _Points, expected: _Expected, most: int) -> None:
-        """Gauss-Newton steps from the best of the points, until there are so many.
+        """Gauss-Newton steps from the best of the points, until there may be so many.
 
         They are shorter after each that is no better: along the model's directions, then among all
         coordinates.
         """
         radius, among_all = 1.0, False
-        while len(points) < most:
+        for _ in range(most - len(points)):
             known = list(points.values())
             best = min(known, key=lambda point: point.loss)
             if radius < RADIUS_MIN:
@@ -282,14 +282,14 @@ class ModelBased(GaussianLearner):
                 radius *= 0.5
 
     def _evolve(self, best: _Point, points: _Points, expected: _Expected, most: int) -> None:
-        """Generations of points around the best, until there are so many."""
+        """Generations of points around the best, until there may be so many."""
         from cmaes import CMA  # imports SciPy: slow
 
         # Not the session's generator, which only `ask` may draw from: a plan is a function of the
         # rollouts.
         options = {"population_size": POPULATION, "seed": len(points)}
         search = CMA(mean=np.zeros(len(self._whole)), sigma=EVOLVED, **options)
-        while len(points) + POPULATION <= most:
+        for _ in range((most - len(points)) // POPULATION):
             moves = [search.ask() for _ in range(POPULATION)]
             found = [expected(best.z + move @ self._whole) for move in moves]
             points |= {point.z.tobytes(): point for point in found}
