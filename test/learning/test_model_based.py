@@ -233,16 +233,18 @@ def test_from_a_valley_without_a_way_on_evolution_finds_a_deeper_one() -> None:
         here, there = np.abs(z).max(), abs(abs(z[-1]) - 2.3)
         return np.array([min(4.0 + here, 4.0 * there), 0.0])
 
-    learner = learner_of(Landscape(lambda z: told(z, valleys(z))))
-    assert practise(learner, 1, valleys)[0].tolist() == [4.0, 0.0]
-    assert valleys(learner.mean)[0] < 1.0
+    for simulations in (160, ModelBased.Settings().simulations):  # of the former steps need some
+        settings = ModelBased.Settings(simulations=simulations)
+        learner = ModelBased(SIZE, settings, rng(0), Landscape(lambda z: told(z, valleys(z))))
+        assert practise(learner, 1, valleys)[0].tolist() == [4.0, 0.0]
+        assert valleys(learner.mean)[0] < 1.0
 
 
 def test_where_the_directions_of_the_model_do_not_suffice_the_other_coordinates_are_searched() -> (
     None
 ):
     def bent(z: np.ndarray) -> np.ndarray:
-        return np.array([4.0 - z[-1], 0.2 * z[0]])
+        return np.array([4.0 - z[3], 0.2 * z[0]])  # neither direction nor mode
 
     learner = learner_of(Landscape(lambda z: told(z, bent(z))))
     practise(learner, 1, bent)

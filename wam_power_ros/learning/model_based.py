@@ -27,7 +27,7 @@ PROBE_STEP = 0.15  # [steps] by which coordinates differ that tell slopes, and a
 RADIUS_MIN = 0.5 * PROBE_STEP  # [steps] of a step that is given up
 DESCENT = 120  # predictions for steps from one point
 MODE_STEP = 2.0  # [sd of the exploration] along a mode
-EVOLVED = 0.25  # [steps] standard deviation with which evolution starts
+EVOLUTION_SD = 0.25  # [steps] with which evolution starts
 POPULATION = 10  # of evolution
 LOST = 1e4  # [tolerances^2] loss of what cannot be executed, for evolution
 
@@ -288,7 +288,7 @@ class ModelBased(GaussianLearner):
         # Not the session's generator, which only `ask` may draw from: a plan is a function of the
         # rollouts.
         options = {"population_size": POPULATION, "seed": len(points)}
-        search = CMA(mean=np.zeros(len(self._whole)), sigma=EVOLVED, **options)
+        search = CMA(mean=np.zeros(len(self._whole)), sigma=EVOLUTION_SD, **options)
         for _ in range((most - len(points)) // POPULATION):
             moves = [search.ask() for _ in range(POPULATION)]
             found = [expected(best.z + move @ self._whole) for move in moves]

@@ -33,8 +33,8 @@ EFFECTS = (
     Effect("side_shift", 0.25, {"landing_y": -1.0}),
     Effect("catch_pitch", 0.25, {"catch_pitch": -1.0}),
 )
-OFF = {"spin_decay": 0.3, "friction": -0.04, "radius": 0.01}  # sd of what is known of a pancake
-PANCAKES = (PANCAKE, *(PANCAKE._replace(**{k: getattr(PANCAKE, k) + v}) for k, v in OFF.items()))
+DOUBT = {"spin_decay": 0.3, "friction": -0.04, "radius": 0.01}  # one standard deviation
+PANCAKES = (PANCAKE, *(PANCAKE._replace(**{k: getattr(PANCAKE, k) + v}) for k, v in DOUBT.items()))
 
 
 def measured_errors(flight: Mapping[str, Any]) -> dict[str, float] | None:
