@@ -169,6 +169,32 @@ def test_a_brake_that_is_too_weak_never_pulls_the_arm_back() -> None:
     assert abs(speeds[-1]) < 0.01
 
 
+@pytest.mark.requirement("S-131")
+@pytest.mark.parametrize("push", [1.5, 2.0])
+def test_a_driver_that_stamps_old_states_as_new_after_a_pause_does_not_drive_the_arm(
+    push: float,
+) -> None:
+    """It pauses for 12 ms, then stamps the state that waited and the newest 0.3 ms apart."""
+    controller, plant = begin(friction=1.0)
+    controller.fault(A_TEST)
+    plant.push = lambda t, q, qd: -push * np.eye(7)[3] * (t < 0.5)
+    speeds, waiting = [], plant.state()
+    for k in range(400):
+        stamp, q, qd = plant.state()
+        if (phase := k % 30) < 6:
+            tau = controller.stale_torque(0.002)
+        else:
+            if phase == 6:
+                controller.step(stamp - 300_000, *waiting[1:], 0.012, 0.002)
+            elapsed = 0.0005 if phase == 6 else 0.002
+            tau = controller.step(stamp, q, qd, elapsed, elapsed)
+            waiting = stamp, q, qd
+        plant.step(tau)
+        speeds.append(np.abs(plant.qd).max())
+    assert max(speeds) < 0.2  # 0.29 by the speed between the two states
+    assert max(speeds[-100:]) < 0.05
+
+
 @pytest.mark.requirement("S-122")
 def test_a_model_that_has_braked_rests_although_a_torque_would_let_it_creep() -> None:
     moving = 2.0 * MODEL.friction[3] * np.eye(7)[3]

@@ -13,7 +13,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -68,6 +68,18 @@ class Server:
         """End it at once, as the loss of power does."""
         self.process.kill()
         self.process.wait()
+
+
+class Seconds(float):
+    """A time of the library."""
+
+    to_sec = float.__float__
+
+
+class Ignored:
+    """A publisher of what nobody reads."""
+
+    def publish(self, message: object) -> None: ...  # noqa: D102
 
 
 class Bench:
@@ -310,6 +322,35 @@ def test_an_error_of_ros_ends_the_driver_and_is_not_blamed_on_the_robot(
             assert "destroyable" not in driver.fault.lower()
     finally:
         server.end()
+
+
+def test_a_state_that_waited_is_stamped_when_it_was_measured_and_a_new_clock_is_followed(
+    domain_id: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from wam_power_ros.nodes.franka_driver import LATE_STATES, FrankaDriver
+
+    class Measured(NamedTuple):
+        time: Any
+        q: tuple[float, ...] = (0.0,) * 7
+        dq: tuple[float, ...] = (0.0,) * 7
+        tau_J: tuple[float, ...] = (0.0,) * 7
+
+    (file := tmp_path / "lab.yaml").write_text(LAB.replace("}}", ", realtime_priority: 0}}"))
+    monkeypatch.setattr(sys, "argv", ["", "--ros-args", "--params-file", str(file)])
+    monkeypatch.setattr(time, "time_ns", lambda: now_ns)
+    with node_runner.participant(FrankaDriver, domain_id) as driver:
+        monkeypatch.setattr(driver, "_write", lambda stamp_ns, *_: stamps.append(stamp_ns))
+        monkeypatch.setattr(driver, "_states", Ignored())
+        stamps, errors = [], []
+        for k in range(900):
+            waited_ns = 14_000_000 if k == 200 else 500_000
+            ahead_ns = 60_000_000_000 if k >= 400 else 0  # the system's clock was set
+            now_ns = 10**18 + 2_000_000 * k + waited_ns + ahead_ns
+            driver._publish(Measured(Seconds(100.0 + 0.002 * k)))
+            errors.append(stamps[-1] - (now_ns - waited_ns))
+    assert np.abs(errors[:400]).max() < 1_000_000
+    assert np.abs(errors[400 + LATE_STATES + 1 :]).max() < 1_000_000
+    assert min(np.diff(stamps)) > 1_000_000
 
 
 def test_a_driver_without_an_address_says_what_is_missing(processes: Processes) -> None:

@@ -319,9 +319,13 @@ class Reaction:
         model.q, model.qd, self._held, self._believed = q, self.reported(), None, True
 
     def reported(self) -> np.ndarray:
-        """Speeds by the reported positions [rad/s], shape (n,); the velocities are not used."""
+        """Speeds by the reported positions [rad/s], shape (n,); the velocities are not used.
+
+        Those of the model until states have come without a gap for so long: a driver that paused
+        may stamp an old state as if it were new, so that the next seems to have jumped.
+        """
         past = list(self.past)[-self._rates - 1 :]
-        if len(past) < 2:  # not known yet
+        if len(past) <= self._rates:
             return np.zeros(self._arm.n) if self._model is None else self._model.qd
         return (past[-1].q - past[0].q) / sum(each.dt for each in past[1:])
 
