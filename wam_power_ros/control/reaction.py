@@ -311,7 +311,7 @@ class Reaction:
 
         Args:
             q: Reported joint positions [rad]. Shape (n,).
-            beyond: Torque that would carry it, as its fall shows [N m]. Shape (n,).
+            model_error: Torque that would carry it, as its fall shows [N m]. Shape (n,).
         """
         model = self._model = self._model or self._at_posture(q)
         self._kept, self._frozen, self._anchor = model_error, None, None
@@ -319,13 +319,9 @@ class Reaction:
         model.q, model.qd, self._held, self._believed = q, self.reported(), None, True
 
     def reported(self) -> np.ndarray:
-        """Speeds by the reported positions [rad/s], shape (n,); the velocities are not used.
-
-        Those of the model until states have come without a gap for so long: a driver that paused
-        may stamp an old state as if it were new, so that the next seems to have jumped.
-        """
+        """Speeds by the reported positions [rad/s], (n,); the model's in the 8 ms after a gap."""
         past = list(self.past)[-self._rates - 1 :]
-        if len(past) <= self._rates:
+        if len(past) <= self._rates:  # of a driver that paused an old state may be stamped as new
             return np.zeros(self._arm.n) if self._model is None else self._model.qd
         return (past[-1].q - past[0].q) / sum(each.dt for each in past[1:])
 

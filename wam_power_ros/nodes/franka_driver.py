@@ -54,8 +54,7 @@ class FrankaDriver(Node):
         self._control: franka.ActiveControlBase | None = None  # while torques are passed on
         self._torque = joint_messages.TorqueReading(None, "", np.zeros(7))
         self._came = self._silent_until = self._reported = 0.0  # [s], steady clock
-        self._offset_ns = self._late = 0  # of the system's clock; late states in a row
-        self._sent_ns = 0  # when a state was sent, robot's clock
+        self._offset_ns, self._sent_ns = 0, 0  # of the system's clock, and when sent, robot's clock
         self.fault, self._refused, self._stopped, self._rates = "", 0, False, []
         self._write = joint_messages.JointStateWriter(params.joint_names)
         self._states = self.create_publisher(JointState, params.state_topic, interface.STATE_OUT)
@@ -100,7 +99,7 @@ class FrankaDriver(Node):
             os.sched_setscheduler(0, *before)  # it takes 99, which kernel threads need
             torque, force = self._params.collision_torque, self._params.collision_force
             self._robot.set_collision_behavior(*[[torque] * 7] * 2, *[[force] * 6] * 2)
-            self._sent_ns = 0
+            self._sent_ns, self._late = 0, LATE_STATES
         return self._robot.read_once()
 
     def _able(self, state: franka.RobotState) -> bool:
@@ -126,8 +125,7 @@ class FrankaDriver(Node):
             return
         late_ns = time.time_ns() - time_ns - self._offset_ns  # least delay, and slow drift
         self._late = self._late + 1 if late_ns > 5_000_000 else 0  # a pause, or another clock
-        anew = not self._sent_ns or self._late > LATE_STATES
-        self._offset_ns += late_ns if anew else min(late_ns, 2000)
+        self._offset_ns += late_ns if self._late > LATE_STATES else min(late_ns, 2000)
         self._sent_ns = time_ns
         q, qd, tau = map(np.array, (state.q, state.dq, state.tau_J))
         self._states.publish(self._write(time_ns + self._offset_ns, q, qd, tau))
@@ -166,13 +164,12 @@ class FrankaDriver(Node):
     def _report(self) -> None:
         if time.monotonic() - self._reported < 1.0:
             return
-        self._reported, rates = time.monotonic(), self._rates or [0.0]
+        self._reported, rates, self._rates = time.monotonic(), self._rates or [0.0], []
         values = {"torques": "passed on" if self._control else "not passed on", "fault": self.fault}
         values |= {"success rate": f"{np.mean(rates):.4f}", "least": f"{min(rates):.2f}"}
         values |= {"torques refused": self._refused, "real time": self._granted.scheduling}
         level = "error" if self.fault else "ok"
         self._diagnostics.publish(level, self.fault or values["torques"], values)
-        self._rates = []
 
 
 def main() -> int:

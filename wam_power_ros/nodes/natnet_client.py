@@ -60,8 +60,7 @@ class NatNet(Node):
 
     def _on_frame(self, frame: DataFrame) -> None:
         """Publish the pose, in the thread of the library, which an exception would end."""
-        received = self.get_clock().now().nanoseconds
-        late = np.nan
+        received, late = self.get_clock().now().nanoseconds, np.nan
         try:
             for body in frame.rigid_bodies:
                 if self._names.get(body.id_num) == self._params.body and body.tracking_valid:
