@@ -54,7 +54,7 @@ class FrankaDriver(Node):
         self._control: franka.ActiveControlBase | None = None  # while torques are passed on
         self._torque = joint_messages.TorqueReading(None, "", np.zeros(7))
         self._came = self._silent_until = self._reported = 0.0  # [s], steady clock
-        self._offset_ns, self._sent_ns = 0, 0  # of the system's clock, and when sent, robot's clock
+        self._offset_ns, self._sent_ns, self._late = 0, 0, LATE_STATES  # of the robot's clock
         self.fault, self._refused, self._stopped, self._rates = "", 0, False, []
         self._write = joint_messages.JointStateWriter(params.joint_names)
         self._states = self.create_publisher(JointState, params.state_topic, interface.STATE_OUT)
