@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, TypeVar
@@ -392,11 +392,12 @@ def diagnosis(messages: list[Any], name: str) -> dict[str, str]:
     return {}
 
 
-def lift(policy_id: str) -> Policy:
-    """A policy that lifts the pan by some centimetres and lowers it again."""
-    home = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
-    arm = Arm((ROOT / "urdf/wam7.urdf").read_text(), [f"wam_j{i}" for i in range(1, 8)])
-    position, rotation = arm.tool_pose(home)
+def lift(policy_id: str, arm: Arm | None = None, home: Sequence[float] = ()) -> Policy:
+    """A policy that lifts the tool, usually a WAM's pan, by some centimetres and lowers it."""
+    if arm is None:
+        home = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
+        arm = Arm((ROOT / "urdf/wam7.urdf").read_text(), [f"wam_j{i}" for i in range(1, 8)])
+    position, rotation = arm.tool_pose(np.array(home))
     attractors = np.tile(position, (8, 1))
     attractors[2:5, 2] += 0.05
     return Policy(
@@ -409,7 +410,7 @@ def lift(policy_id: str) -> Policy:
         rotation_attractors=np.zeros((8, 3)),
         rotation_stiffness=400.0,
         rotation_damping=36.0,
-        q_start=home,
+        q_start=np.array(home),
     )
 
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import signal
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from conftest import Probe, Processes, lift
 from sensor_msgs.msg import JointState
 
 from wam_power_ros.learning.policy import Policy
+from wam_power_ros.params import overlay
 from wam_power_ros.ros import interface, joint_messages
 
 NAMES = [f"wam_j{i}" for i in range(1, 8)]
@@ -126,3 +128,55 @@ def test_an_interrupted_controller_and_a_dead_driver_leave_references_at_rest(
         assert output == "pose" or arm.references()[-1].label == "fault"  # a pose has no label
     for name, value in figures.items():
         record_property(name, value)
+
+
+@pytest.mark.alone
+@pytest.mark.requirement("S-151")
+@pytest.mark.parametrize("ended", ["controller", "driver"])
+@pytest.mark.parametrize("names", [("ur", "position"), ("gen3",), ("xarm7",)])
+def test_the_references_of_each_arm_rest_when_its_controller_or_driver_ends(
+    names: tuple[str, ...],
+    ended: str,
+    probe: Probe,
+    processes: Processes,
+    tmp_path: Path,
+    record_property: Any,  # noqa: ANN401
+) -> None:
+    setup = overlay.setup([*names, "full_speed"], simulated=True, task="reach")
+    setup = setup.changed({"wam_sim": {"pace": "real_time", "listeners": ["probe"]}})
+    (file := tmp_path / "parameters.yaml").write_text(overlay.text(setup))
+    taken, stand_in = setup["torque_controller"], setup["wam_sim"]
+    joints, base = taken["joint_names"], taken["base_frame"]
+    message = joint_messages.COMMAND_TYPES[
+        taken["command_type"] if taken["output"] == "position" else taken["output"]
+    ]
+    states = probe.listen(JointState, taken["state_topic"], interface.STATE_RECORD)
+    sent = probe.listen(message, taken["command_topic"], interface.DEEP_IN)
+    driver = processes.node("hardware_sim.main", file)
+    probe.until(lambda: states, "the first state", 15.0)
+    controller = processes.node("wam_power_ros.nodes.torque_controller", file)
+    policy = lift("cut-short", setup.arm(), stand_in["home"])
+    probe.call_until_success("move_to_start", policy)
+    probe.ask("execute", policy)
+    start = np.array(states[-1].position)
+    probe.until(lambda: np.abs(states[-1].position - start).max() > 0.02, "the rollout moves")
+    count, state = len(sent), len(states)
+    process = controller if ended == "controller" else driver
+    process.send_signal(signal.SIGINT if ended == "controller" else signal.SIGKILL)
+    probe.spin(1.5)
+    references = [joint_messages.torque(each, joints, base).tau for each in sent[count - 1 :]]
+    steps = np.abs(np.diff(references, axis=0)).max(axis=1)
+    moved = np.append(0, np.flatnonzero(steps > 1e-6) + 1)[-1]
+    period = taken["set_point_period"] or taken["period"]
+    figures = {"way [rad]": np.abs(references[-1] - references[0]).max()}
+    figures |= {"rest after [s]": moved * period, "largest step [rad]": steps.max()}
+    if ended == "controller":
+        order = [states[0].name.index(name) for name in joints]
+        q = np.array([each.position for each in states[state:]])[:, order]
+        figures |= {"way of the arm [rad]": np.abs(q[-1] - q[0]).max()}
+        assert np.abs(q[-1] - references[-1]).max() < 0.01
+    for name, value in figures.items():
+        record_property(name, float(value))
+    assert figures["largest step [rad]"] < 0.02
+    assert figures["way [rad]"] < 0.3
+    assert figures["rest after [s]"] < 0.4
