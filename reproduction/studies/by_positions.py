@@ -19,7 +19,7 @@ from wam_power_ros.params import overlay
 from wam_power_ros.practice.settings import preset
 
 HELD_OUT = range(12000, 12020)  # seeds not used for tuning
-DEMONSTRATIONS = {"flip": 3, "reach": 1}
+DEMONSTRATIONS = {"flip": 3, "reach": 1, "ball_in_cup": 1}
 PERIOD = 0.002  # [s] of states
 
 
@@ -34,6 +34,7 @@ class Servo(NamedTuple):
 
 PLACES = {  # task and set-ups; a flip is faster than the joints of a UR5e
     "flip, WAM": ("flip", ()),
+    "cup, WAM": ("ball_in_cup", ()),
     "reach, WAM": ("reach", ()),
     "reach, UR5e": ("reach", ("ur", "full_speed")),
     "reach, Gen3": ("reach", ("gen3", "full_speed")),  # these two take no torques
