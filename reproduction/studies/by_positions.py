@@ -19,7 +19,6 @@ from wam_power_ros.params import overlay
 from wam_power_ros.practice.settings import preset
 
 HELD_OUT = range(12000, 12020)  # seeds not used for tuning
-DEMONSTRATIONS = {"flip": 3, "reach": 1, "ball_in_cup": 1}
 PERIOD = 0.002  # [s] of states
 
 
@@ -63,7 +62,7 @@ def session(seed: int, place: str, output: str) -> dict[str, Any]:
             controller |= {"servo_delay": servo.delay, "servo_lag": servo.lag}
         setup = setup.changed({"wam_sim": driver, "torque_controller": controller})
     with tempfile.TemporaryDirectory() as folder:
-        settings, count = preset(task), DEMONSTRATIONS[task]
+        settings, count = preset(task), 3 if task == "flip" else 1  # demonstrations
         try:
             *_, last = learn.run(Path(folder) / "session", setup, settings, seed, count)
         except ValueError as error:
