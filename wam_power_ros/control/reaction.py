@@ -321,7 +321,7 @@ class Reaction:
     def reported(self) -> np.ndarray:
         """Speeds by the reported positions [rad/s], (n,); the model's in the 8 ms after a gap."""
         past = list(self.past)[-self._rates - 1 :]
-        if len(past) <= self._rates:  # of a driver that paused an old state may be stamped as new
+        if len(past) <= self._rates:  # a driver that paused may stamp an old state as new
             return np.zeros(self._arm.n) if self._model is None else self._model.qd
         return (past[-1].q - past[0].q) / sum(each.dt for each in past[1:])
 

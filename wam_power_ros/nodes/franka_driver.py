@@ -27,7 +27,7 @@ STEP_MAX = 0.9  # [N m] in a cycle of 1 ms, of the 1 that the robot allows
 TAU_MAX = np.array([87.0] * 4 + [12.0] * 3)  # [N m]
 BRAKE = np.array([20.0] * 4 + [3.0] * 3)  # [N m s/rad] while no torque comes
 REST, BRAKE_TIME = 0.02, 0.5  # [rad/s], [s] until the robot is asked to hold the arm by itself
-LATE_STATES = 100  # in a row, after which not they are late but the system's clock was set
+LATE_STATES = 100  # late ones in a row show that the system's clock was set
 GAP, AGAIN = 0.2, 1.0  # [s] without states after an error; between two attempts to connect
 ABLE = (franka.RobotMode.Idle, franka.RobotMode.Move, franka.RobotMode.Guiding)
 ERRORS = (  # no class is above all, but RuntimeError, which ROS raises, too
@@ -54,7 +54,7 @@ class FrankaDriver(Node):
         self._control: franka.ActiveControlBase | None = None  # while torques are passed on
         self._torque = joint_messages.TorqueReading(None, "", np.zeros(7))
         self._came = self._silent_until = self._reported = 0.0  # [s], steady clock
-        self._offset_ns, self._sent_ns, self._late = 0, 0, LATE_STATES  # of the robot's clock
+        self._offset_ns, self._sent_ns, self._late = 0, 0, LATE_STATES  # see `_publish`
         self.fault, self._refused, self._stopped, self._rates = "", 0, False, []
         self._write = joint_messages.JointStateWriter(params.joint_names)
         self._states = self.create_publisher(JointState, params.state_topic, interface.STATE_OUT)
