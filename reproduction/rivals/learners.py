@@ -12,14 +12,11 @@ from pydantic import Field
 from wam_power_ros.learning.learner import (
     GaussianLearner,
     LearnerSettings,
-    best_first,
     weighted_mean,
 )
-from wam_power_ros.learning.power import power_update
 
 RIVALS = {  # name in a study -> name for a session
     "random": f"{__name__}:RandomSearch",
-    "adaptive_power": f"{__name__}:AdaptivePower",
     "pi2_bb": f"{__name__}:Pi2",
 }
 
@@ -33,34 +30,6 @@ class RandomSearch(GaussianLearner):
 
     def _update(self) -> None:
         self._mean = self._rollouts.z[int(np.argmax(self._rollouts.returns))]
-
-
-class AdaptivePower(GaussianLearner):
-    """PoWER with one exploration variance per parameter, from the elite, as in [Kober2009]."""
-
-    class Settings(LearnerSettings):
-        """Settings of adaptive PoWER."""
-
-        sigma: int = Field(default=10, ge=1)  # size of the elite for the mean
-        # Of the elite for the variance; larger, so that the variance does not collapse
-        variance_sigma: int = Field(default=100, ge=1)
-        # Bounds of the variances, relative to the initial one
-        smallest: float = Field(default=0.1, gt=0.0, le=1.0)
-        largest: float = Field(default=10.0, ge=1.0, allow_inf_nan=False)
-
-    settings: Settings
-
-    def _update(self) -> None:
-        z, returns = self._rollouts.elite(self.settings.variance_sigma)
-        if returns.max() <= 0.0:
-            return
-        order = best_first(returns)
-        # sigma^2 = sum R (theta_k - theta)^2 / sum R, with the mean theta before the update.
-        weights = returns[order] / returns.max()
-        variance = weighted_mean((z[order] - self._mean) ** 2, weights)
-        self._noise = np.sqrt(np.clip(variance, self.settings.smallest, self.settings.largest))
-        sigma = self.settings.sigma
-        self._mean = power_update(self._mean, *self._rollouts.elite(sigma), sigma)
 
 
 class Pi2(GaussianLearner):

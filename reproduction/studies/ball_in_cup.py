@@ -39,7 +39,7 @@ LEARNERS = {
     "power": of_preset("return", "return_only", retests=RETESTS),
     **{
         name: of_preset("return", "return_only", name, retests=RETESTS)
-        for name in ("cma_es", "pi2_bb", "adaptive_power", "random")
+        for name in ("cma_es", "pi2_bb", "random")
     },
     "kober": of_preset("return", "kober", retests=RETESTS),
 }

@@ -53,6 +53,7 @@ CONDITIONS: dict[str, dict[str, Any]] = {
     "2 ms more delay": {"command_delay_ticks": 3},
     "80 V": {"bus_voltage": 80.0},
 }
+DRIFT = 1.03  # by which a drift changes what drifts, each rollout
 LESS = ("attractors", "diagonal", "symmetric")  # variants that learn less than full matrices
 
 
@@ -138,12 +139,14 @@ def session(
     carried: Mapping[str, Mapping[str, Any]] | None = None,
     repeats: int = 3,
     keep_paths: bool = False,
+    drift: str = "",
 ) -> dict[str, Any]:
     """Run a session of a preset from its first demonstration to its last re-test, as plain data.
 
     The seed is that of the demonstrator (see `teach`), the stand-in and the exploration;
     `condition` are arguments of `stand_in`. The final policy is run `repeats` times in each of the
     conditions `carried`, by name. `keep_paths` keeps the paths of reproduction and final policy.
+    With a `drift`, the "drag", "friction" or "mass" of `_grow` grows while the session learns.
     """
     environment = stand_in(seed, **(condition or {}))
     shown = demonstrate(environment, seed, demonstrations, pitch_rate, habit)
@@ -151,7 +154,12 @@ def session(
     context = Flip.context_of(shown, None)
     policies = _fitted(shown, settings.practice.springs)
     practice = Practice(settings, context, policies, seed, environment)
-    records, best = [*environment.practise(practice)], practice.best
+    records: list[Record] = []
+    for record in environment.practise(practice):
+        records.append(record)
+        if drift and record.kind != "retest":
+            _grow(environment.world, drift)
+    best = practice.best
     trials = [record for record in records if record.kind != "retest"]
     parameters = practice.parametrization
     chosen = "" if parameters is None else parameters.policy0.id
@@ -183,6 +191,15 @@ def session(
         executed = {"reproduction": demonstrated, "final policy": answer}
         result["paths"] = {name: _paths(environment, each) for name, each in executed.items()}
     return result
+
+
+def _grow(world: World, what: str) -> None:
+    """Change drag of the air, friction of all surfaces or mass of the pan by `DRIFT`."""
+    model, pan = world.model, world.model.body("pan").id
+    model.opt.density *= DRIFT if what == "drag" else 1.0
+    model.geom_friction[:, 0] *= DRIFT if what == "friction" else 1.0
+    model.body_mass[pan] *= DRIFT if what == "mass" else 1.0
+    model.body_inertia[pan] *= DRIFT if what == "mass" else 1.0
 
 
 def _kept(record: Record) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from hill_task import SIZE, climb, hill, rng
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from reproduction.rivals.learners import AdaptivePower, Pi2, RandomSearch
+from reproduction.rivals.learners import Pi2, RandomSearch
 from wam_power_ros.learning.cma_es import CmaEs
 from wam_power_ros.learning.learner import (
     Learner,
@@ -25,7 +25,6 @@ CLIMBERS: list[tuple[LearnerClass, dict[str, Any]]] = [
     (Power, {}),
     (ShapedPower, {}),
     (ShapedPower, {"weights": "return", "mirrored": False}),
-    (AdaptivePower, {}),
     (Pi2, {}),
     (CmaEs, {}),
 ]

@@ -147,32 +147,46 @@ def test_equal_margins_show_no_scatter_and_count_as_successes_alone() -> None:
 
 def test_what_is_confirmed_names_all_runs_of_the_mean() -> None:
     stopping = rule(29, scatter=[1.0])
-    assert "too small" in stopping.add(rollout(True, margins=[0.5]))
-    runs = 1
+    stopping.add(rollout(True, margins=[6.0]))
+    stopping.add(rollout(False, margins=[-0.5]))
+    runs = 2
     while not stopping.complete:
         stopping.add(rollout(True, margins=[6.0]))
         runs += 1
-    assert stopping.count < runs
-    assert stopping.complete.startswith(f"{runs} of {runs} succeeded, well inside")
+    assert stopping.count == runs - 2
+    assert stopping.complete.startswith(f"{runs - 1} of {runs} succeeded, well inside")
 
 
-def test_a_first_success_with_less_margin_than_is_expected_to_last_ends_its_row_at_once() -> None:
+def test_after_a_first_success_with_less_margin_than_lasts_a_better_mean_is_sought() -> None:
     for margin, goes_on in ((0.5, False), (4.0, True)):
         stopping = rule(29, scatter=[1.0])
         said = stopping.add(rollout(True, margins=[margin]))
-        assert (stopping.count == 1) == goes_on != ("too small margins" in said)
+        assert (stopping.z is not None) == goes_on != ("too small margins" in said)
         unknown = rule(29)
         unknown.add(rollout(True, margins=[margin]))
-        assert unknown.count == 1
+        assert unknown.z is not None
 
 
-def test_small_margins_do_not_end_a_row_that_is_nearly_complete() -> None:
+def test_a_row_with_too_small_margins_goes_on_while_no_better_mean_is_known() -> None:
+    stopping = rule(5, scatter=[1.0])
+    for count in range(1, 6):
+        assert not stopping.complete
+        stopping.add(rollout(True, margins=[0.1]))
+        assert stopping.count == count
+    assert stopping.complete.startswith("5 of 5 succeeded")
+    stopping = rule(5, scatter=[1.0])
+    stopping.add(rollout(True, margins=[0.1]))
+    stopping.add(rollout(True, z=1.0, margins=[0.1]))  # the better one
+    assert stopping.count == 1
+
+
+def test_for_small_margins_no_other_mean_is_sought_when_a_row_is_nearly_complete() -> None:
     good, bad = (1.4, 1.5, 1.6), (2.5, 0.1, 0.1)
     for enough, margins, goes_on in ((29, good, False), (4, good, True), (4, bad, True)):
         stopping = rule(enough, scatter=[1.0])
         for margin in margins:
             stopping.add(rollout(True, margins=[margin]))
-        assert (stopping.count == 3) == goes_on
+        assert (stopping.z is not None) == goes_on
 
 
 def needed(failures: Sequence[Sequence[float] | None], z: float) -> int:
@@ -185,6 +199,22 @@ def needed(failures: Sequence[Sequence[float] | None], z: float) -> int:
         stopping.add(rollout(True, margins=[5.0 + 0.1 * (count % 3), 3.0 + 0.1 * (count % 2)]))
         count += 1
     return count
+
+
+def test_a_run_far_outside_where_the_others_are_well_inside_is_explained_by_no_margin() -> None:
+    """Else one that lands elsewhere now and then is confirmed by a lucky row of the next mean."""
+
+    def successes(before: float, last: float) -> int:
+        stopping, count = rule(29, scatter=[1.0]), 0
+        for margin in (before, before, last):
+            stopping.add(rollout(margin > 0.0, z=1.0, margins=[margin]))
+        while not stopping.complete:
+            stopping.add(rollout(True, margins=[5.0 + 0.1 * (count % 3)]))
+            count += 1
+        return count
+
+    clear, far, narrow = successes(2.5, 2.5), successes(4.0, -9.0), successes(0.2, -0.3)
+    assert clear == narrow < far - 3
 
 
 def test_a_failure_that_no_margin_explains_asks_more_of_every_later_mean() -> None:

@@ -131,15 +131,11 @@ def test_a_habit_changes_the_demonstration() -> None:
     assert not np.allclose(twisted.rotation_attractors, plain.rotation_attractors, atol=0.02)
 
 
-def a_session(
-    true: int, ended_by: str, used: int, first: bool = False, landed: int = 30
-) -> dict[str, Any]:
+def a_session(true: int, ended_by: str, used: int, landed: int = 30) -> dict[str, Any]:
     return {
         "carried": {},
         "used": used,
         "ended_by": ended_by,
-        "confirmed": 10 if ended_by == "confirmation" else 0,
-        "trials": [{"true_flip": first}],
         "retests": [{"true_flip": k < true, "landed": k < landed} for k in range(30)],
     }
 
@@ -147,17 +143,15 @@ def a_session(
 def test_the_statistics_of_a_row_count_sessions_and_not_rollouts() -> None:
     sessions = [
         a_session(30, "confirmation", 20),
-        a_session(27, "confirmation", 30, first=True),
+        a_session(27, "confirmation", 30),
         a_session(24, "confirmation", 50),
         a_session(0, "budget", 60, landed=26),
     ]
     found = grounds.line(sessions)
     assert found["landed"] == 3  # turned over and caught, however far in the air
-    assert (found["sessions"], found["reproduced"], found["solved"]) == (4, 1, 2)
-    assert found["confirmed"] == 3 and found["to_streak"] == 20.0  # ten confirm
+    assert (found["sessions"], found["solved"], found["confirmed"]) == (4, 2, 3)
     assert found["wrong"] == 1 and found["rollouts"] == (40.0, 60.0)
     assert found["true"][0] == 0.675 and 0.0 <= found["true"][1] < 0.3
-    assert grounds.line([a_session(0, "budget", 60)])["to_streak"] is None
 
 
 def a_swing_session(

@@ -6,19 +6,17 @@ Margins show it with fewer. The model: a rollout succeeds if all its margins are
 nothing fails that no margin shows. Margins of one mean are independent and normally distributed;
 the standard deviation that the task expects counts as `EXPECTED` observations. The share that fails
 for another reason is that of all means of the session after a success, with the prior `OTHER`. A
-mean is confirmed once the rate is exceeded with the probability `BELIEF`, given all its runs. So
-one may look after each.
+run outside its limits may be of either kind: Bayes' rule tells how likely. A mean is confirmed once
+the rate is exceeded with the probability `BELIEF`, given all its runs. So one may look after each.
 """
 
 from __future__ import annotations
 
 import math
-from bisect import bisect_left
 from collections.abc import Callable, Sequence
-from functools import cache
 
 import numpy as np
-from scipy.special import betaincinv, gammaincinv, log_ndtr, ndtri
+from scipy.special import log_ndtr
 
 from wam_power_ros.practice.session_log import Record
 from wam_power_ros.practice.settings import PracticeSettings
@@ -28,7 +26,7 @@ CONFIDENCE = 0.95  # of what a number of successes in a row shows
 BELIEF = 0.97  # probability of the rate that confirms a mean by its margins
 EXPECTED = 4  # observations that the expected standard deviation of a margin counts as
 OTHER = (1.0, 45.0)  # rollouts that failed for another reason and that did not, before the first
-DRAWS = 2048  # of a posterior distribution
+DRAWS = 8192  # of a posterior distribution
 
 
 def rate_shown(count: int) -> float:
@@ -43,19 +41,11 @@ def inside(ratio: np.ndarray, count: int, freedom: int) -> np.ndarray:
     the mean margins of `count` runs over their standard deviations, which have `freedom` >= 1
     degrees of freedom.
     """
-    rates = np.zeros(DRAWS)
-    for k, value in enumerate(ratio):
-        shift = _draws(ndtri, 2 * k + 1) / math.sqrt(count)
-        deviation = np.sqrt(2.0 * _draws(gammaincinv, 2 * k + 2, 0.5 * freedom) / freedom)
-        rates += log_ndtr(value * deviation + shift)
-    return rates
-
-
-@cache
-def _draws(inverse: Callable[..., np.ndarray], seed: int, *parameters: float) -> np.ndarray:
-    """Evenly spread draws of a distribution, by its inverse, in an order of the seed's."""
-    order = np.random.Generator(np.random.PCG64(seed)).permutation(DRAWS)
-    return inverse(*parameters, (order + 0.5) / DRAWS)
+    rng = np.random.Generator(np.random.PCG64(0))
+    deviation = np.sqrt(rng.chisquare(freedom, (DRAWS, len(ratio))) / freedom)
+    shift = rng.standard_normal(deviation.shape) / math.sqrt(count)
+    log_rates: np.ndarray = log_ndtr(ratio * deviation + shift).sum(axis=1)
+    return log_rates
 
 
 class StoppingRule:
@@ -85,6 +75,7 @@ class StoppingRule:
     def _begin(self, mean: list[float]) -> None:
         self._mean, self._runs = mean, list[Sequence[float]]()  # its margins
         self._succeeded = self.count = 0
+        self._inside = -math.inf  # log-probability that the margins of its next run are positive
         self.z: np.ndarray | None = None
 
     def forget(self, record: Record) -> None:
@@ -107,12 +98,18 @@ class StoppingRule:
         self._runs.append(margins)
         self._succeeded += record.success
         if before:  # a mean that has not succeeded may fail in ways that a good one does not
-            other = not record.success and min(margins, default=0.0) > 0.0
-            self._other += (other, record.success)
+            self._other += (self._otherwise(record.success, margins), record.success)
         self.z, self.count = (np.array(record.z), before + 1) if record.success else (None, 0)
         if record.success:
             return self._judged(len(margins))
         return f"ended after {before} successes in a row" if before else ""
+
+    def _otherwise(self, success: bool, margins: Sequence[float]) -> float:
+        """Probability that a run failed for another reason than the scatter of its margins."""
+        if min(margins, default=0.0) > 0.0:
+            return float(not success)
+        share = self._other[0] / self._other.sum()
+        return float(share / (share - math.expm1(self._inside))) if margins else 0.0
 
     def _judged(self, size: int) -> str:
         """Confirm the mean, end its row or go on; returns a remark for the log."""
@@ -132,22 +129,17 @@ class StoppingRule:
         if not squares.all():  # equal margins, as of a reading in coarse steps, show no scatter
             return said
         ratio = np.mean(self._runs, axis=0) / np.sqrt(squares / freedom)
-        otherwise = np.log1p(-_draws(betaincinv, 0, *self._other))
-
-        def shown_by(more: int) -> bool:
-            """Whether the rate is shown after so many more successes with margins like these."""
-            rates = inside(ratio, runs + more, freedom + more) + otherwise
-            return bool(np.mean(rates >= math.log(rate)) >= BELIEF)
-
-        if shown_by(0):
+        rates = inside(ratio, runs, freedom)
+        self._inside = float(np.median(rates))
+        rng = np.random.Generator(np.random.PCG64(1))
+        rates += np.log1p(-rng.beta(*self._other, DRAWS))
+        if np.mean(rates >= math.log(rate)) >= BELIEF:
             shown = f"at least {rate:.0%} will ({BELIEF:.0%} probable)"
             self.complete = (
                 f"{self._succeeded} of {runs} succeeded, well inside the limits: {shown}"
             )
-            return said
-        needed = 1 + bisect_left(range(1, enough - self.count), True, key=shown_by)
-        # By its margins it would more likely fail before; what else fails, fails any mean.
-        if needed * np.median(inside(ratio, runs, freedom)) < math.log(0.5):
-            self.z, self.count = None, 0
-            return f"{said}, but with too small margins: learning goes on"
+        elif (enough - self.count) * self._inside < math.log(0.5):
+            # It would more likely fail before. What else fails, fails any mean.
+            self.z = None
+            return f"{said}, but with too small margins: a better one is sought"
         return said
