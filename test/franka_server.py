@@ -51,6 +51,7 @@ def main(address: str) -> None:
         mujoco.MjSpec.find_body = mujoco.MjSpec.body
         mujoco.MjsLight.directional = property(fset=lambda light, value: None)
     from franka_sim import FrankaSimServer
+    from franka_sim.robot_state import RobotState
 
     enforced = {"enforce_comm_constraints": True, "enforce_motion_limits": True}
     server = FrankaSimServer(host=address, enable_gripper=False, **enforced)
@@ -74,6 +75,14 @@ def main(address: str) -> None:
             tau = tau + HAND[0] * (wanted - state["q"]) - HAND[1] * np.array(state["dq"])
         return tau
 
+    begun = time.monotonic()
+
+    def count(robot: RobotState) -> None:
+        """Stamp a state [ms]: a robot's clock goes on while this machine stalls."""
+        robot._message_id = max(robot._message_id + 1, int(1e3 * (time.monotonic() - begun)))
+        robot.state["message_id"] = robot._message_id
+
+    RobotState.update = count
     arm.get_robot_state, arm.arm_control_torque = measured, driving
     threading.Thread(target=server.start, daemon=True).start()
     with contextlib.suppress(PermissionError):

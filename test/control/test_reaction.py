@@ -210,6 +210,19 @@ def test_a_model_that_has_braked_rests_although_a_torque_would_let_it_creep() ->
     np.testing.assert_array_equal(postures[-1], postures[-50])
 
 
+@pytest.mark.requirement("S-122")
+@pytest.mark.parametrize(("size", "rests"), [(0.01, False), (0.0005, True)])
+def test_an_arm_that_swings_through_where_it_was_does_not_rest(size: float, rests: bool) -> None:
+    """The torque of that moment would be kept, which drives it."""
+    reaction = Reaction(MODEL, MODEL.gravity)
+    reaction.begin(0.2)
+    for k in range(400):
+        q = HOME + size * np.sin(2.0 * np.pi * k * 0.002 / 0.15) * np.eye(MODEL.n)[1]
+        reaction.record(state(k, q), MODEL.gravity(q), [0.0] * 7)
+        reaction.torque(state(k, q), True, True, None)
+    assert reaction.rested is rests
+
+
 @pytest.mark.requirement("S-133")
 def test_an_arm_that_was_followed_in_its_fall_counts_as_having_rested() -> None:
     reaction = Reaction(MODEL, MODEL.gravity)

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Torques sent to the driver for a motor torque."""
 
+import dataclasses
 from collections import Counter
 
 import numpy as np
 import pytest
-from rigid_arm import HOME, LIMITS, MODEL
+from rigid_arm import A_TEST, HOME, LIMITS, MODEL, begin, make, run
 
 from wam_power_ros.control.torque_output import TorqueOutput
 
@@ -21,6 +22,31 @@ def test_the_motors_of_a_driver_that_adds_gravity_stay_within_their_limit() -> N
     for dt in (None, 1.0, 1.0):
         out.send(beyond, HOME, dt)
         assert np.all(np.abs(out.motor_torque(HOME)) <= LIMITS.torque + 1e-9)
+
+
+@pytest.mark.requirement("S-04")
+def test_a_share_of_the_limits_never_turns_against_the_gravity_that_a_driver_adds() -> None:
+    """An arm that weighs more than the share would be pushed down, the more the further it is."""
+    share = 0.5 * np.maximum(np.abs(GRAVITY), 0.1)
+    limits = dataclasses.replace(LIMITS, torque=share)
+    out = TorqueOutput(MODEL, limits, True, Counter())
+    np.testing.assert_allclose(out.send(GRAVITY, HOME, None), 0.0, atol=1e-12)
+    up = np.sign(GRAVITY) * share
+    np.testing.assert_allclose(out.send(GRAVITY + 2.0 * up, HOME, None), up, atol=1e-12)
+
+
+@pytest.mark.requirement("S-122")
+def test_an_arm_that_weighs_more_than_the_share_is_held_after_a_fault() -> None:
+    torque = 0.5 * np.maximum(np.abs(GRAVITY), 2.0)
+    limits = dataclasses.replace(LIMITS, torque=torque)
+    controller = make(limits=limits, driver_compensates_gravity=True)
+    controller, plant = begin(controller=controller, adds_gravity=True, friction=0.5)
+    plant.qd = plant.qd + 0.1 * np.eye(MODEL.n)[1]
+    run(controller, plant, 0.02)
+    controller.fault(A_TEST)
+    run(controller, plant, 1.5)
+    assert np.abs(plant.qd).max() < 0.01
+    assert np.abs(plant.q - HOME).max() < 0.05
 
 
 def test_the_torque_rate_is_limited_and_counted_but_not_while_inactive() -> None:

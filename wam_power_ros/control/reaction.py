@@ -318,11 +318,16 @@ class Reaction:
         self._seconds, self.alone = 0.0, False  # it is braked anew
         model.q, model.qd, self._held, self._believed = q, self.reported(), None, True
 
+    @property
+    def timed(self) -> bool:
+        """Whether the positions since the last gap are enough to tell speeds."""
+        return len(self.past) > self._rates
+
     def reported(self) -> np.ndarray:
         """Speeds by the reported positions [rad/s], (n,); the model's in the 8 ms after a gap."""
-        past = list(self.past)[-self._rates - 1 :]
-        if len(past) <= self._rates:  # a driver that paused may stamp an old state as new
+        if not self.timed:  # a driver that paused may stamp an old state as new
             return np.zeros(self._arm.n) if self._model is None else self._model.qd
+        past = list(self.past)[-self._rates - 1 :]
         return (past[-1].q - past[0].q) / sum(each.dt for each in past[1:])
 
     def torque(
@@ -403,8 +408,8 @@ class Reaction:
             frozen = carrying - np.minimum(np.maximum(tau - carrying, -half), half)
             self._held, self._frozen = (frozen, usual + bounded), frozen
         self._recent.append(state.q)
-        still = np.abs(state.q - self._recent[0]).max() < STILL
-        if still and len(self._recent) == self._recent.maxlen:
+        full = len(self._recent) == self._recent.maxlen
+        if full and np.ptp(self._recent, axis=0).max() < STILL:  # none that swings through
             self._held = tau, usual + bounded
             self._freeze(tau, known, usual + bounded)
         return tau
@@ -457,8 +462,6 @@ class Reaction:
         arm = self._arm
         held = np.minimum(np.maximum(tau, -arm.friction), arm.friction)  # moves no resting joint
         driving = tau - held
-        if not driving.any():
-            return tau
         twist = arm.jacobian(q).dot(np.linalg.solve(mass, driving)) * ANSWER_TIME
         speed = max(float(np.linalg.norm(twist[:3])), 0.25 * float(np.linalg.norm(twist[3:])))
         return tau if speed <= REACTION_SPEED else held + driving * (REACTION_SPEED / speed)

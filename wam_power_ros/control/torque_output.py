@@ -46,10 +46,12 @@ class TorqueOutput:
         """
         if self._arm.torque_scales is not None:
             tau = tau / self._arm.torque_scales
-        if self._driver_adds_gravity:  # the limits of the motors hold for the sum
-            tau = self._bounded(tau) - self._arm.driver_gravity(q)
+        if self._driver_adds_gravity:
+            # The motors' limits hold for the sum, a share of them for what is sent: a share of the
+            # sum would push down an arm that weighs more.
+            tau = np.clip(tau, -self._arm.tau_max, self._arm.tau_max) - self._arm.driver_gravity(q)
         if dt is None:
-            sent = self._bounded(tau)
+            sent = np.clip(tau, -self._limits.torque, self._limits.torque)
         else:
             sent = safety.limit_torque(tau, self.sent, dt, self._limits)
             if sent is not tau:
@@ -57,6 +59,3 @@ class TorqueOutput:
         sent.setflags(write=False)
         self.sent = sent
         return sent
-
-    def _bounded(self, tau: np.ndarray) -> np.ndarray:
-        return np.minimum(np.maximum(tau, -self._limits.torque), self._limits.torque)
