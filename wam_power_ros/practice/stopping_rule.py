@@ -132,7 +132,7 @@ class StoppingRule:
         rates = inside(ratio, runs, freedom)
         self._inside = float(np.median(rates))
         rng = np.random.Generator(np.random.PCG64(1))
-        rates += np.log1p(-rng.beta(*self._other, DRAWS))
+        rates += np.log1p(-rng.beta(self._other[0], self._other[1], DRAWS))
         if np.mean(rates >= math.log(rate)) >= BELIEF:
             shown = f"at least {rate:.0%} will ({BELIEF:.0%} probable)"
             self.complete = (
