@@ -318,16 +318,11 @@ class Reaction:
         self._seconds, self.alone = 0.0, False  # it is braked anew
         model.q, model.qd, self._held, self._believed = q, self.reported(), None, True
 
-    @property
-    def timed(self) -> bool:
-        """Whether the positions since the last gap are enough to tell speeds."""
-        return len(self.past) > self._rates
-
     def reported(self) -> np.ndarray:
         """Speeds by the reported positions [rad/s], (n,); the model's in the 8 ms after a gap."""
-        if not self.timed:  # a driver that paused may stamp an old state as new
-            return np.zeros(self._arm.n) if self._model is None else self._model.qd
         past = list(self.past)[-self._rates - 1 :]
+        if len(past) <= self._rates:  # a driver that paused may stamp an old state as new
+            return np.zeros(self._arm.n) if self._model is None else self._model.qd
         return (past[-1].q - past[0].q) / sum(each.dt for each in past[1:])
 
     def torque(
@@ -462,6 +457,8 @@ class Reaction:
         arm = self._arm
         held = np.minimum(np.maximum(tau, -arm.friction), arm.friction)  # moves no resting joint
         driving = tau - held
+        if not driving.any():
+            return tau
         twist = arm.jacobian(q).dot(np.linalg.solve(mass, driving)) * ANSWER_TIME
         speed = max(float(np.linalg.norm(twist[:3])), 0.25 * float(np.linalg.norm(twist[3:])))
         return tau if speed <= REACTION_SPEED else held + driving * (REACTION_SPEED / speed)

@@ -171,8 +171,7 @@ class Supervision:
     def doubt(self, kind: FaultKind) -> None:
         """Believe no state until they agree again; never again in this fault after a jump."""
         self.believed, self._agreed, self._doubted = False, 0, True
-        if not self.reaction.settled:  # the brake that ends is no fall
-            self._explained = -self._fall_states
+        self._explained = -self._fall_states  # the brake that ends is no fall
         self._contradicted |= kind.of_states
         self._lasting |= kind is FaultKind.JUMP
         self._drifts |= kind in (FaultKind.DRIFT, FaultKind.STANDSTILL)
@@ -191,6 +190,7 @@ class Supervision:
         tau, checks = self._motor_torque(state.q), self._plausibility
         if before is None:
             self.reaction.forget()
+            self._explained = -self._fall_states  # no speed is known that could have changed
         guided, self._guided = self._guided, mode is Mode.GRAVITY_COMPENSATION
         if guided and not self._guided and mode is not Mode.FAULT:
             checks.let_go()
@@ -268,15 +268,17 @@ class Supervision:
         tau = self.reaction.torque(state, self.believed, explained, weight)
         if self._lasting:
             return tau
-        if self.reaction.timed and self._falls(state):
+        if self._falls(state):
             error = self._plausibility.residual if self._weight is None else self._weight
             self.reaction.follow(state.q, -np.array(error))
             self.believed, self._explained, self._suspect = True, 0, False
         elif not self.believed:
             agrees = self._agrees(state.q - self.reaction.posture)
             rests = self._rest_since_ns is not None
-            right = not self._drifts if self._contradicted else rests and self._explains
-            self.believed = agrees and right
+            if self._contradicted:
+                self.believed = agrees and not self._drifts
+            else:
+                self.believed = agrees and rests and self._explains
         return tau
 
     def _falls(self, state: JointState) -> bool:
