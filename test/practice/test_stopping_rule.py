@@ -119,7 +119,7 @@ def test_every_margin_takes_its_share_of_the_successes() -> None:
     assert two == pytest.approx(one**2, abs=0.01)
 
 
-def test_clear_margins_confirm_with_few_rollouts_and_narrow_ones_end_the_row() -> None:
+def test_clear_margins_confirm_with_few_rollouts_and_narrow_ones_do_not() -> None:
     clear = confirmed(np.array([[0.99, 5.0], [1.01, 5.1], [1.0, 4.9]] * 4))
     assert clear.count < 8
     assert f"{clear.count} of {clear.count} succeeded, well inside" in clear.complete

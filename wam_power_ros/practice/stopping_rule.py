@@ -112,7 +112,7 @@ class StoppingRule:
         return float(share / (share - math.expm1(self._inside))) if margins else 0.0
 
     def _judged(self, size: int) -> str:
-        """Confirm the mean, end its row or go on; returns a remark for the log."""
+        """Confirm the mean, seek a better one or go on; returns a remark for the log."""
         enough, runs = self._settings.confirm, len(self._runs)
         rate = rate_shown(enough)
         said = f"{self.count} {'success' if self.count == 1 else 'successes'} in a row"
