@@ -117,7 +117,7 @@ def test_the_method_states_the_numbers_of_the_presets() -> None:
         f"{1000 * settings.noise.attractor:.0f} mm, {settings.noise.rotation} rad",
         f"moved by `gain`, {settings.gain}, of what would take",
         f"at least {math.degrees(settings.success_angle):.0f} degrees",
-        f"or {course.confirm} times in a row, or after {course.budget} rollouts",
+        f"or {course.confirm} of {course.confirm} times, or after {course.budget} rollouts",
     )
     assert [words for words in stated if words not in text] == []
 

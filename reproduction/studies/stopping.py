@@ -57,7 +57,7 @@ def counted(rows: np.ndarray) -> int | None:
 
 def tested(rows: np.ndarray) -> int | None:
     """Rollout at which a martingale refutes that the rate is at most that of COUNT in a row."""
-    rate, wealth = rate_shown(COUNT), 1.0
+    rate, wealth = rate_shown(COUNT, COUNT), 1.0
     for number, success in enumerate(rows.min(axis=1) > 0.0, start=1):
         wealth *= 1.0 + 0.9 * (success - rate) / rate
         if wealth >= 1.0 / (1.0 - CONFIDENCE):

@@ -138,7 +138,7 @@ def test_a_punished_rollout_confirms_nothing_and_is_no_evidence_of_success() -> 
     run(practice, 6, worth(0.5))
     run(practice, 2, worth(0.9, success=True))
     assert [record.kind for record in practice.records[-2:]] == ["mean", "mean"]
-    assert practice.next_trial().purpose == "confirms the mean policy, 3 of at most 4"
+    assert practice.next_trial().purpose == "confirms the mean policy: 2 of 2 succeeded"
     practice.rate(-0.1)
     run(practice, 1, worth(0.9, success=True))
     assert practice.next_trial().kind == "explore"

@@ -204,9 +204,9 @@ def test_a_mean_that_succeeds_is_run_again_unchanged_until_it_fails_or_is_confir
     streak = run(practice, lambda trial: good(), rollouts=3)
     assert [record.kind for record in streak] == ["mean"] * 3
     assert len({tuple(record.z) for record in streak}) == 1
-    assert streak[-1].note == "3 successes in a row"
+    assert streak[-1].note == "3 of 3 succeeded"
     (failed,) = run(practice, lambda trial: bad(), rollouts=1)
-    assert failed.z == streak[0].z and failed.note == "ended after 3 successes in a row"
+    assert failed.z == streak[0].z and failed.note == "3 of 4 succeeded"
     assert practice.next_trial().kind == "explore"
 
     run(practice, lambda trial: bad() if trial.kind == "explore" else good())

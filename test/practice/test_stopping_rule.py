@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from scipy.stats import norm, t
+from scipy.stats import binom, norm, t
 from toss_task import record_of
 
 from wam_power_ros.practice.session_log import Record
@@ -27,38 +27,36 @@ def rule(confirm: int = 3, mean_every: int = 4, scatter: Sequence[float] = ()) -
     )
 
 
-def test_exactly_the_required_number_of_successes_in_a_row_completes_it() -> None:
+def test_exactly_the_required_number_of_successes_without_a_failure_completes_it() -> None:
     stopping = rule(confirm=3)
-    for said in ("1 success in a row", "2 successes in a row", "3 successes in a row"):
+    for said in ("1 of 1 succeeded", "2 of 2 succeeded", "3 of 3 succeeded"):
         assert not stopping.complete
         assert stopping.add(rollout(True)) == said
     assert stopping.complete == "3 of 3 succeeded: at least 37% will (95% confidence)"
 
 
-def test_a_failure_ends_a_row_and_a_success_of_another_mean_begins_a_new_one() -> None:
+def test_after_a_failure_the_learner_may_offer_another_mean_which_begins_anew() -> None:
     stopping = rule(confirm=3)
-    assert stopping.add(rollout(False)) == ""
+    assert stopping.add(rollout(False, z=0.1)) == ""
     stopping.add(rollout(True))
     stopping.add(rollout(True))
-    assert stopping.add(rollout(False)) == "ended after 2 successes in a row"
-    assert (stopping.z, stopping.count) == (None, 0)
-    stopping.add(rollout(True))
-    assert stopping.add(rollout(True, z=0.2)) == "1 success in a row"
+    assert stopping.add(rollout(False)) == "2 of 3 succeeded"
+    assert stopping.z is None
+    assert stopping.add(rollout(True)) == "3 of 4 succeeded" and not stopping.complete
+    assert stopping.add(rollout(True, z=0.2)) == "1 of 1 succeeded"
     assert stopping.z.tolist() == [0.2, 1.0] and not stopping.complete
 
 
-def test_explorations_neither_count_nor_end_a_row_and_call_for_the_mean_if_it_is_not_regular() -> (
-    None
-):
+def test_explorations_do_not_count_and_call_for_the_mean_if_it_is_not_run_regularly() -> None:
     for mean_every in (0, 4):
         stopping = rule(confirm=3, mean_every=mean_every)
         stopping.add(rollout(True))
         stopping.add(rollout(False, kind="explore"))
-        assert stopping.count == 1 and not stopping.mean_is_due
+        assert stopping.successes == 1 and not stopping.mean_is_due
         stopping.add(rollout(True, kind="explore"))
-        assert stopping.count == 1 and stopping.mean_is_due is (mean_every == 0)
+        assert stopping.successes == 1 and stopping.mean_is_due is (mean_every == 0)
         stopping.add(rollout(True))
-        assert stopping.count == 2 and not stopping.mean_is_due
+        assert stopping.successes == 2 and not stopping.mean_is_due
 
 
 def test_a_rule_of_no_successes_is_never_complete() -> None:
@@ -76,20 +74,33 @@ def test_a_rule_of_no_successes_is_never_complete() -> None:
         (rollout(True, kind="explore"), 2),
     ],
 )
-def test_a_row_is_forgotten_with_a_success_that_was_rated_down(record: Record, left: int) -> None:
+def test_the_runs_are_forgotten_with_a_success_that_was_rated_down(
+    record: Record, left: int
+) -> None:
     stopping = rule()
     stopping.forget(record)  # no row yet
     stopping.add(rollout(True))
     stopping.add(rollout(True))
     stopping.forget(record)
-    assert stopping.count == left and (stopping.z is None) is (left == 0)
+    assert stopping.successes == left and (stopping.z is None) is (left == 0)
 
 
 def test_policies_below_the_rate_that_is_shown_are_rarely_confirmed_by_their_count() -> None:
     for rate in (0.7, 0.95):
-        count = next(n for n in range(1, 100) if rate_shown(n) >= rate)
-        assert rate**count <= 1.0 - CONFIDENCE < rate ** (count - 1)
-    assert 0.9 <= rate_shown(preset("flip").practice.confirm) < 0.91
+        for failures in (0, 1, 4):
+            successes = next(n for n in range(1, 300) if rate_shown(n, n + failures) >= rate)
+            by_chance = [binom.sf(n - 1, n + failures, rate) for n in (successes - 1, successes)]
+            assert by_chance[0] > 1.0 - CONFIDENCE >= by_chance[1]
+    assert 0.9 <= rate_shown(count := preset("flip").practice.confirm, count) < 0.91
+
+
+def test_a_mean_that_failed_is_confirmed_by_its_count_of_all_its_runs_not_of_a_lucky_row() -> None:
+    stopping = rule(confirm=29)
+    stopping.add(rollout(True))
+    stopping.add(rollout(False))
+    while not stopping.complete:
+        stopping.add(rollout(True))
+    assert stopping.complete.startswith("46 of 47 succeeded: at least 90%")
 
 
 def confirmed(
@@ -121,8 +132,8 @@ def test_every_margin_takes_its_share_of_the_successes() -> None:
 
 def test_clear_margins_confirm_with_few_rollouts_and_narrow_ones_do_not() -> None:
     clear = confirmed(np.array([[0.99, 5.0], [1.01, 5.1], [1.0, 4.9]] * 4))
-    assert clear.count < 8
-    assert f"{clear.count} of {clear.count} succeeded, well inside" in clear.complete
+    assert clear.successes < 8
+    assert f"{clear.successes} of {clear.successes} succeeded, well inside" in clear.complete
     narrow = rule(29)
     barely = [[0.002, 5.0], [0.05, 5.0], [0.002, 5.1], [0.05, 5.0]]
     said = [narrow.add(rollout(True, margins=row)) for row in barely]
@@ -133,7 +144,7 @@ def test_margins_that_scatter_as_expected_confirm_sooner_and_never_by_a_lucky_ro
     """A row that happens to scatter little does not show more than what is expected of it."""
     rng = np.random.default_rng(5)
     rows = 4.0 + rng.standard_normal((40, 1))
-    counts = [confirmed(rows, scatter=scatter).count for scatter in ((), (1.0,), (1.0, 1.0))]
+    counts = [confirmed(rows, scatter=scatter).successes for scatter in ((), (1.0,), (1.0, 1.0))]
     assert counts[1] < counts[0] == counts[2]  # a scatter of other margins does not count
     alike = np.array([[1.0], [1.01], [0.99]] * 2)
     assert confirmed(alike).complete and not confirmed(alike, scatter=[1.0]).complete
@@ -141,8 +152,8 @@ def test_margins_that_scatter_as_expected_confirm_sooner_and_never_by_a_lucky_ro
 
 def test_equal_margins_show_no_scatter_and_count_as_successes_alone() -> None:
     equal = confirmed(np.full((29, 1), 0.5))
-    assert equal.count == 29 and "well inside" not in equal.complete
-    assert confirmed(np.full((29, 1), 0.5), scatter=[0.05]).count < 8
+    assert equal.successes == 29 and "well inside" not in equal.complete
+    assert confirmed(np.full((29, 1), 0.5), scatter=[0.05]).successes < 8
 
 
 def test_what_is_confirmed_names_all_runs_of_the_mean() -> None:
@@ -153,7 +164,7 @@ def test_what_is_confirmed_names_all_runs_of_the_mean() -> None:
     while not stopping.complete:
         stopping.add(rollout(True, margins=[6.0]))
         runs += 1
-    assert stopping.count == runs - 2
+    assert stopping.successes == runs - 1
     assert stopping.complete.startswith(f"{runs - 1} of {runs} succeeded, well inside")
 
 
@@ -167,20 +178,20 @@ def test_after_a_first_success_with_less_margin_than_lasts_a_better_mean_is_soug
         assert unknown.z is not None
 
 
-def test_a_row_with_too_small_margins_goes_on_while_no_better_mean_is_known() -> None:
+def test_a_mean_with_too_small_margins_is_run_on_while_no_better_mean_is_known() -> None:
     stopping = rule(5, scatter=[1.0])
     for count in range(1, 6):
         assert not stopping.complete
         stopping.add(rollout(True, margins=[0.1]))
-        assert stopping.count == count
+        assert stopping.successes == count
     assert stopping.complete.startswith("5 of 5 succeeded")
     stopping = rule(5, scatter=[1.0])
     stopping.add(rollout(True, margins=[0.1]))
     stopping.add(rollout(True, z=1.0, margins=[0.1]))  # the better one
-    assert stopping.count == 1
+    assert stopping.successes == 1
 
 
-def test_for_small_margins_no_other_mean_is_sought_when_a_row_is_nearly_complete() -> None:
+def test_for_small_margins_no_other_mean_is_sought_when_few_successes_are_missing() -> None:
     good, bad = (1.4, 1.5, 1.6), (2.5, 0.1, 0.1)
     for enough, margins, goes_on in ((29, good, False), (4, good, True), (4, bad, True)):
         stopping = rule(enough, scatter=[1.0])

@@ -155,8 +155,8 @@ class LearningRun:
         """Next trial: the mean being confirmed, the current mean, or an exploration."""
         own, rule, settings = self.parametrization, self.rule, self._settings.practice
         if rule.z is not None:
-            nth = f"{rule.count + 1} of at most {settings.confirm}"
-            return Trial.at(number, own, "mean", rule.z, f"confirms the mean policy, {nth}")
+            known = f"{rule.successes} of {rule.runs} succeeded"
+            return Trial.at(number, own, "mean", rule.z, f"confirms the mean policy: {known}")
         every = settings.mean_every
         if rule.mean_is_due or (every > 0 and (self.practised + 1) % every == 0):
             z, count, is_mean = *self.shrunk(self.learner.mean, rejections), True

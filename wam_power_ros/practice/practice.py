@@ -178,9 +178,9 @@ class Practice:
 
     @property
     def confirmed(self) -> int:
-        """Number of successes in a row that confirmed the answer; 0 while nothing has."""
+        """Number of successes that confirmed the answer; 0 while nothing has."""
         found = self._learning_run
-        return 0 if found is None or not found.rule.complete else found.rule.count
+        return 0 if found is None or not found.rule.complete else found.rule.successes
 
     @property
     def best(self) -> Best | None:

@@ -35,8 +35,8 @@ class PracticeSettings(BaseModel):
     springs: int = Field(default=0, ge=0, le=64)
     # Every n-th trial of the practice runs the mean; 0 runs it only to confirm a success
     mean_every: int = Field(default=5, ge=0, le=100_000)
-    # Number of successes of one mean in a row that stop the session; 0 disables the rule. They show
-    # a success rate, see `stopping_rule.rate_shown`; fewer do if their margins show the same.
+    # Number of successes of a mean that never failed which stop the session; 0 disables the rule.
+    # They show a success rate, see `stopping_rule.rate_shown`; fewer do if their margins show it.
     confirm: int = Field(default=29, ge=0, le=1000)
     # Runs of the final answer, which are not learnt from
     retests: int = Field(default=10, ge=0, le=100_000)
