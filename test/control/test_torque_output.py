@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 from rigid_arm import A_TEST, HOME, LIMITS, MODEL, begin, make, run
 
+from wam_power_ros.control.controller import Controller
+from wam_power_ros.control.controller_settings import ControllerSettings
+from wam_power_ros.control.modes import ControllerError, Mode
 from wam_power_ros.control.torque_output import TorqueOutput
 
 GRAVITY = MODEL.gravity(HOME)
@@ -47,6 +50,26 @@ def test_an_arm_that_weighs_more_than_the_share_is_held_after_a_fault() -> None:
     run(controller, plant, 1.5)
     assert np.abs(plant.qd).max() < 0.01
     assert np.abs(plant.q - HOME).max() < 0.05
+
+
+@pytest.mark.requirement("S-04")
+def test_an_arm_is_taken_over_only_where_what_may_be_sent_carries_it() -> None:
+    limits = dataclasses.replace(LIMITS, torque=0.9 * np.maximum(np.abs(GRAVITY), 2.0))
+    for adds_gravity in (False, True):
+        for latched in (None, A_TEST):
+            settings = ControllerSettings(limits=limits, driver_compensates_gravity=adds_gravity)
+            controller = Controller(MODEL, settings, latched)
+            for k in range(800):  # on a table, or held by the driver
+                controller.step(k * 2_000_000, HOME, np.zeros(MODEL.n))
+            request = controller.hold if latched is None else controller.reset
+            if adds_gravity:
+                request()
+                assert controller.mode is Mode.HOLD
+                controller.stop()
+            else:
+                with pytest.raises(ControllerError, match=r"j2 needs 17\.\d N m .* are 16\.\d"):
+                    request()
+                assert controller.mode is not Mode.HOLD
 
 
 def test_the_torque_rate_is_limited_and_counted_but_not_while_inactive() -> None:

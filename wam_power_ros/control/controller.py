@@ -150,10 +150,6 @@ class Controller:
         return "" if self._rollout is None else self._rollout.stopped_in
 
     @property
-    def _reported(self) -> JointState | None:
-        return self._states.last
-
-    @property
     def at_rest(self) -> bool:
         """Whether the arm was at rest in the last state."""
         try:
@@ -210,22 +206,19 @@ class Controller:
 
         Raises:
             ControllerError: A fault is latched, no joint state has been received, or no torque
-                could be computed for the last one.
+                could be computed for the last one, or none within the limits carries the arm.
         """
-        self._require_computed("hold")
+        self._require_torque("hold")
         if self._mode is not Mode.HOLD:
             self._enter(Mode.HOLD)
 
     def stop(self) -> None:
         """Abort any motion and hold; no effect when inactive or in a fault."""
-        if self._mode in PASSIVE_MODES:
-            return
-        try:
-            self.hold()
-        except ControllerError:
-            raise
-        except Exception as error:  # the motion cannot be ended as usual
-            self._fault_of(error)
+        if self._mode not in PASSIVE_MODES:
+            try:
+                self.hold()
+            except Exception as error:  # the motion cannot be ended as usual
+                self._fault_of(error)
 
     def release(self) -> None:
         """While holding, only compensate gravity and damp motion, until the mode changes."""
@@ -309,9 +302,9 @@ class Controller:
 
         Raises:
             ControllerError: No fault is latched, the arm moves, the joint states are not valid or
-                not plausible, or no torque could be computed for the last one.
+                not plausible, or `hold` would be refused.
         """
-        self._require_computed("reset")
+        self._require_torque("reset")
         if self._mode is not Mode.FAULT:
             text = f"reset refused: no fault, mode is {self._mode.value}"
             raise ControllerError(Refusal.NOTHING, text)
@@ -376,10 +369,13 @@ class Controller:
             text = f"{mode.value} refused: the enabling switch is not held"
             raise ControllerError(Refusal.SWITCH, text)
 
-    def _require_computed(self, request: str) -> None:
-        if self._failed and self._mode in PASSIVE_MODES:
-            text = f"{request} refused: no torque could be computed for the last joint state"
-            raise ControllerError(Refusal.REFUSED, text)
+    def _require_torque(self, request: str) -> None:
+        """Refuse to take the arm over without a torque that carries it."""
+        if self._mode not in PASSIVE_MODES or (last := self._states.last) is None:
+            return
+        failed = "no torque could be computed for the last joint state" if self._failed else ""
+        if text := failed or self._output.too_heavy(last.q):
+            raise ControllerError(Refusal.REFUSED, f"{request} refused: {text}")
 
     def _require_explained(self) -> None:
         """Refuse to hand the arm to a person when the model does not carry it."""
@@ -415,7 +411,7 @@ class Controller:
             text = f"rollout refused: fault ({self.latched.text}); reset first"
             raise ControllerError(Refusal.FAULT, text)
         policy = self._require_policy("rollout")
-        last = self._reported
+        last = self._states.last
         if self._mode is not Mode.HOLD or last is None:
             text = f"rollout refused: mode is {self._mode.value}, not hold"
             raise ControllerError(Refusal.BUSY, text)
@@ -620,9 +616,12 @@ class Controller:
         return tau + share * relief
 
     def _damped_gravity(self, state: JointState, damping: float, error: np.ndarray) -> np.ndarray:
-        """g(q) and a torque beyond the model, damped [N m]. Shape (n,)."""
-        carried = self.arm.gravity(state.q) + error
-        return safety.damped_gravity(carried, self.arm.mass_matrix(state.q), state.qd, damping)
+        """g(q) and a torque beyond the model; all motion decays at a rate [1/s]. [N m], (n,).
+
+        The product of the rate and the delay of the loop must stay well below pi / 2.
+        """
+        braking = damping * self.arm.mass_matrix(state.q).dot(state.qd)
+        return self.arm.gravity(state.q) + error - braking
 
     def _joint_torque(self, state: JointState, motion: Motion | Speeds) -> np.ndarray:
         tau = self._joints.torque(state.stamp_ns, state.q, state.qd)

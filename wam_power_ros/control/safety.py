@@ -4,7 +4,7 @@
 None of this is a safety function: the pendant and the robot's own safety board are. All functions
 are pure and give the same bits for the same arguments.
 
-The fallback `damped_gravity`, g(q) - d M(q) qd, brings the arm to rest and carries it. While joint
+The fallback, g(q) - d M(q) qd, brings the arm to rest and carries it. While joint
 states are missing it uses the state that the model predicts: an old velocity would feed energy in.
 """
 
@@ -60,7 +60,7 @@ class Limits:
         qd_max: Largest joint speed [rad/s]. Shape (n,).
         approach: Speeds near the position limits, n of them; empty for none.
         spring_torque: Torque of the soft spring at a position limit [N m]. Shape (n,).
-        elbow_speed: Largest speed of the arm's guarded points [m/s]. The WAM's safety board trips
+        guarded_speed: Largest speed of the arm's guarded points [m/s]. The WAM's safety board trips
             at 1.0 m/s as delivered; a toss needs up to 2.0, and the board set accordingly.
         tool_speed: Largest tool speed in all modes but teaching [m/s]; a toss needs about 2.5.
         teaching_tool_speed: Largest tool speed while a person guides the arm [m/s]; less within
@@ -205,10 +205,9 @@ class LimitSprings:
         self._last: np.ndarray | None = None  # torque of the springs, None when none acts [N m]
 
     def torque(self, q: np.ndarray, dt: float) -> np.ndarray | None:
-        """Torque of the springs at a posture (n,) [rad], a time [s] after the last call.
+        """Torque of the springs (n,) [N m] at a posture (n,) [rad], a time [s] after the last call.
 
-        Returns:
-            [N m], shape (n,); None when none acts.
+        None when none acts.
         """
         wanted, last, zero = limit_springs(q, self._limits), self._last, np.zeros(len(q))
         if wanted is None and last is None:
@@ -220,16 +219,6 @@ class LimitSprings:
             return torque
         self._last = torque if torque.any() else None
         return self._last
-
-
-def damped_gravity(
-    gravity: np.ndarray, mass: np.ndarray, qd: np.ndarray, damping: float
-) -> np.ndarray:
-    """g(q) - d M(q) qd [N m]: gravity compensation in which all motion decays at the rate d [1/s].
-
-    The product of d and the delay of the loop must stay well below pi / 2. Shape (n,).
-    """
-    return gravity - damping * mass.dot(qd)
 
 
 def friction_relief(

@@ -44,12 +44,7 @@ class TorqueOutput:
             dt: Time since the last torque was sent [s]; None while no torques are sent, so that no
                 rate limit applies.
         """
-        if self._arm.torque_scales is not None:
-            tau = tau / self._arm.torque_scales
-        if self._driver_adds_gravity:
-            # The motors' limits hold for the sum, a share of them for what is sent: a share of the
-            # sum would push down an arm that weighs more.
-            tau = np.clip(tau, -self._arm.tau_max, self._arm.tau_max) - self._arm.driver_gravity(q)
+        tau = self._wanted(tau, q)
         if dt is None:
             sent = np.clip(tau, -self._limits.torque, self._limits.torque)
         else:
@@ -59,3 +54,20 @@ class TorqueOutput:
         sent.setflags(write=False)
         self.sent = sent
         return sent
+
+    def too_heavy(self, q: np.ndarray) -> str:
+        """Which joint needs more than its limit to carry the arm at a posture (n,) [rad], or ""."""
+        needed, most = np.abs(self._wanted(self._arm.gravity(q), q)), self._limits.torque
+        joint = int(np.argmax(needed - most))
+        text = f"{self._arm.joint_names[joint]} needs {needed[joint]:.1f} N m to carry the arm"
+        return f"{text}, allowed are {most[joint]:.1f}" if needed[joint] > most[joint] else ""
+
+    def _wanted(self, tau: np.ndarray, q: np.ndarray) -> np.ndarray:
+        """Torque to send for a motor torque, before the limits."""
+        if self._arm.torque_scales is not None:
+            tau = tau / self._arm.torque_scales
+        if self._driver_adds_gravity:
+            # The motors' limits hold for the sum, a share of them for what is sent: a share of the
+            # sum would push down an arm that weighs more.
+            tau = np.clip(tau, -self._arm.tau_max, self._arm.tau_max) - self._arm.driver_gravity(q)
+        return tau

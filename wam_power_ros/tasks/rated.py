@@ -33,7 +33,7 @@ from wam_power_ros.tasks.task import (
 class RatedNoise(NoiseScales):
     """Standard deviation of the exploration noise."""
 
-    shift: float = Field(default=0.02, gt=0.0, le=1.0)  # of the end and the middle [m]
+    shift: float = Field(default=0.04, gt=0.0, le=1.0)  # of the end and the middle [m]
     tempo: float = Field(default=0.05, gt=0.0, le=1.0)  # of its logarithm [1]
 
 
