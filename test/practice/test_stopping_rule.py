@@ -191,13 +191,18 @@ def test_a_mean_with_too_small_margins_is_run_on_while_no_better_mean_is_known()
     assert stopping.successes == 1
 
 
-def test_for_small_margins_no_other_mean_is_sought_when_few_successes_are_missing() -> None:
-    good, bad = (1.4, 1.5, 1.6), (2.5, 0.1, 0.1)
-    for enough, margins, goes_on in ((29, good, False), (4, good, True), (4, bad, True)):
-        stopping = rule(enough, scatter=[1.0])
-        for margin in margins:
-            stopping.add(rollout(True, margins=[margin]))
-        assert (stopping.z is not None) == goes_on
+def test_with_too_small_margins_means_are_sought_until_one_is_no_better_than_those_before() -> None:
+    """Else a session goes from one mean to the next, and confirms none though all succeed."""
+    stopping = rule(29, scatter=[1.0])
+    for number, (margin, kept) in enumerate(((1.0, False), (1.2, False), (1.1, True))):
+        said = stopping.add(rollout(True, z=float(number), margins=[margin]))
+        assert (stopping.z is not None) == kept != ("too small margins" in said)
+    stopping.add(rollout(True, z=2.0, margins=[1.5]))
+    assert stopping.z is not None, "what it proves later is no reason to leave it"
+    stopping.add(rollout(False, z=2.0, margins=[-0.1]))
+    assert stopping.z is None
+    stopping.add(rollout(True, z=3.0, margins=[1.6]))
+    assert stopping.z is None, "better than all before"
 
 
 def needed(failures: Sequence[Sequence[float] | None], z: float) -> int:

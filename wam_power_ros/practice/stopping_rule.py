@@ -70,12 +70,14 @@ class StoppingRule:
         self._settings, self._margins, self._scatter = settings, margins, scatter
         self._other = np.array(OTHER)
         self.complete, self.mean_is_due = "", False
+        self._inside = self._reached = -math.inf
         self._begin([])
 
     def _begin(self, mean: list[float]) -> None:
         self._mean, self._known = mean, list[Sequence[float]]()  # margins of its runs
         self.successes = self.runs = 0
-        self._inside = -math.inf  # log-probability that the margins of its next run are positive
+        # Log-probabilities that the margins of its next run are positive; most of those before it
+        self._reached, self._inside = max(self._reached, self._inside), -math.inf
         self.z: np.ndarray | None = None
 
     def forget(self, record: Record) -> None:
@@ -105,7 +107,7 @@ class StoppingRule:
 
     def _otherwise(self, success: bool, margins: Sequence[float]) -> float:
         """Probability that a run failed for another reason than the scatter of its margins."""
-        if min(margins, default=0.0) > 0.0:
+        if success or min(margins, default=0.0) > 0.0:
             return float(not success)
         share = self._other[0] / self._other.sum()
         return float(share / (share - math.expm1(self._inside))) if margins else 0.0
@@ -127,14 +129,16 @@ class StoppingRule:
             return said
         ratio = np.mean(self._known, axis=0) / np.sqrt(squares / freedom)
         rates = inside(ratio, runs, freedom)
-        self._inside = float(np.median(rates))
+        first, self._inside = self._inside == -math.inf, float(np.median(rates))
         rng = np.random.Generator(np.random.PCG64(1))
         rates += np.log1p(-rng.beta(self._other[0], self._other[1], DRAWS))
         if np.mean(rates >= math.log(rate)) >= BELIEF:
             shown = f"at least {rate:.0%} will ({BELIEF:.0%} probable)"
             self.complete = f"{said}, well inside the limits: {shown}"
-        elif (enough - self.successes) * self._inside < math.log(0.5):
-            # It would more likely fail before. What else fails, fails any mean.
+        elif first and (enough - self.successes) * self._inside < math.log(0.5):
+            # It would more likely fail before. But the first that is no better than others is kept.
+            if self._inside <= self._reached:
+                return said
             self.z = None
             return f"{said}, but with too small margins: a better one is sought"
         return said

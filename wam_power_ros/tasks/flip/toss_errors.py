@@ -20,8 +20,8 @@ ERRORS = (
     # Up to a miss of 0.08 m a pancake that had turned was caught in 98 % of 3084 simulated tosses:
     # below 0.06 m in 99 %, from there on in 93 %, and from 0.08 to 0.10 m in 82 %.
     Error("miss", "m", 0.03, limit=0.08, scatter=0.015),
-    # One that climbs the rim after its fall is nearly thrown out, or stays there.
-    Error("climb", "m", 0.01, limit=0.025, scatter=0.004),
+    # Of 21 that climbed the rim to 32 to 49 mm after their fall, all slid back, of 8 above two.
+    Error("climb", "m", 0.01, limit=0.045, scatter=0.004),
     Error("apex", "m", 0.025, limit=0.05, scatter=0.012),  # counts if a goal asks for one
 )
 APEX_OF_AMPLITUDE = 0.7  # [m] per unit, or per log tempo, measured on tosses of tuning seeds
