@@ -233,6 +233,19 @@ def test_a_run_far_outside_where_the_others_are_well_inside_is_explained_by_no_m
     assert clear == narrow < far - 3
 
 
+def test_a_success_outside_a_limit_is_no_failure_for_another_reason() -> None:
+    counts = []
+    for outside in (0, 6):
+        stopping, count = rule(29, scatter=[1.0]), 0
+        for margin in (2.0, 2.0, *[-9.0] * outside):
+            stopping.add(rollout(True, z=1.0, margins=[margin]))
+        while not stopping.complete:
+            stopping.add(rollout(True, margins=[5.0 + 0.1 * (count % 3)]))
+            count += 1
+        counts.append(count)
+    assert counts[1] <= counts[0] < 8
+
+
 def test_a_failure_that_no_margin_explains_asks_more_of_every_later_mean() -> None:
     explained = [needed(failures, z=1.0) for failures in ([], [[-0.1, 3.0]], [None])]
     assert explained[0] == explained[1] == explained[2] < 8
