@@ -51,12 +51,13 @@ def inside(ratio: np.ndarray, count: int, freedom: int) -> np.ndarray:
 class StoppingRule:
     """Judges the runs of one mean.
 
-    `settings.confirm` of as many successes are enough whatever their margins; 0 disables the rule.
+    As many successes as `settings.confirm`, without a failure, are enough whatever their margins; 0
+    disables the rule.
     For `margins` and their `scatter` see `Task.success_margins` and `Task.scatter`.
 
     Attributes:
         z: Coordinates of the mean being confirmed, None when there is none. Shape (size,).
-        successes, runs: Numbers of those of the latest mean.
+        successes, runs: How many the latest mean has had.
         complete: Why it is confirmed, empty while it is not.
         mean_is_due: Whether the mean is run next because another rollout succeeded.
     """
